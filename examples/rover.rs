@@ -42,7 +42,7 @@ impl Rover {
 
     fn refuse(&mut self, id: GoalId, goal: Goal, code: ErrorCode, message: &str) {
         let message = format!("{}: {message}", self.name);
-        self.end(id, goal, GoalStatus::Aborted(ActionError { code, message }));
+        self.end(id, goal, GoalStatus::Aborted(ActionError::new(code, message)));
     }
 
     /// Pose by the odometry. Here it lies on a straight line between both ends of the drive.

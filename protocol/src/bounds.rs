@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn a_long_text_of_another_node_is_shortened() {
-        let failure = |cause: &str| TaskFailure { task: None, cause: cause.to_owned(), kind: FailureKind::Task };
+        let failure = |cause: &str| TaskFailure::new(FailureKind::Task, cause);
         let sent = failure(&"no route; ".repeat(6000));
         let received: TaskFailure = codec::decode(&codec::encode(&sent).unwrap()).unwrap();
         assert!(received.cause.len() <= super::TEXT_BYTES_MAX && received.cause.ends_with('…'));

@@ -2,6 +2,7 @@
 //! them on its own key, `consort/{fleet}/events/{node}`.
 
 use crate::auction::{AuctionRecord, Bid};
+use crate::cause::CauseClass;
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
 use crate::lease::{EndReason, Epoch};
 use crate::ledger::MissionState;
@@ -191,6 +192,8 @@ pub enum EventKind {
         task: TaskId,
         /// Reason.
         cause: String,
+        /// What the reason says about further attempts.
+        class: CauseClass,
     },
     /// A role sent a signal to another role.
     Sent {

@@ -33,7 +33,7 @@ pub fn variables() -> Context<'static, 'static> {
 }
 
 /// Returns the fields that an expression selects directly from variables, each with its variable.
-pub(crate) fn fields_used(expression: &IdedExpr) -> BTreeSet<(String, String)> {
+pub fn fields_used(expression: &IdedExpr) -> BTreeSet<(String, String)> {
     let mut fields: BTreeSet<_> = parts(expression).into_iter().flat_map(fields_used).collect();
     if let Expr::Select(select) = &expression.expr
         && let Expr::Ident(name) = &select.operand.expr
@@ -44,7 +44,7 @@ pub(crate) fn fields_used(expression: &IdedExpr) -> BTreeSet<(String, String)> {
 }
 
 /// Returns a scalar as a value of expressions.
-pub(crate) fn cel_value(value: &Scalar) -> Value {
+pub fn cel_value(value: &Scalar) -> Value {
     match value {
         Scalar::Bool(value) => Value::Bool(*value),
         Scalar::Integer(number) => Value::Int(*number),

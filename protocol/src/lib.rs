@@ -44,6 +44,7 @@ pub mod access;
 pub mod api;
 pub mod auction;
 mod bounds;
+pub mod cause;
 pub mod codec;
 pub mod ensemble;
 pub mod event;

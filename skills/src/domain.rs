@@ -18,6 +18,12 @@ pub fn hospital() -> Domain {
     standard_types().with_types(shipped_domain().task_types()).with_ihtn_names(ihtn_names())
 }
 
+/// Returns the task types of the standard domain and of these domain files.
+pub fn task_types_with<'a>(files: impl IntoIterator<Item = &'a DomainFile>) -> Domain {
+    let add = |all: Domain, file: &DomainFile| all.with_types(file.task_types()).with_ihtn_names(file.ihtn_names());
+    files.into_iter().fold(hospital(), add)
+}
+
 /// Returns the meaning of the names in the published flat iHTNs.
 fn ihtn_names() -> IhtnNames {
     let navigation = || TaskType::new("navigation").expect("a slug");

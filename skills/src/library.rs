@@ -47,6 +47,7 @@ use crate::bt::{
 };
 use crate::environment::Environment;
 use crate::skill::{STANDARD_SKILLS, SkillContext, StandardSkill, TaskContext, register_shared_leaves};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{DomainReference, OtherDomain, TaskSpec};
 use consort_protocol::scalar::Scalar;
@@ -243,6 +244,8 @@ pub enum SkillStatus {
     Failed {
         /// Cause for people: the leaf that failed last, with the robot's own message, if any.
         cause: String,
+        /// What the cause says about further attempts.
+        class: CauseClass,
     },
 }
 
@@ -267,9 +270,10 @@ impl ActiveSkill {
             NodeStatus::Running => return SkillStatus::Running,
             NodeStatus::Success | NodeStatus::Skipped => SkillStatus::Succeeded(self.results()),
             NodeStatus::Failure => {
-                let cause =
-                    self.tree.cause().map_or("the skill failed without a cause".to_owned(), ToString::to_string);
-                SkillStatus::Failed { cause }
+                let found = self.tree.cause();
+                let cause = found.map_or("the skill failed without a cause".to_owned(), ToString::to_string);
+                let class = found.and_then(|cause| cause.error.as_ref()).map(|error| error.class);
+                SkillStatus::Failed { cause, class: class.unwrap_or_default() }
             }
         };
         self.ended = Some(status.clone());

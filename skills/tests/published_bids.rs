@@ -2,6 +2,7 @@
 //! of each robot.
 
 use consort_protocol::ids::{PlaceId, RoleId, TaskId, TaskType};
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
@@ -100,6 +101,7 @@ fn context(robot: &Value) -> EstimateContext {
         speed: MetresPerSecond::new(robot["avg_speed"].as_f64().unwrap()).unwrap(),
         discharge: SharePerSecond::new(robot["battery_discharge_rate"].as_f64().unwrap()).unwrap(),
         closed: vec![],
+        attributes: Attributes::default(),
     }
 }
 

@@ -16,7 +16,7 @@ use consort_protocol::auction::{
 };
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::plan::divide_and_check;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
@@ -120,7 +120,17 @@ impl Scene {
             let (place, speed, discharge) = (worker.place.clone(), worker.speed?, worker.discharge);
             let parts = self
                 .estimator
-                .price(plan, &EstimateContext { place, pose: None, speed, discharge, closed: vec![] })
+                .price(
+                    plan,
+                    &EstimateContext {
+                        place,
+                        pose: None,
+                        speed,
+                        discharge,
+                        closed: vec![],
+                        attributes: Attributes::default(),
+                    },
+                )
                 .ok()?;
             let energy: f64 = parts.iter().map(|part| part.energy).sum();
             let bid = Bid {

@@ -81,7 +81,7 @@ Feature: A nurse changes her mind
     When a sample is requested from "IC Room 6"
     Then within 10 minutes the nurse in "IC Room 6" is away
     And for 100 s the mission is running
-    And within 30 minutes the mission needs intervention because "every nurse has walked away; waited for 120 s"
+    And within 30 minutes the mission has failed because "every nurse has walked away; waited for 120 s"
     And "sample of IC Room 6" is still with "nurse of IC Room 6"
 
   Scenario: Another nurse who walks away has no effect

@@ -16,7 +16,7 @@ use consort_protocol::keys::Keys;
 use consort_protocol::trust::AccessScope;
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
-use consort_skills::domain::{standard_descriptors, standard_library};
+use consort_skills::domain::{standard_descriptors, standard_library, task_types_with};
 use consort_skills::domain_file::DomainFile;
 use consort_world::SharedWorld;
 use consort_world::map;
@@ -83,7 +83,7 @@ pub(crate) struct NodeOptions {
     pub(crate) date_ms: u64,
     /// World seconds per second of node time.
     pub(crate) world_speed: f64,
-    /// Domains besides the shipped one.
+    /// Domain files besides the shipped one.
     pub(crate) domains: Vec<DomainFile>,
 }
 
@@ -118,12 +118,8 @@ pub(crate) struct FleetSetup {
 /// Returns a nurse that waits in a room with one sample; both are named after the room.
 pub(crate) fn nurse_in(room: &str) -> PersonSetup {
     PersonSetup {
-        name: format!("nurse of {room}").as_str().into(),
-        role: slug("nurse"),
-        place: slug(room),
         samples: vec![format!("sample of {room}").as_str().into()],
-        endless_samples: false,
-        spontaneous_actions: vec![],
+        ..PersonSetup::new(&format!("nurse of {room}"), slug("nurse"), slug(room))
     }
 }
 
@@ -204,8 +200,8 @@ impl Fleet {
         let present = members.iter().filter(|member| !member.starts_later).count();
         let mut settings = ward(ensembles, present + stations.len());
         let places = world.with(|world| world.map().topology().places);
-        let types = options.domains.iter().flat_map(DomainFile::task_types);
-        settings.domain = Arc::new((*settings.domain).clone().with_types(types).with_places(places.into_keys()));
+        let task_types = task_types_with(&options.domains).with_places(places.into_keys());
+        settings.domain = Arc::new(task_types.with_ensembles(settings.ensembles.names().cloned()));
         let client = network.bus(slug("client"));
         let credentials =
             options.signatures.map(|signatures| Credentials::new(settings.fleet.clone(), seed, signatures));
@@ -278,7 +274,7 @@ impl Fleet {
             let mut library = standard_library(environment.clone());
             let mut descriptors = standard_descriptors();
             for domain in &self.options.domains {
-                domain.extend_library(&mut library).expect("it was checked with the others");
+                domain.extend_library(&mut library).expect("its names are unique");
                 descriptors = domain.extend_descriptors(descriptors);
             }
             if let Some(train) = member.customize_library {

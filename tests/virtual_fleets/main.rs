@@ -3,6 +3,7 @@
 mod answers;
 mod building;
 mod canceling;
+mod causes;
 mod checkpoints;
 mod closed;
 mod clusters;

@@ -109,7 +109,7 @@ fn an_unknown_result_fails_the_mission_at_once_and_names_the_place() {
             ),
             "seed {seed}: {cause}"
         );
-        let released = fleet.events().into_iter().filter(|kind| matches!(kind, EventKind::Released { .. })).count();
-        assert_eq!(released, 0, "seed {seed}: no other robot was asked");
+        let awards = fleet.events().into_iter().filter(|kind| matches!(kind, EventKind::Awarded { .. })).count();
+        assert_eq!(awards, 1, "seed {seed}: no other robot was asked");
     });
 }

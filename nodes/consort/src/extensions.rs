@@ -10,8 +10,8 @@ use consort_driver::Contract;
 use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::mission::Domain;
 use consort_skills::descriptor::DescriptorRegistry;
-use consort_skills::domain::{hospital, shipped_domain, standard_library};
-use consort_skills::domain_file::{DomainFile, ReadingForm, SimulatedAction};
+use consort_skills::domain::{shipped_domain, standard_library, task_types_with};
+use consort_skills::domain_file::{ActionForm, DomainFile, ReadingForm};
 use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
 use std::collections::{BTreeMap, BTreeSet};
@@ -55,14 +55,11 @@ impl Extensions {
 
     /// Returns the task types for missions.
     pub fn domain(self) -> Domain {
-        let files = self.domains.iter().map(|loaded| &loaded.domain);
-        let declared =
-            files.fold(hospital(), |all, file| all.with_types(file.task_types()).with_ihtn_names(file.ihtn_names()));
-        (self.domain)(declared)
+        (self.domain)(task_types_with(self.domains.iter().map(|loaded| &loaded.domain)))
     }
 
     /// Returns what the simulator does with the declared actions.
-    pub(crate) fn simulated_actions(self) -> BTreeMap<ActionName, SimulatedAction> {
+    pub(crate) fn simulated_actions(self) -> BTreeMap<ActionName, ActionForm> {
         self.all_domains().flat_map(DomainFile::simulated_actions).collect()
     }
 

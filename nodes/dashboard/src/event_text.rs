@@ -99,7 +99,7 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::TaskSkipped { mission, role, task } => {
             normal("task skipped", format!("{task}: {node} as {role} of {mission}"))
         }
-        EventKind::TaskFailed { mission, role, task, cause } => {
+        EventKind::TaskFailed { mission, role, task, cause, .. } => {
             alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause}"))
         }
         EventKind::Sent { signal, .. } => normal("sync", signal_text(signal)),

@@ -6,6 +6,7 @@ use super::history_limits::HistoryLimits;
 use super::person_request::{PersonAnswer, PersonRequestId};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
+use crate::cause::CauseClass;
 use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::TaskOutcomes;
@@ -82,9 +83,11 @@ pub enum Command {
         epoch: Epoch,
         /// Cause, as text.
         cause: String,
-        /// True if the robot failed at the role, rather than losing contact. It is not invited
-        /// again for this role of the mission.
-        robot_failed: bool,
+        /// Class of the cause if the robot failed at the role; `None` if it was lost, or gave the role
+        /// back.
+        class: Option<CauseClass>,
+        /// True if the robot has certainly moved no item in steps that it has not reported as ended.
+        moved_nothing: bool,
         /// Last known place of the robot.
         place: Option<PlaceId>,
     },
@@ -349,6 +352,7 @@ pub enum CommandError {
 /// Cause of a release.
 pub(super) struct ReleaseCause {
     pub(super) cause: String,
-    pub(super) robot_failed: bool,
+    pub(super) class: Option<CauseClass>,
+    pub(super) moved_nothing: bool,
     pub(super) place: Option<PlaceId>,
 }

@@ -27,6 +27,12 @@ impl MissionEntry {
     /// more than once. An item is not listed once its last move has happened and the role that
     /// received it is completed: it is where the mission requires it.
     pub fn custody(&self) -> Vec<HeldItem> {
+        self.custody_without(&|_| false)
+    }
+
+    /// Same as [`custody`](Self::custody). The moves in `undone` have certainly not happened, unless the ledger
+    /// contains their end.
+    pub(super) fn custody_without(&self, undone: &dyn Fn(&ItemMove) -> bool) -> Vec<HeldItem> {
         let mission = self.mission();
         if self.items_at_recovery.is_empty()
             && !mission.elementary().iter().any(|(_, spec)| spec.items().next().is_some())
@@ -37,11 +43,17 @@ impl MissionEntry {
         let moves = self.division().and_then(|division| item_moves(mission, division).ok()).unwrap_or_default();
         let happened = self.happened();
         let inherited = self.items_at_recovery.iter().filter(|item| !moves.contains_key(&item.item)).cloned();
-        let held = moves.iter().flat_map(|(item, moves)| self.custodians(item, moves, &happened));
+        let held = moves.iter().flat_map(|(item, moves)| self.custodians(item, moves, &happened, undone));
         inherited.chain(held).collect()
     }
 
-    fn custodians(&self, item: &ItemId, moves: &[ItemMove], happened: &Happened<'_>) -> Vec<HeldItem> {
+    fn custodians(
+        &self,
+        item: &ItemId,
+        moves: &[ItemMove],
+        happened: &Happened<'_>,
+        undone: &dyn Fn(&ItemMove) -> bool,
+    ) -> Vec<HeldItem> {
         let known = moves.iter().rposition(|item_move| self.has_happened(item_move, happened));
         let mut custodians: Vec<HeldItem> = match known {
             None => self.items_at_recovery.iter().filter(|held| held.item == *item).cloned().collect(),
@@ -54,7 +66,7 @@ impl MissionEntry {
             }
         };
         for item_move in &moves[known.map_or(0, |known| known + 1)..] {
-            if !self.may_have_happened(item_move, happened) {
+            if undone(item_move) || !self.may_have_happened(item_move, happened) {
                 break;
             }
             custodians.iter_mut().for_each(|custodian| custodian.certain = false);

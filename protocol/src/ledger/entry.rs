@@ -4,6 +4,7 @@ use super::branch::Branch;
 use super::person_request::PersonRequestEntry;
 use super::submission::{Priority, Submission};
 use crate::auction::{AuctionId, AuctionRecord, CallForBids};
+use crate::cause::CauseClass;
 use crate::codec;
 use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
 use crate::lease::{Epoch, RoleHolder};
@@ -75,11 +76,18 @@ pub struct RoleRelease {
     pub robot: RobotId,
     /// Cause, as text.
     pub cause: String,
-    /// True if the robot failed at the role. It is not invited again for this role of the mission.
-    pub robot_failed: bool,
+    /// Class of the cause if the robot failed at the role; without one it was lost, or gave the role back.
+    pub class: Option<CauseClass>,
     /// True if the robot had confirmed the role. A release before confirmation does not count
     /// towards the limit of releases.
     pub confirmed: bool,
+}
+
+impl RoleRelease {
+    /// Checks whether the robot is not invited again for this role of the mission.
+    pub fn excludes_robot(&self) -> bool {
+        self.class.is_some_and(CauseClass::excludes_robot)
+    }
 }
 
 /// State of a mission.
@@ -329,7 +337,7 @@ impl MissionEntry {
     /// Returns the robots that failed at a role of this mission, with the causes. They are not
     /// invited again for this role.
     pub fn excluded(&self, role: &RoleId) -> BTreeMap<RobotId, String> {
-        let failed = self.releases.iter().filter(|released| released.robot_failed && released.role == *role);
+        let failed = self.releases.iter().filter(|released| released.excludes_robot() && released.role == *role);
         failed.map(|released| (released.robot.clone(), released.cause.clone())).collect()
     }
 

@@ -22,8 +22,13 @@ enum AfterAnswer {
     Nothing,
     /// Its completion is to be checked.
     CheckCompletion,
-    /// It fails, with this cause.
-    Fail(String),
+    /// It fails: the task was not done.
+    Fail {
+        /// Cause, as text.
+        cause: String,
+        /// The task.
+        task: TaskId,
+    },
 }
 
 impl MissionEntry {
@@ -144,7 +149,7 @@ impl MissionEntry {
             AnswerContent::Cannot => (FinalAnswer::Cannot, format!("{person} could not do {task}{because}")),
         };
         request.phase = PersonRequestPhase::Answered { by, answer: closing, note, at_ms };
-        Ok(AfterAnswer::Fail(after))
+        Ok(AfterAnswer::Fail { cause: after, task })
     }
 
     /// Checks whether an answer repeats the answer that was given.
@@ -228,7 +233,10 @@ impl Ledger {
         match entry.answer(*number, answer)? {
             AfterAnswer::Nothing => Ok(CommandOutcome::Done),
             AfterAnswer::CheckCompletion => self.complete_if_done(mission),
-            AfterAnswer::Fail(cause) => self.end(mission, MissionState::Failed { cause }, places),
+            // A person who did not do the task has moved nothing.
+            AfterAnswer::Fail { cause, task } => {
+                self.end(mission, MissionState::Failed { cause }, places, &|item_move| item_move.task == task)
+            }
         }
     }
 
@@ -239,7 +247,7 @@ impl Ledger {
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<CommandOutcome, CommandError> {
         match self.active_mission(&request.mission)?.expire_request(request.number, now_ms) {
-            Some(cause) => self.end(&request.mission, MissionState::Failed { cause }, places),
+            Some(cause) => self.end(&request.mission, MissionState::Failed { cause }, places, &|_| false),
             None => Ok(CommandOutcome::Done),
         }
     }

@@ -17,6 +17,7 @@
 //! [`ClusterEnvelope`].
 
 use crate::bounds::{self, ELEMENTS_MAX};
+use crate::cause::CauseClass;
 use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
@@ -216,6 +217,18 @@ pub struct TaskFailure {
     pub cause: String,
     /// Kind of failure.
     pub kind: FailureKind,
+    /// What the cause says about further attempts.
+    pub class: CauseClass,
+    /// True if the robot has certainly moved no item in steps that it has not reported as ended.
+    pub moved_nothing: bool,
+}
+
+impl TaskFailure {
+    /// Creates a failure that no single task caused. It says nothing about other robots, and the robot may have
+    /// moved an item.
+    pub fn new(kind: FailureKind, cause: impl Into<String>) -> TaskFailure {
+        TaskFailure { task: None, cause: cause.into(), kind, class: CauseClass::Robot, moved_nothing: false }
+    }
 }
 
 /// Reason for which a holder gives up its role.

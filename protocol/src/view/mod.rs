@@ -100,7 +100,8 @@ mod tests {
     fn a_mission_view_of_an_earlier_release_is_read_as_far_as_possible() {
         let view = json!({
             "mission": "m-1", "state": "needs_rescue", "detail": { "needs_rescue": { "cause": "lost", "items": [] } },
-            "releases": [{ "role": "r1", "robot": "ada", "cause": "silent", "blamed": true, "confirmed": true }],
+            "releases": [{ "role": "r1", "robot": "ada", "cause": "silent", "blamed": true, "confirmed": true },
+                { "role": "r2", "robot": "bob" }],
             "roles": [{ "role": "r1", "kind": "managed", "phase": "open" }, { "role": "r2", "kind": "new kind" }],
             "explanation": { "round": 1, "at_ms": 0, "omitted": 0, "roles": [
                 { "role": "r1", "winner": null, "why": "", "robots": [
@@ -110,7 +111,7 @@ mod tests {
         let view: MissionView = serde_json::from_value(view).unwrap();
         assert_eq!(view.brief.status.state, MissionStateName::NeedsIntervention);
         assert!(view.brief.status.detail.needs_intervention());
-        assert_eq!((view.releases.len(), view.explanation), (0, None));
+        assert_eq!((view.releases.len(), view.explanation), (1, None));
         assert_eq!(view.roles.iter().map(|role| role.role.as_str()).collect::<Vec<_>>(), ["r1"]);
     }
 

@@ -139,13 +139,14 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             let (mission, role, epoch) = held;
             Command::Progress { mission, role, epoch, branch, ended, outcomes }
         }),
-        (held(), text(), any::<bool>(), option::of(place())).prop_map(
-            |((mission, role, epoch), cause, blamed, place)| Command::Release {
+        (held(), text(), option::of(cause_class()), any::<bool>(), option::of(place())).prop_map(
+            |((mission, role, epoch), cause, class, moved_nothing, place)| Command::Release {
                 mission,
                 role,
                 epoch,
                 cause,
-                robot_failed: blamed,
+                class,
+                moved_nothing,
                 place
             }
         ),

@@ -54,7 +54,8 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
         Just(FailureKind::GaveWay),
         Just(FailureKind::UnknownResult),
     ];
-    let failure = (option::of(name()), text(), kind).prop_map(|(task, cause, kind)| TaskFailure { task, cause, kind });
+    let failure = (option::of(name()), text(), kind, cause_class(), any::<bool>())
+        .prop_map(|(task, cause, kind, class, moved_nothing)| TaskFailure { task, cause, kind, class, moved_nothing });
     let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch());
     let how = (option::of(place()), any::<bool>(), option::of(failure));
     (who, btree_set(any::<u32>(), 0..5), outcomes(), option::of(name::<TaskId>()), how).prop_map(

@@ -1,5 +1,6 @@
 //! Arbitrary missions, plans and records.
 
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{ClusterId, PlaceId, TaskType};
 use consort_protocol::knowledge::{Attributes, Availability, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::Epoch;
@@ -24,6 +25,15 @@ pub(crate) fn name<T: TryFrom<String, Error: Debug> + Debug>() -> impl Strategy<
 
 pub(crate) fn place() -> impl Strategy<Value = PlaceId> {
     "[A-Z][a-zäöü]{1,8} [0-9]{1,2}".prop_map(|text| PlaceId::new(text).expect("a label"))
+}
+
+pub(crate) fn cause_class() -> impl Strategy<Value = CauseClass> {
+    prop_oneof![
+        Just(CauseClass::Robot),
+        Just(CauseClass::Task),
+        Just(CauseClass::Transient),
+        Just(CauseClass::Precondition),
+    ]
 }
 
 pub(crate) fn text() -> impl Strategy<Value = String> {

@@ -161,7 +161,7 @@ impl RobotBackend for ProcessDriver {
         let message = "this driver has no people".to_owned();
         self.rejected.push(BackendEvent::PersonRequestEnded {
             request: id,
-            result: Err(ActionError { code: ErrorCode::Unknown, message }),
+            result: Err(ActionError::rejected(ErrorCode::Unknown, message)),
         });
     }
 

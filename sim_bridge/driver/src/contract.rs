@@ -4,7 +4,7 @@ use crate::messages::{OfferedAction, PROTOCOL_VERSION};
 use consort_protocol::ids::ActionName;
 use consort_protocol::mission::ValueKind;
 use consort_protocol::scalar::Scalar;
-use consort_skills::actions::STANDARD_ACTIONS;
+use consort_skills::actions::{ActionError, ErrorCode, STANDARD_ACTIONS};
 use consort_skills::domain_file::{ActionForm, DomainFile, ParameterForm};
 use consort_text::{AllowedNames, shorten};
 use std::collections::BTreeMap;
@@ -127,6 +127,23 @@ impl Contract {
         }
         Ok(())
     }
+
+    /// Returns the error of a goal that a driver aborted with this code. The code is a failure that the action
+    /// declares, or a standard one. For any other code it is an error without a code, with the problem.
+    pub(crate) fn failure(&self, action: &str, code: Option<&str>, message: &str) -> (ActionError, Option<String>) {
+        let declared = ActionName::new(action).ok().and_then(|name| self.declared.get(&name));
+        let Some(code) = code else { return (ActionError::new(ErrorCode::Failed, message), None) };
+        if let Some(error) = declared.and_then(|form| form.failure(code, message)) {
+            return (error, None);
+        }
+        if let Some(standard) = ErrorCode::ALL.iter().find(|standard| standard.as_str() == code) {
+            return (ActionError::new(*standard, message), None);
+        }
+        let names = declared.into_iter().flat_map(|form| form.failures.keys()).map(String::as_str);
+        let allowed = AllowedNames::suggest_for(code, names.chain(ErrorCode::ALL.iter().map(|code| code.as_str())));
+        let problem = format!("result: code: {action} has no failure `{code}`; {allowed}");
+        (ActionError::new(ErrorCode::Failed, message), Some(problem))
+    }
 }
 
 /// Compares the parameters or the results of an action: every declared one is offered, with the same
@@ -156,6 +173,7 @@ fn check_values(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::cause::CauseClass;
     use serde_json::{Value, json};
 
     fn contract() -> Contract {
@@ -165,6 +183,7 @@ mod tests {
                 "vacuum": {
                     "parameters": { "passes": { "type": "integer" } },
                     "results": { "dust_g": { "type": "number" } },
+                    "failures": { "bag_full": { "class": "precondition", "moved_nothing": true } },
                 },
             },
             "readings": {
@@ -191,6 +210,24 @@ mod tests {
             "results": { "dust_g": { "type": "number" } },
         });
         assert_eq!(check(json!({ "wait": {}, "vacuum": vacuum })), Ok(()));
+    }
+
+    #[test]
+    fn the_code_of_a_failure_is_declared_or_standard() {
+        let failure = |action, code| contract().failure(action, code, "why");
+        let (declared, none) = failure("vacuum", Some("bag_full"));
+        assert_eq!((declared.class, declared.moved_nothing, none), (CauseClass::Precondition, true, None));
+        assert_eq!(declared.message, "bag_full: why");
+        let standard = ActionError::new(ErrorCode::Blocked, "why");
+        assert_eq!(failure("vacuum", Some("blocked")), (standard.clone(), None));
+        assert_eq!(failure("wait", Some("blocked")), (standard, None));
+        let failed = ActionError::new(ErrorCode::Failed, "why");
+        assert_eq!(failure("vacuum", None), (failed.clone(), None));
+        let (error, problem) = failure("vacuum", Some("bag_ful"));
+        let problem = problem.unwrap();
+        assert_eq!(error, failed);
+        assert!(problem.starts_with("result: code: vacuum has no failure `bag_ful`; allowed: bag_full, "), "{problem}");
+        assert!(problem.ends_with("did you mean `bag_full`?"), "{problem}");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{BatteryShare, Metres, Seconds};
-use consort_skills::actions::{ErrorCode, GoalId, JsonObject};
+use consort_skills::actions::{GoalId, JsonObject};
 use consort_skills::domain_file::ParameterForm;
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::{Deserialize, Serialize};
@@ -115,10 +115,10 @@ pub enum DriverMessage {
         id: GoalId,
         /// How the goal ended.
         status: ResultStatus,
-        /// Kind of the failure of an aborted goal. Default `failed`.
+        /// Reason of the failure of an aborted goal: one of the `failures` that the action declares, or a
+        /// standard code such as `blocked`. Default `failed`.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        #[schemars(with = "Option<ErrorCodeText>")]
-        code: Option<ErrorCode>,
+        code: Option<String>,
         /// Cause of the failure, for people.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         message: Option<String>,
@@ -194,25 +194,6 @@ pub enum ResultStatus {
     Canceled,
     /// The goal was rejected, or ended without success.
     Aborted,
-}
-
-/// The texts of [`ErrorCode`], for the schema.
-#[derive(JsonSchema)]
-#[serde(rename_all = "snake_case")]
-#[expect(dead_code, reason = "only its schema is used")]
-enum ErrorCodeText {
-    Unknown,
-    NoRoute,
-    Blocked,
-    OutOfReach,
-    NotAuthenticated,
-    DrawerState,
-    TooHeavy,
-    BatteryLow,
-    Busy,
-    TimedOut,
-    Charger,
-    Failed,
 }
 
 fn yes() -> bool {
@@ -299,7 +280,7 @@ mod tests {
             DriverMessage::Result {
                 id: GoalId(7),
                 status: ResultStatus::Aborted,
-                code: Some(ErrorCode::Blocked),
+                code: Some("blocked".to_owned()),
                 message: Some("a chair".to_owned()),
                 results: JsonObject::new(),
             }
@@ -340,10 +321,5 @@ mod tests {
                 "driver-error",
             ]
         );
-        let codes = schema_for!(ErrorCodeText).to_value();
-        for code in codes["oneOf"].as_array().or(codes["enum"].as_array()).expect("an enumeration") {
-            let text = code.get("const").unwrap_or(code).clone();
-            assert!(serde_json::from_value::<ErrorCode>(text.clone()).is_ok(), "{text}");
-        }
     }
 }

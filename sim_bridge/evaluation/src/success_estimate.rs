@@ -5,6 +5,7 @@ use super::outcome::TrialLimits;
 use super::policy::SuccessEstimate;
 use super::travel::TravelModel;
 use consort_protocol::ids::PlaceId;
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{EstimateContext, Estimator};
@@ -18,6 +19,7 @@ pub fn start_context(robot: &ScenarioRobot) -> EstimateContext {
         speed: MetresPerSecond::new(robot.speed_mps).expect("scenarios are checked"),
         discharge: SharePerSecond::new(robot.discharge).expect("scenarios are checked"),
         closed: vec![],
+        attributes: Attributes::default(),
     }
 }
 

@@ -103,7 +103,7 @@ pub fn error(outcome: &NavigateResult) -> ActionError {
         _ => ErrorCode::Unknown,
     };
     let message = if outcome.error_msg.is_empty() { "without a message" } else { outcome.error_msg.as_str() };
-    ActionError { code, message: format!("Nav2 error {}: {message}", outcome.error_code) }
+    ActionError::new(code, format!("Nav2 error {}: {message}", outcome.error_code))
 }
 
 /// Converts a robot's name to a part of a ROS name: letters, digits and `_`, with no digit at the
@@ -183,7 +183,7 @@ mod tests {
 
     #[test]
     fn errors_keep_their_kind_over_the_codes_of_nav2() {
-        let of = |code| to_nav2_result(&ActionError { code, message: "why".to_owned() });
+        let of = |code| to_nav2_result(&ActionError::new(code, "why".to_owned()));
         let cases = [
             (ErrorCode::NoRoute, 208, ErrorCode::NoRoute),
             (ErrorCode::Blocked, 105, ErrorCode::Blocked),

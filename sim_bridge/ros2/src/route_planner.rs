@@ -99,7 +99,7 @@ impl RoutePlanner {
     fn last_place_for(&self, near: &PlaceId, to: Pose) -> Result<(PlaceId, Option<Pose>), ActionError> {
         let Some(level) = self.map.level_of(near) else {
             let message = format!("the robot is at {near}, which is not on the map {:?}", self.map.name());
-            return Err(ActionError { code: ErrorCode::Unknown, message });
+            return Err(ActionError::new(ErrorCode::Unknown, message));
         };
         let here = self.map.level_indices().position(|index| index == level).expect("the level is on the map");
         let on_level = self.map.places().iter().filter(|place| place.level == level);
@@ -118,7 +118,7 @@ impl RoutePlanner {
                 let reason = if within { "walls separate it from every place" } else { "it is outside the map" };
                 let message =
                     format!("no route to ({:.2}, {:.2}) on the map {:?}: {reason}", to.x, to.y, self.map.name());
-                Err(ActionError { code: ErrorCode::NoRoute, message })
+                Err(ActionError::new(ErrorCode::NoRoute, message))
             }
         }
     }
@@ -130,7 +130,7 @@ fn route_error(error: RouteError) -> ActionError {
         RouteError::UnknownPlace { .. } => ErrorCode::Unknown,
         RouteError::Unreachable { .. } => ErrorCode::NoRoute,
     };
-    ActionError { code, message: error.to_string() }
+    ActionError::new(code, error.to_string())
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Comparison of estimated and simulated drive times.
 
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotBackend};
@@ -38,6 +39,7 @@ fn estimate_s(environment: Environment, from: &str, to: &str, speed: f64) -> f64
         speed: MetresPerSecond::new(speed).unwrap(),
         discharge: SharePerSecond::new(0.0).unwrap(),
         closed: vec![],
+        attributes: Attributes::default(),
     };
     estimator.estimate(&task, &context).unwrap().time.get()
 }

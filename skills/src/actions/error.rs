@@ -1,5 +1,6 @@
 //! Failures of goals.
 
+use consort_protocol::cause::CauseClass;
 use serde::{Deserialize, Serialize};
 
 /// A goal failed. The robot stands still where it is.
@@ -8,8 +9,24 @@ use serde::{Deserialize, Serialize};
 pub struct ActionError {
     /// Code, for programs.
     pub code: ErrorCode,
+    /// What the failure says about further attempts.
+    pub class: CauseClass,
+    /// True if the goal has certainly moved no item.
+    pub moved_nothing: bool,
     /// Message, for people. It names the objects involved.
     pub message: String,
+}
+
+impl ActionError {
+    /// Creates the error of a goal that began, with the class of the code. It may have moved an item.
+    pub fn new(code: ErrorCode, message: impl Into<String>) -> ActionError {
+        ActionError { code, class: code.class(), moved_nothing: false, message: message.into() }
+    }
+
+    /// Creates the error of a goal that did not begin, or certainly moved no item.
+    pub fn rejected(code: ErrorCode, message: impl Into<String>) -> ActionError {
+        ActionError { moved_nothing: true, ..ActionError::new(code, message) }
+    }
 }
 
 /// Kinds of failure that skills may treat differently.
@@ -43,21 +60,75 @@ pub enum ErrorCode {
     Failed,
 }
 
-impl std::fmt::Display for ErrorCode {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
+impl ErrorCode {
+    /// All codes.
+    pub const ALL: [ErrorCode; 12] = [
+        ErrorCode::Unknown,
+        ErrorCode::NoRoute,
+        ErrorCode::Blocked,
+        ErrorCode::OutOfReach,
+        ErrorCode::NotAuthenticated,
+        ErrorCode::DrawerState,
+        ErrorCode::TooHeavy,
+        ErrorCode::BatteryLow,
+        ErrorCode::Busy,
+        ErrorCode::TimedOut,
+        ErrorCode::Charger,
+        ErrorCode::Failed,
+    ];
+
+    /// Returns the code as in messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
             ErrorCode::Unknown => "unknown",
-            ErrorCode::NoRoute => "no route",
+            ErrorCode::NoRoute => "no_route",
             ErrorCode::Blocked => "blocked",
-            ErrorCode::OutOfReach => "out of reach",
-            ErrorCode::NotAuthenticated => "not authenticated",
-            ErrorCode::DrawerState => "drawer state",
-            ErrorCode::TooHeavy => "too heavy",
-            ErrorCode::BatteryLow => "battery low",
+            ErrorCode::OutOfReach => "out_of_reach",
+            ErrorCode::NotAuthenticated => "not_authenticated",
+            ErrorCode::DrawerState => "drawer_state",
+            ErrorCode::TooHeavy => "too_heavy",
+            ErrorCode::BatteryLow => "battery_low",
             ErrorCode::Busy => "busy",
-            ErrorCode::TimedOut => "timed out",
+            ErrorCode::TimedOut => "timed_out",
             ErrorCode::Charger => "charger",
             ErrorCode::Failed => "failed",
-        })
+        }
+    }
+
+    /// Returns the class of the failures of standard actions with this code.
+    pub fn class(self) -> CauseClass {
+        match self {
+            ErrorCode::NotAuthenticated => CauseClass::Task,
+            ErrorCode::Busy => CauseClass::Transient,
+            ErrorCode::TooHeavy => CauseClass::Precondition,
+            ErrorCode::Unknown
+            | ErrorCode::NoRoute
+            | ErrorCode::Blocked
+            | ErrorCode::OutOfReach
+            | ErrorCode::DrawerState
+            | ErrorCode::BatteryLow
+            | ErrorCode::TimedOut
+            | ErrorCode::Charger
+            | ErrorCode::Failed => CauseClass::Robot,
+        }
+    }
+}
+
+impl std::fmt::Display for ErrorCode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.as_str().replace('_', " "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_words_are_those_of_messages() {
+        for code in ErrorCode::ALL {
+            assert_eq!(serde_json::to_value(code).unwrap(), code.as_str());
+        }
+        assert_eq!(ErrorCode::OutOfReach.to_string(), "out of reach");
     }
 }

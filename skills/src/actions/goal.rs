@@ -267,7 +267,7 @@ impl GoalStatus {
             return GoalStatus::Succeeded(GoalResult(result));
         }
         let message = format!("the result has {bytes} bytes of JSON; at most {} are allowed", GoalResult::BYTES_MAX);
-        GoalStatus::Aborted(ActionError { code: ErrorCode::Failed, message })
+        GoalStatus::Aborted(ActionError::new(ErrorCode::Failed, message))
     }
 
     /// Checks whether the goal has ended.

@@ -232,6 +232,7 @@ fn upper_normal_quantile(share: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::environment::{Edge, Routes, TopologicalMap};
+    use consort_protocol::knowledge::Attributes;
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 
@@ -278,6 +279,7 @@ mod tests {
             speed: MetresPerSecond::new(0.5).unwrap(),
             discharge: SharePerSecond::new(0.001).unwrap(),
             closed: vec![],
+            attributes: Attributes::default(),
         };
         let mut task = TaskSpec::of(TaskType::new(NAVIGATION).unwrap(), vec!["r1".parse().unwrap()]);
         task.parameters.insert("to".to_owned(), "B".to_owned());

@@ -2,6 +2,7 @@
 
 use crate::environment::{Environment, MissingDescriptor, RouteError};
 use consort_protocol::ids::{PlaceId, TaskType};
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{OtherDomain, TaskSpec};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
@@ -19,6 +20,8 @@ pub struct EstimateContext {
     pub discharge: SharePerSecond,
     /// Known closed lanes, each by its two ends.
     pub closed: Vec<(PlaceId, PlaceId)>,
+    /// Attributes of the robot.
+    pub attributes: Attributes,
 }
 
 /// Estimated cost of a task.
@@ -70,6 +73,16 @@ pub enum EstimateError {
         /// The type of the task.
         task_type: TaskType,
         /// Cause.
+        problem: String,
+    },
+    /// The robot lacks what the task needs, according to the domain file.
+    #[error("{task_type} requires `{condition}`, which {problem}")]
+    Requirement {
+        /// The type of the task.
+        task_type: TaskType,
+        /// The condition.
+        condition: String,
+        /// `is false`, or the reason for which it has no value.
         problem: String,
     },
     /// The task was made with another content of the domain file.

@@ -9,6 +9,7 @@
 //! battery lasts in all but the worst cases.
 //!
 //! ```
+//! use consort_protocol::knowledge::Attributes;
 //! use consort_protocol::mission::TaskSpec;
 //! use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
 //! use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, FixedDuration};
@@ -23,6 +24,7 @@
 //!     speed: MetresPerSecond::new(0.5)?,
 //!     discharge: SharePerSecond::new(0.001)?,
 //!     closed: vec![],
+//!     attributes: Attributes::default(),
 //! };
 //! let estimate = estimator.estimate(&TaskSpec::of("wave".parse()?, vec!["r1".parse()?]), &robot)?;
 //! assert_eq!((estimate.time.get(), estimate.energy), (4.0, 0.004));

@@ -4,6 +4,7 @@ use super::navigation::NavigationDescriptor;
 use super::*;
 use crate::environment::{Edge, Environment, Routes, TopologicalMap};
 use consort_protocol::ids::{PlaceId, RoleId, TaskId, TaskType};
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
@@ -56,6 +57,7 @@ fn robot(at: &str) -> EstimateContext {
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
+        attributes: Attributes::default(),
     }
 }
 

@@ -6,6 +6,7 @@ use crate::environment::{Environment, EnvironmentDescriptor, Routes};
 use cel::{Context, Program};
 use consort_protocol::expression;
 use consort_protocol::ids::{PlaceId, TaskType};
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{DomainReference, TaskSpec};
 use consort_protocol::units::Seconds;
 use std::collections::{BTreeMap, HashMap};
@@ -17,7 +18,18 @@ pub(super) struct DeclaredEstimate {
     time_s: Expression,
     energy: Option<Expression>,
     ends_at: Option<String>,
+    requires: Option<Expression>,
     domain: Option<DomainReference>,
+}
+
+/// Variable with the attributes of the robot.
+const ATTRIBUTES: &str = "attributes";
+
+/// Variables of the robot.
+struct RobotVariables<'a> {
+    speed: f64,
+    discharge: f64,
+    attributes: &'a Attributes,
 }
 
 struct Expression {
@@ -28,6 +40,20 @@ struct Expression {
 impl Expression {
     fn compile(text: &str) -> Result<Expression, String> {
         Ok(Expression { text: text.to_owned(), program: expression::compile(text)? })
+    }
+
+    /// Checks whether the expression uses attributes of the robot, which are not known beforehand.
+    fn uses_attributes(&self) -> bool {
+        expression::fields_used(self.program.expression()).iter().any(|(name, _)| name == ATTRIBUTES)
+    }
+
+    /// Evaluates the expression to `true` or `false`.
+    fn condition(&self, variables: &Context<'static, 'static>) -> Result<bool, String> {
+        match self.program.execute(variables) {
+            Ok(cel::Value::Bool(holds)) => Ok(holds),
+            Ok(other) => Err(format!("is {other:?}; allowed is true or false")),
+            Err(problem) => Err(format!("has no value: {problem}")),
+        }
     }
 
     /// Evaluates the expression to a finite number of 0 or more.
@@ -64,12 +90,25 @@ impl DeclaredEstimate {
             return Err(("ends_at", format!("{name} is no parameter of type place")));
         }
         let (parameters, ends_at) = (task.parameters.clone(), form.ends_at.clone());
-        let estimate =
-            DeclaredEstimate { task_type: task_type.clone(), parameters, time_s, energy, ends_at, domain: None };
+        let (task_type, requires, domain) = (task_type.clone(), None, None);
+        let estimate = DeclaredEstimate { task_type, parameters, time_s, energy, ends_at, requires, domain };
         let variables = estimate.example();
-        estimate.time_s.number(&variables).map_err(at("time_s"))?;
-        estimate.energy.as_ref().map(|energy| energy.number(&variables)).transpose().map_err(at("energy"))?;
+        for (key, number) in [("time_s", Some(&estimate.time_s)), ("energy", estimate.energy.as_ref())] {
+            // The attributes of robots differ.
+            if let Some(number) = number.filter(|number| !number.uses_attributes()) {
+                number.number(&variables).map_err(at(key))?;
+            }
+        }
         Ok(estimate)
+    }
+
+    /// Adds the condition of the task type on its robot.
+    pub(super) fn requiring(self, condition: &str) -> Result<DeclaredEstimate, String> {
+        let requires = Expression::compile(condition)?;
+        if !requires.uses_attributes() {
+            requires.condition(&self.example()).map_err(|problem| format!("`{condition}` {problem}"))?;
+        }
+        Ok(DeclaredEstimate { requires: Some(requires), ..self })
     }
 
     /// Returns the estimate for tasks of this domain only.
@@ -89,14 +128,14 @@ impl DeclaredEstimate {
             }
         };
         let texts = self.parameters.iter().map(|(name, parameter)| (name.clone(), example(parameter))).collect();
-        self.variables(&texts, 1.0, 0.001, |_| Ok::<f64, EstimateError>(1.0)).expect("examples are valid")
+        let robot = RobotVariables { speed: 1.0, discharge: 0.001, attributes: &Attributes::default() };
+        self.variables(&texts, &robot, |_| Ok::<f64, EstimateError>(1.0)).expect("examples are valid")
     }
 
     fn variables<E>(
         &self,
         texts: &BTreeMap<String, String>,
-        speed: f64,
-        discharge: f64,
+        robot: &RobotVariables<'_>,
         distance: impl Fn(&str) -> Result<f64, E>,
     ) -> Result<Context<'static, 'static>, E> {
         let mut context = expression::variables();
@@ -117,8 +156,10 @@ impl DeclaredEstimate {
             context.add_variable_from_value(name.clone(), value);
         }
         context.add_variable_from_value("distance", cel::Value::from(distances));
-        context.add_variable_from_value("speed", cel::Value::Float(speed));
-        context.add_variable_from_value("discharge", cel::Value::Float(discharge));
+        context.add_variable_from_value("speed", cel::Value::Float(robot.speed));
+        context.add_variable_from_value("discharge", cel::Value::Float(robot.discharge));
+        let attributes = robot.attributes.iter().map(|(name, value)| (name.clone(), expression::cel_value(value)));
+        context.add_variable_from_value(ATTRIBUTES, attributes.collect::<HashMap<String, cel::Value>>());
         Ok(context)
     }
 }
@@ -153,7 +194,17 @@ impl SkillDescriptor for DeclaredEstimate {
                 None => routes.distance(&context.place, &to)?.get(),
             })
         };
-        let variables = self.variables(&task.parameters, context.speed.get(), context.discharge.get(), distance)?;
+        let (speed, discharge, attributes) = (context.speed.get(), context.discharge.get(), &context.attributes);
+        let variables = self.variables(&task.parameters, &RobotVariables { speed, discharge, attributes }, distance)?;
+        if let Some(requires) = &self.requires {
+            let lacks = |problem| EstimateError::Requirement {
+                task_type: self.task_type.clone(),
+                condition: requires.text.clone(),
+                problem,
+            };
+            let holds = requires.condition(&variables).map_err(lacks)?;
+            holds.then_some(()).ok_or_else(|| lacks("is false".to_owned()))?;
+        }
         let failed = |problem| EstimateError::Expression { task_type: self.task_type.clone(), problem };
         let time_s = self.time_s.number(&variables).map_err(failed)?;
         let time = Seconds::new(time_s).map_err(|problem| failed(problem.to_string()))?;

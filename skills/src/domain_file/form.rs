@@ -1,5 +1,7 @@
 //! The form of a domain file.
 
+use crate::actions::{ActionError, ErrorCode};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{ActionName, DomainId, PlaceId, RoleId, TaskType};
 use consort_protocol::mission::{DomainReference, IhtnNames, NumberRange, ParameterSchema, TaskSchema, ValueKind};
 use consort_protocol::scalar::Scalar;
@@ -65,8 +67,32 @@ pub struct ActionForm {
     /// True if a repetition of a completed goal has no further effect. Default false: a completed goal is
     /// never sent again.
     pub repeatable: bool,
+    /// Reasons for which a goal fails, by name: the `code` of a driver. A failure for any other reason is of
+    /// class `robot`.
+    pub failures: BTreeMap<String, FailureForm>,
     /// What the simulator does with a goal of the action.
     pub simulate: SimulatedAction,
+}
+
+/// A reason for which goals of an action fail.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct FailureForm {
+    /// What the reason says about further attempts. Default `robot`.
+    pub class: CauseClass,
+    /// Description for people.
+    pub description: String,
+    /// True if a goal that fails for this reason has certainly moved no item. Default false.
+    pub moved_nothing: bool,
+}
+
+impl ActionForm {
+    /// Returns the error of a goal that failed for a declared reason; `None` for any other reason.
+    pub fn failure(&self, reason: &str, message: &str) -> Option<ActionError> {
+        let FailureForm { class, moved_nothing, .. } = *self.failures.get(reason)?;
+        let message = format!("{reason}: {message}");
+        Some(ActionError { class, moved_nothing, ..ActionError::new(ErrorCode::Failed, message) })
+    }
 }
 
 /// A parameter of an action or a task type.
@@ -159,14 +185,18 @@ pub struct TaskForm {
     /// domain file. Either this or `action`.
     #[serde(default)]
     pub tree: Option<String>,
+    /// Condition in CEL on the robot and the parameters, such as `attributes.payload_kg >= mass_kg`. A robot for
+    /// which it is false does not bid. The variables are those of the estimate.
+    #[serde(default)]
+    pub requires: Option<String>,
     /// Estimate of the cost. Default for a task with an `action`: the mean time that the simulator needs.
     #[serde(default)]
     pub estimate: Option<EstimateForm>,
 }
 
 /// Estimate of the cost of a task. Expressions are in CEL. Their variables are the parameters of the task,
-/// `speed` (m/s) and `discharge` (share of the battery per second) of the robot, and for each parameter of
-/// type `place` the length of the route to it in `distance` (m): `distance.at / speed + 8.0`.
+/// `speed` (m/s), `discharge` (share of the battery per second) and `attributes` of the robot, and for each
+/// parameter of type `place` the length of the route to it in `distance` (m): `distance.at / speed + 8.0`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EstimateForm {
@@ -187,8 +217,10 @@ pub struct EstimateForm {
 pub struct SimulatedAction {
     /// Least and greatest duration in seconds; uniformly distributed. Default 2 to 2 s.
     pub duration_s: (f64, f64),
-    /// Share of the goals that fail at their end, from 0 to 1. Default 0.
+    /// Share of the goals that fail at their end for no declared reason, from 0 to 1. Default 0.
     pub failure_rate: f64,
+    /// Shares of the goals that fail at their end for the declared reasons, from 0 to 1, by name. Default 0.
+    pub failures: BTreeMap<String, f64>,
     /// Results, by name. Default: a value within the declared range.
     pub results: BTreeMap<String, SimulatedResult>,
     /// Changes of readings when a goal succeeds, by the name of the reading.
@@ -231,8 +263,8 @@ pub struct Addition {
 
 impl Default for SimulatedAction {
     fn default() -> Self {
-        let (results, effects) = (BTreeMap::new(), BTreeMap::new());
-        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0, results, effects }
+        let (failures, results, effects) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0, failures, results, effects }
     }
 }
 

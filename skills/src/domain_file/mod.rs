@@ -36,7 +36,7 @@ mod reading_problems;
 mod scaffold;
 
 pub use form::{
-    ActionForm, Addition, DomainForm, EstimateForm, IhtnForm, ParameterForm, ParameterKind, ReadingForm,
+    ActionForm, Addition, DomainForm, EstimateForm, FailureForm, IhtnForm, ParameterForm, ParameterKind, ReadingForm,
     SimulatedAction, SimulatedEffect, SimulatedReading, SimulatedResult, TaskForm,
 };
 pub use scaffold::{scaffold, scaffold_yaml};
@@ -196,8 +196,8 @@ impl DomainFile {
         self.form.readings.iter()
     }
 
-    /// Returns what the simulator does with the actions.
-    pub fn simulated_actions(&self) -> impl Iterator<Item = (ActionName, SimulatedAction)> {
+    /// Returns the actions for the simulator: `simulate` contains all results.
+    pub fn simulated_actions(&self) -> impl Iterator<Item = (ActionName, ActionForm)> {
         self.form.actions.iter().map(|(name, action)| (name.clone(), simulated(action)))
     }
 
@@ -264,24 +264,40 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
     for name in action.results.keys().filter(|name| action.parameters.contains_key(*name)) {
         problems.push(problem(format!("{place}.results.{name}"), "a parameter has the same name"));
     }
-    let SimulatedAction { duration_s: (least, greatest), failure_rate, .. } = action.simulate;
+    for reason in action.failures.keys().filter(|reason| !is_name(reason)) {
+        problems.push(problem(format!("{place}.failures.{reason}"), NAME_ALLOWED));
+    }
+    for reason in action.simulate.failures.keys().filter(|reason| !action.failures.contains_key(*reason)) {
+        let known = AllowedNames::suggest_for(reason, action.failures.keys());
+        problems.push(problem(format!("{place}.simulate.failures.{reason}"), format!("no such failure; {known}")));
+    }
+    let SimulatedAction { duration_s: (least, greatest), failure_rate, ref failures, .. } = action.simulate;
     if !(0.0..=greatest).contains(&least) || !greatest.is_finite() {
         let allowed = "allowed are two numbers of seconds, the second not less than the first";
         problems.push(problem(format!("actions.{name}.simulate.duration_s"), allowed));
     }
-    if !(0.0..=1.0).contains(&failure_rate) {
-        problems.push(problem(format!("actions.{name}.simulate.failure_rate"), "allowed is a share from 0 to 1"));
+    let declared = failures.iter().map(|(reason, share)| (format!("failures.{reason}"), *share));
+    let shares: Vec<(String, f64)> = [("failure_rate".to_owned(), failure_rate)].into_iter().chain(declared).collect();
+    for (key, _) in shares.iter().filter(|(_, share)| !(0.0..=1.0).contains(share)) {
+        problems.push(problem(format!("{place}.simulate.{key}"), "allowed is a share from 0 to 1"));
+    }
+    let sum: f64 = shares.iter().map(|(_, share)| share).sum();
+    if sum > 1.0 + 1e-9 {
+        problems.push(problem(
+            format!("{place}.simulate"),
+            format!("the shares of failures add up to {sum}; at most 1 is allowed"),
+        ));
     }
     problems
 }
 
-/// Returns what the simulator does with the goals of an action, with all its results.
-fn simulated(action: &ActionForm) -> SimulatedAction {
-    let mut simulate = action.simulate.clone();
+/// Returns the action with all its results in `simulate`.
+fn simulated(action: &ActionForm) -> ActionForm {
+    let mut complete = action.clone();
     for (name, result) in &action.results {
-        simulate.results.entry(name.clone()).or_insert_with(|| result.simulated());
+        complete.simulate.results.entry(name.clone()).or_insert_with(|| result.simulated());
     }
-    simulate
+    complete
 }
 
 /// Returns the action of a task, if it has one of this domain.
@@ -332,14 +348,19 @@ fn value_problems<'a>(
         if parameter.minimum > parameter.maximum && parameter.maximum.is_some() {
             problems.push(problem(&place, "the minimum exceeds the maximum"));
         }
-        let mut letters = name.chars();
-        let is_name = letters.next().is_some_and(|first| first.is_ascii_alphabetic())
-            && letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
-        if !is_name {
-            problems.push(problem(&place, "allowed is a letter, followed by letters, digits and `_`"));
+        if !is_name(name) {
+            problems.push(problem(&place, NAME_ALLOWED));
         }
     }
     problems
+}
+
+const NAME_ALLOWED: &str = "allowed is a letter, followed by letters, digits and `_`";
+
+fn is_name(name: &str) -> bool {
+    let mut letters = name.chars();
+    letters.next().is_some_and(|first| first.is_ascii_alphabetic())
+        && letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_')
 }
 
 fn task_problems(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Vec<DomainProblem> {
@@ -384,8 +405,14 @@ fn estimate_of(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Result<De
     let Some(estimate) = task.estimate.clone().or_else(of_action) else {
         return Err(problem(format!("tasks.{name}.estimate"), "a task with a tree needs an estimate"));
     };
-    DeclaredEstimate::compile(name, task, &estimate)
-        .map_err(|(key, found)| problem(format!("tasks.{name}.estimate.{key}"), found))
+    let compiled = DeclaredEstimate::compile(name, task, &estimate)
+        .map_err(|(key, found)| problem(format!("tasks.{name}.estimate.{key}"), found))?;
+    match &task.requires {
+        Some(condition) => {
+            compiled.requiring(condition).map_err(|found| problem(format!("tasks.{name}.requires"), found))
+        }
+        None => Ok(compiled),
+    }
 }
 
 /// Returns the tree of a task; `None` if it has neither an action nor a tree.

@@ -1,10 +1,12 @@
 use super::*;
-use crate::actions::{DeclaredGoal, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use crate::actions::{ActionError, DeclaredGoal, ErrorCode, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use crate::descriptor::EstimateContext;
 use crate::environment::{Edge, Routes, TopologicalMap};
 use crate::library::SkillStatus;
 use crate::skill::SkillContext;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{NumberRange, TaskSpec, ValueKind};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
@@ -39,6 +41,18 @@ fn check(text: &str) -> Result<DomainFile, Vec<String>> {
     let trees = BTreeMap::from([("round.xml".to_owned(), ROUND.to_owned())]);
     DomainFile::check(yaml::parse(text).unwrap(), &trees, &[])
         .map_err(|problems| problems.iter().map(ToString::to_string).collect())
+}
+
+/// A robot at the place A.
+fn robot() -> EstimateContext {
+    EstimateContext {
+        place: "A".parse().unwrap(),
+        pose: None,
+        speed: MetresPerSecond::new(0.5).unwrap(),
+        discharge: SharePerSecond::new(0.001).unwrap(),
+        closed: vec![],
+        attributes: Attributes::default(),
+    }
 }
 
 /// A robot that completes every goal at once, with its telemetry.
@@ -107,13 +121,7 @@ fn the_content_of_a_domain_is_compared_without_texts_for_people() {
     let map = TopologicalMap { places: BTreeMap::from([(at.clone(), Pose::new(0.0, 0.0, 0.0))]), edges: vec![] };
     let environment = Environment::new().with(Routes::new(&map).unwrap());
     let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(environment).unwrap();
-    let context = EstimateContext {
-        place: at,
-        pose: None,
-        speed: MetresPerSecond::new(0.5).unwrap(),
-        discharge: SharePerSecond::new(0.001).unwrap(),
-        closed: vec![],
-    };
+    let context = robot();
     let priced = estimator.estimate(&made, &context).unwrap_err().to_string();
     for problem in [refused, priced] {
         let expected =
@@ -131,7 +139,7 @@ fn missions_are_checked_against_the_parameters() {
     let range = NumberRange { minimum: Some(0.0), maximum: Some(5.0) };
     assert_eq!(schema.parameters["litres"].kind, ValueKind::Number(range));
     assert!(schema.parameters["litres"].required && !schema.parameters["at"].required);
-    assert_eq!(domain.simulated_actions().map(|(_, action)| action.mean_s()).collect::<Vec<_>>(), [2.0, 8.0]);
+    assert_eq!(domain.simulated_actions().map(|(_, action)| action.simulate.mean_s()).collect::<Vec<_>>(), [2.0, 8.0]);
 }
 
 #[test]
@@ -144,13 +152,7 @@ fn expressions_estimate_the_cost() {
     };
     let environment = Environment::new().with(Routes::new(&map).unwrap());
     let estimator = domain.extend_descriptors(DescriptorRegistry::standard()).resolve(environment).unwrap();
-    let robot = EstimateContext {
-        place: "A".parse().unwrap(),
-        pose: None,
-        speed: MetresPerSecond::new(0.5).unwrap(),
-        discharge: SharePerSecond::new(0.001).unwrap(),
-        closed: vec![],
-    };
+    let robot = robot();
     let estimate = |task: TaskSpec| {
         let estimate = estimator.estimate(&task, &robot).unwrap();
         (estimate.time.get(), estimate.energy, estimate.ends_at.to_string())
@@ -162,12 +164,46 @@ fn expressions_estimate_the_cost() {
 }
 
 #[test]
+fn a_task_requires_attributes_of_the_robot() {
+    let text = r#"
+domain: moving
+actions: { lift: { parameters: { mass_kg: { type: number } } } }
+tasks:
+  lift:
+    parameters: { mass_kg: { type: number } }
+    action: lift
+    requires: "attributes.payload_kg >= mass_kg"
+    estimate: { time_s: "mass_kg / attributes.payload_kg" }
+"#;
+    let domain = check(text).unwrap();
+    let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new()).unwrap();
+    let task = task("lift", &[("mass_kg", "3")]);
+    let estimate = |attributes: serde_json::Value| {
+        let robot = EstimateContext { attributes: serde_json::from_value(attributes).unwrap(), ..robot() };
+        estimator.estimate(&task, &robot).map(|estimate| estimate.time.get()).map_err(|error| error.to_string())
+    };
+    assert_eq!(estimate(json!({ "payload_kg": 6.0 })), Ok(0.5));
+    let lacks = "lift requires `attributes.payload_kg >= mass_kg`, which ";
+    assert_eq!(estimate(json!({ "payload_kg": 2.0 })), Err(format!("{lacks}is false")));
+    assert_eq!(estimate(json!({})), Err(format!("{lacks}has no value: No such key: payload_kg")));
+    for (condition, expected) in [
+        ("mass_kg", "tasks.lift.requires: `mass_kg` is Float(1.0); allowed is true or false"),
+        ("weight > 1.0", "tasks.lift.requires: `weight > 1.0` has no value: Undeclared reference"),
+        ("mass_kg >", "tasks.lift.requires: "),
+    ] {
+        let problems = check(&text.replace("attributes.payload_kg >= mass_kg", condition)).unwrap_err();
+        assert!(problems[0].starts_with(expected), "{problems:?}");
+    }
+}
+
+#[test]
 fn every_mistake_is_reported_with_its_place() {
     let wrong = r#"
 domain: plants
 actions:
   water: { parameters: { 2nd: { type: number }, mode: { type: place, one_of: [a] }, litres: { type: number } } }
   wait: { simulate: { duration_s: [6, 5], failure_rate: 2 } }
+  fill: { failures: { tap closed: {}, leak: {} }, simulate: { failures: { leek: 0.1, leak: 0.9 }, failure_rate: 0.2 } }
 tasks:
   navigation: { action: water }
   sprinkle: { action: watr, parameters: { to: { type: text, minimum: 1 } } }
@@ -180,9 +216,12 @@ tasks:
         "actions.water.parameters.mode: only texts have `one_of`",
         "actions.wait.simulate.duration_s: allowed are two numbers",
         "actions.wait.simulate.failure_rate: allowed is a share",
+        "actions.fill.failures.tap closed: allowed is a letter",
+        "actions.fill.simulate.failures.leek: no such failure; allowed: leak, tap closed; did you mean `leak`?",
+        "actions.fill.simulate: the shares of failures add up to 1.2",
         "tasks.navigation: the standard domain has a task type of this name",
         "tasks.navigation.action: water needs the parameter `litres` of the task",
-        "tasks.sprinkle.action: the domain declares no action watr; allowed: wait, water; did you mean `water`?",
+        "tasks.sprinkle.action: the domain declares no action watr; allowed: fill, wait, water; did you mean `water`?",
         "tasks.sprinkle.parameters.to: only numbers and integers have a minimum",
         "tasks.both: a task has either an `action` or a `tree`",
         "tasks.both.estimate.time_s: `litres`: Undeclared reference",
@@ -193,6 +232,18 @@ tasks:
     }
     let unknown = check("domain: p\ntasks: { t: { tree: round.xml, estimate: { time_s: \"1.0\" } } }").unwrap_err();
     assert!(unknown[0].starts_with("round.xml:2: "), "{unknown:?}");
+}
+
+#[test]
+fn a_declared_failure_has_a_class() {
+    let text = "{ failures: { dry: { class: task, moved_nothing: true }, leak: {} } }";
+    let action: ActionForm = yaml::parse(text).unwrap();
+    let error = |class, moved_nothing, message: &str| {
+        Some(ActionError { class, moved_nothing, ..ActionError::new(ErrorCode::Failed, message) })
+    };
+    assert_eq!(action.failure("dry", "the can is empty"), error(CauseClass::Task, true, "dry: the can is empty"));
+    assert_eq!(action.failure("leak", "wet"), error(CauseClass::Robot, false, "leak: wet"));
+    assert_eq!(action.failure("other", "?"), None);
 }
 
 #[test]
@@ -241,7 +292,7 @@ fn run_tree(tree: &str, readings: serde_json::Value) -> (Vec<String>, Option<Str
     let cause = loop {
         match skill.tick(&mut robot) {
             SkillStatus::Running => {}
-            SkillStatus::Failed { cause } => break Some(cause),
+            SkillStatus::Failed { cause, .. } => break Some(cause),
             SkillStatus::Succeeded(_) => break None,
         }
     };

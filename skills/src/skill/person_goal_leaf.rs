@@ -2,10 +2,11 @@
 
 use super::context::TaskContext;
 use super::goal_leaf::GoalLeaf;
-use crate::actions::{ErrorCode, Goal, PERSON_TIMEOUT_S};
+use crate::actions::{ActionError, ErrorCode, Goal, PERSON_TIMEOUT_S};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError,
 };
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::RoleId;
 use consort_protocol::units::Seconds;
 
@@ -50,7 +51,9 @@ impl PersonGoalLeaf {
         }
         let waited_s = self.waited_s;
         let waited = if waited_s > 0.0 { format!("; waited for {waited_s} s") } else { String::new() };
-        Err(Cause { text: format!("{}{waited}", cause.text), error: cause.error })
+        // Every other robot would wait as long.
+        let error = cause.error.map(|error| ActionError { class: CauseClass::Task, ..error });
+        Err(Cause { text: format!("{}{waited}", cause.text), error })
     }
 
     fn advance(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {

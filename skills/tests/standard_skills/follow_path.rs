@@ -1,6 +1,7 @@
 //! Following a path, and the small skills for chargers and tables.
 
 use super::*;
+use consort_protocol::knowledge::Attributes;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::actions::Waypoint;
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
@@ -57,6 +58,7 @@ fn a_path_is_priced_by_its_length_from_where_the_robot_is() {
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
+        attributes: Attributes::default(),
     };
     let estimate = estimator.estimate(&follow("0,5;3,5;3,1"), &robot).unwrap();
     assert_eq!((estimate.time.get(), estimate.ends_at.as_str()), (24.0, "A"), "5 + 3 + 4 m");

@@ -85,13 +85,19 @@ fn an_absent_person_is_awaited_until_the_timeout() {
         assert_eq!(sent.iter().filter(|sent| *sent == "wait 1.00 s").count(), 120);
         assert_eq!(sent.iter().filter(|sent| *sent == goal).count(), 121);
         let (ended, sent) = waited(&usual, 121);
-        assert_eq!(ended, failed(&format!("{leaf}: out of reach: not here; waited for 120 s")));
+        assert_eq!(ended, failed_as(CauseClass::Task, &format!("{leaf}: out of reach: not here; waited for 120 s")));
         assert_eq!(sent.len(), 241);
         let hurried = task(task_type, &[nurse, ("timeout_s", "2.5")]);
         assert_eq!(waited(&hurried, 2).0, succeeded());
-        assert_eq!(waited(&hurried, 3).0, failed(&format!("{leaf}: out of reach: not here; waited for 2 s")));
+        assert_eq!(
+            waited(&hurried, 3).0,
+            failed_as(CauseClass::Task, &format!("{leaf}: out of reach: not here; waited for 2 s"))
+        );
         let busy = task(task_type, &[nurse, ("timeout_s", "0")]);
-        assert_eq!(waited(&busy, 1), (failed(&format!("{leaf}: out of reach: not here")), vec![goal.to_owned()]));
+        assert_eq!(
+            waited(&busy, 1),
+            (failed_as(CauseClass::Task, &format!("{leaf}: out of reach: not here")), vec![goal.to_owned()])
+        );
     }
 }
 
@@ -114,7 +120,7 @@ fn a_rejected_authentication_is_not_repeated() {
     let no = Err(error(ErrorCode::NotAuthenticated, "nurse declined"));
     let mut driver = ScriptedDriver::at("A").with_results([no]);
     let ended = run(&mut skill(&task("authenticate_person", &[("person_role", "nurse")])), &mut driver);
-    assert_eq!(ended, failed("AuthenticatePerson: not authenticated: nurse declined"));
+    assert_eq!(ended, failed_as(CauseClass::Task, "AuthenticatePerson: not authenticated: nurse declined"));
     assert_eq!(driver.sent().len(), 1);
 }
 

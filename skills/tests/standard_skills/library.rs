@@ -168,7 +168,7 @@ fn an_error_of_a_script_cancels_the_goal() {
     let nodes = r#"<Parallel><Wait seconds="9"/><Fallback><ScriptCondition code="'a' &lt; 1"/><Wait seconds="1"/></Fallback></Parallel>"#;
     let mut skill = with_skill(nodes).load(&task("mine", &[]), &context()).unwrap_or_else(|error| panic!("{error}"));
     let mut driver = ScriptedDriver::at("A");
-    let SkillStatus::Failed { cause } = skill.tick(&mut driver) else { panic!("it did not fail") };
+    let SkillStatus::Failed { cause, .. } = skill.tick(&mut driver) else { panic!("it did not fail") };
     assert!(cause.starts_with("mine.xml:1: mine/ScriptCondition: script `code`: `'a' < 1`: "), "{cause}");
     assert_eq!(driver.sent().len(), 1, "the fallback does not continue");
     assert!(driver.is_canceling());

@@ -6,6 +6,7 @@ mod library;
 mod navigation;
 mod scripted_driver;
 
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
@@ -69,9 +70,13 @@ fn run(skill: &mut ActiveSkill, driver: &mut ScriptedDriver) -> SkillStatus {
 }
 
 fn failed(cause: &str) -> SkillStatus {
-    SkillStatus::Failed { cause: cause.to_owned() }
+    failed_as(CauseClass::Robot, cause)
+}
+
+fn failed_as(class: CauseClass, cause: &str) -> SkillStatus {
+    SkillStatus::Failed { cause: cause.to_owned(), class }
 }
 
 fn error(code: ErrorCode, message: &str) -> ActionError {
-    ActionError { code, message: message.to_owned() }
+    ActionError::new(code, message.to_owned())
 }

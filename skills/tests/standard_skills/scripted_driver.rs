@@ -125,7 +125,7 @@ impl RobotActions for ScriptedDriver {
         let busy = self.goals.last().is_some_and(|(_, status)| !status.is_final());
         let feedback = Feedback::remaining(Metres::ZERO, Seconds::ZERO);
         let status = if busy {
-            GoalStatus::Aborted(ActionError { code: ErrorCode::Busy, message: "at work".to_owned() })
+            GoalStatus::Aborted(ActionError::new(ErrorCode::Busy, "at work".to_owned()))
         } else {
             GoalStatus::Executing(feedback)
         };

@@ -7,6 +7,7 @@ use consort_fleet::robot_driver::{
 };
 use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, RoleReply};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::codec::{encode, encode_for_version, encode_record};
 use consort_protocol::ids::{ClusterId, NodeId, RoleId};
 use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
@@ -148,7 +149,7 @@ fn report() -> Report {
         current_task: Some(slug("navto_room")),
         place: Some(slug("Dock")),
         from_checkpoint: false,
-        failure: Some(TaskFailure { task: None, cause: "it fell".to_owned(), kind: FailureKind::Task }),
+        failure: Some(TaskFailure::new(FailureKind::Task, "it fell")),
     }
 }
 
@@ -265,7 +266,8 @@ fn ledger_commands() -> Vec<Command> {
             role,
             epoch,
             cause: "it is lost".to_owned(),
-            robot_failed: true,
+            class: Some(CauseClass::Robot),
+            moved_nothing: false,
             place: Some(slug("Dock")),
         },
         Command::AskPerson { mission: mission(), branch: Branch::default(), role: slug("nurse"), step: 1, asked_ms: 7 },

@@ -199,19 +199,11 @@ fn nurse_in_room() -> SettingStep {
 fn people_table() -> SettingStep {
     setting("these people:", "these people:", |setup, arguments| {
         for row in arguments.rows(&["name", "role", "place", "samples"])? {
+            let (role, place) = (name(row.cell("role").unwrap_or("nurse"))?, name(row.required("place")?)?);
+            let samples = row.cell("samples").map(split_list).unwrap_or_default();
             setup.people.push(PersonSetup {
-                name: row.required("name")?.into(),
-                role: name(row.cell("role").unwrap_or("nurse"))?,
-                place: name(row.required("place")?)?,
-                samples: row
-                    .cell("samples")
-                    .map(split_list)
-                    .unwrap_or_default()
-                    .iter()
-                    .map(|s| s.as_str().into())
-                    .collect(),
-                endless_samples: false,
-                spontaneous_actions: vec![],
+                samples: samples.iter().map(|sample| sample.as_str().into()).collect(),
+                ..PersonSetup::new(row.required("name")?, role, place)
             });
         }
         Ok(())

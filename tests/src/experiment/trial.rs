@@ -466,13 +466,10 @@ fn world(setup: &ExperimentSetup, scenario: &Scenario, seed: u64) -> SharedWorld
             world_setup.robot(RobotSetup::arm(fixed.name.clone(), scenario.place(&fixed.place).expect(checked)));
     }
     for person in &setup.design.people {
+        let place = scenario.place(&person.place).expect(checked);
         world_setup = world_setup.person(PersonSetup {
-            name: person.name.as_str().into(),
-            role: person.role.clone(),
-            place: scenario.place(&person.place).expect(checked),
             samples: person.items.iter().map(|item| item.as_str().into()).collect(),
-            endless_samples: false,
-            spontaneous_actions: vec![],
+            ..PersonSetup::new(person.name.as_str(), person.role.clone(), place)
         });
     }
     SharedWorld::new(

@@ -65,6 +65,7 @@ fn untouched_roles(entry: &MissionEntry) -> Vec<AwardedRole> {
 mod tests {
     use super::*;
     use consort_protocol::auction::{AuctionEntry, AuctionId, AuctionRecord};
+    use consort_protocol::cause::CauseClass;
     use consort_protocol::ids::RoleId;
     use consort_protocol::lease::Epoch;
     use consort_protocol::ledger::{Branch, Command, CommandOutcome, Submission};
@@ -113,9 +114,9 @@ mod tests {
                 let progress = Command::Progress { mission: mission.clone(), role, epoch, branch, ended, outcomes };
                 assert_eq!(ledger.apply(at(10 * number + 2), progress), CommandOutcome::Done);
             }
-            let (cause, robot_failed, place) = ("silent".to_owned(), true, None);
-            let release =
-                Command::Release { mission: mission.clone(), role: r2.clone(), epoch, cause, robot_failed, place };
+            let (cause, class, place) = ("silent".to_owned(), Some(CauseClass::Robot), None);
+            let (mission_id, role, moved_nothing) = (mission.clone(), r2.clone(), false);
+            let release = Command::Release { mission: mission_id, role, epoch, cause, class, moved_nothing, place };
             assert_eq!(ledger.apply(at(10 * number + 3), release), CommandOutcome::Done);
             let reason = RefusalReason::Busy { mission: mission.clone(), role: r1.clone() };
             let refusals = busy.iter().map(|robot| AuctionEntry {

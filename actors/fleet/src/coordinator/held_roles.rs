@@ -3,6 +3,7 @@
 use super::message::AwardedRole;
 use super::session_context::SessionContext;
 use super::stall_detector::{StallDetector, StalledRole};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::{Award, Epoch, LeaseMonitor};
 use consort_protocol::ledger::Ledger;
@@ -82,7 +83,7 @@ impl HeldRoles {
     /// Releases a role with an expired lease. The holder of a stalled role may not get it again.
     pub(super) fn release(&self, awarded: AwardedRole, cause: String, context: &mut SessionContext) {
         let stalled = self.stalled.get(&(awarded.epoch, awarded.role.clone())).cloned();
-        let robot_failed = stalled.is_some();
-        context.release_role(awarded, stalled.unwrap_or(cause), robot_failed);
+        let class = stalled.as_ref().map(|_| CauseClass::Robot);
+        context.release_role(awarded, stalled.unwrap_or(cause), class);
     }
 }

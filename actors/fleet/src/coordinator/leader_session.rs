@@ -306,7 +306,7 @@ impl LeaderSession {
     pub(super) fn handle_notice_reply(&mut self, awarded: AwardedRole, reply: AwardReply) {
         if let AwardReply::Declined(why) = reply {
             let cause = format!("{} declined: {why}", awarded.robot);
-            self.context.release_role(awarded, cause, false);
+            self.context.release_role(awarded, cause, None);
         }
     }
 

@@ -69,7 +69,7 @@ impl ModelSession {
 
     /// Returns the command that a report requires, or the reply.
     pub(crate) fn next_step(&self, report: &Report) -> Result<ReportReply, Box<Command>> {
-        match next(self.ledger.mission(&report.mission), report, BTreeMap::new) {
+        match next(self.ledger.mission(&report.mission), report) {
             Step::Reply(reply) => Ok(reply),
             Step::Commit(command) => Err(Box::new(command)),
         }

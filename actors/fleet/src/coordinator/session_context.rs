@@ -7,6 +7,7 @@ use super::settings::CoordinatorSettings;
 use bytes::Bytes;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Delivery, Encoding, SharedBus};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, PlaceId, RobotId};
@@ -97,12 +98,11 @@ impl SessionContext {
         self.propose(Command::Fail { mission, cause, branch, places });
     }
 
-    /// Proposes the release of a role. `robot_failed` is true if the robot may not get the role
-    /// again.
-    pub(super) fn release_role(&mut self, awarded: AwardedRole, cause: String, robot_failed: bool) {
+    /// Proposes the release of a role whose holder was lost, or failed with a cause of this class.
+    pub(super) fn release_role(&mut self, awarded: AwardedRole, cause: String, class: Option<CauseClass>) {
         let AwardedRole { mission, role, robot, epoch } = awarded;
         let place = last_known_place(&self.settings.parts.knowledge, &robot);
-        self.propose(Command::Release { mission, role, epoch, cause, robot_failed, place });
+        self.propose(Command::Release { mission, role, epoch, cause, class, moved_nothing: false, place });
     }
 
     /// Notifies a robot of the end of an award.

@@ -237,7 +237,15 @@ impl World {
 
     fn release_role(&mut self, epoch: Epoch) {
         let (mission, role) = (self.setup.mission.clone(), self.setup.role.clone());
-        let release = Command::Release { mission, role, epoch, cause: String::new(), robot_failed: false, place: None };
+        let release = Command::Release {
+            mission,
+            role,
+            epoch,
+            cause: String::new(),
+            class: None,
+            moved_nothing: false,
+            place: None,
+        };
         self.commit(release, epoch);
     }
 

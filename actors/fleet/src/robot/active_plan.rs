@@ -10,6 +10,7 @@ use super::signals::StaleSignals;
 use super::skill_runner::RunningSkill;
 use super::task_timeout::TaskTimer;
 use consort_bus::tasks::Tasks;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use consort_protocol::lease::{Award, RoleHolder};
@@ -117,6 +118,9 @@ pub(super) enum ShortfallEffect {
     Continue(Option<EventKind>),
 }
 
+/// Maximum number of times that the pause between attempts doubles after transient failures.
+const BACKOFF_DOUBLINGS_MAX: u32 = 6;
+
 impl ActivePlan {
     /// Starts a plan, or continues it from the checkpoint. Returns also the reason to release the
     /// role at once, if the recorded steps do not fit the plan. Returns `None` for an invalid plan.
@@ -127,11 +131,7 @@ impl ActivePlan {
         let is_stored = restored.is_some();
         let own = restored.map(|checkpoint| checkpoint.own).unwrap_or_default();
         let resumed = Sequencer::resume(award.plan.clone(), recorded, own, holders.clone());
-        let failure = resumed.as_ref().err().map(|problem| TaskFailure {
-            task: None,
-            cause: problem.to_string(),
-            kind: FailureKind::Plan,
-        });
+        let failure = resumed.as_ref().err().map(|problem| TaskFailure::new(FailureKind::Plan, problem.to_string()));
         let sequencer = resumed.or_else(|_| Sequencer::new(award.plan.clone(), &BTreeSet::new(), holders)).ok()?;
         let mut writer = CheckpointWriter::default();
         writer.mark_outdated();
@@ -181,7 +181,9 @@ impl ActivePlan {
                 }
                 SequencerAction::ResultUnknown { cause, .. } => {
                     let kind = FailureKind::UnknownResult;
-                    return Some(PlanAction::Fail(AttemptFailure { kind, cause, permanent: true }));
+                    // No robot knows more, so the mission fails.
+                    let class = CauseClass::Task;
+                    return Some(PlanAction::Fail(AttemptFailure { class, ..AttemptFailure::new(kind, cause) }));
                 }
             }
         }
@@ -227,7 +229,7 @@ impl ActivePlan {
     /// Checks the time limit of the current task.
     pub(super) fn check_timer(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<AttemptFailure> {
         let cause = self.attempt.as_mut()?.timer.check(world, silent_for)?;
-        Some(AttemptFailure { kind: FailureKind::NoProgress, cause, permanent: false })
+        Some(AttemptFailure::new(FailureKind::NoProgress, cause))
     }
 
     /// Handles a failure of the current task or of the whole plan: the recovery policy selects the
@@ -243,11 +245,13 @@ impl ActivePlan {
         }
         self.stop();
         let ((mission, role), task) = (self.mission_and_role(), self.sequencer.current_task().cloned());
-        let cause = failure.cause.clone();
+        let (cause, class) = (failure.cause.clone(), failure.class);
         warn!(robot = %self.award.robot, %mission, ?task, ?failure, "attempt failed");
         match (self.recovery.policy.next_action(failure, &mut self.sequencer), task) {
             (RecoveryAction::ReleaseRole(failure), _) => Some(RecoveryEffect::Release(self.release(failure, now))),
             (RecoveryAction::Retry { attempt }, Some(task)) => {
+                let doublings = if class == CauseClass::Transient { u32::from(attempt.saturating_sub(1)) } else { 0 };
+                let retry_delay = retry_delay.saturating_mul(1 << doublings.min(BACKOFF_DOUBLINGS_MAX));
                 self.recovery.retry_at = now + retry_delay;
                 let event = EventKind::TaskRetried { mission, role, task, attempt, cause };
                 Some(RecoveryEffect::Retry(retry_delay, event))
@@ -266,13 +270,14 @@ impl ActivePlan {
     /// Stops the plan. From now on the robot only waits until the coordinator has released the
     /// role. Returns the event to be published.
     pub(super) fn release(&mut self, failure: TaskFailure, now: NodeTime) -> EventKind {
-        let ((mission, role), TaskFailure { task, cause, kind }) = (self.mission_and_role(), failure.clone());
+        let ((mission, role), TaskFailure { task, cause, kind, class, .. }) =
+            (self.mission_and_role(), failure.clone());
         self.recovery.release = Some(PendingRelease::new(failure, now));
         match (kind, task) {
             (
                 FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress | FailureKind::UnknownResult,
                 Some(task),
-            ) => EventKind::TaskFailed { mission, role, task, cause },
+            ) => EventKind::TaskFailed { mission, role, task, cause, class },
             _ => EventKind::GaveUp { mission, role, kind, cause },
         }
     }
@@ -290,7 +295,7 @@ impl ActivePlan {
     /// Decides about a charge that will not last for the remaining plan.
     pub(super) fn handle_shortfall(&mut self, cause: String) -> ShortfallEffect {
         if !self.sequencer.may_have_custody() {
-            return ShortfallEffect::Fail(AttemptFailure { kind: FailureKind::Battery, cause, permanent: true });
+            return ShortfallEffect::Fail(AttemptFailure::new(FailureKind::Battery, cause));
         }
         let is_first = !std::mem::replace(&mut self.recovery.energy_warning_sent, true);
         let (mission, role) = self.mission_and_role();
@@ -351,7 +356,7 @@ mod tests {
     }
 
     fn failure(kind: FailureKind) -> AttemptFailure {
-        AttemptFailure { kind, cause: "stuck".to_owned(), permanent: false }
+        AttemptFailure::new(kind, "stuck")
     }
 
     #[test]
@@ -407,7 +412,7 @@ mod tests {
     #[test]
     fn a_robot_without_an_item_releases_its_role_for_lack_of_charge() {
         let mut active = started(award(7), None);
-        let failure = AttemptFailure { kind: FailureKind::Battery, cause: "low".to_owned(), permanent: true };
+        let failure = AttemptFailure::new(FailureKind::Battery, "low");
         assert_eq!(active.handle_shortfall("low".to_owned()), ShortfallEffect::Fail(failure));
     }
 

@@ -70,15 +70,15 @@ impl Bidder {
         if !membership.member {
             return Err(RefusalReason::NotMember { why: membership.reason.clone() });
         }
-        if let Some(condition) = call.eligible.get(role) {
-            let eligible = Eligibility::check_text(condition, &self.robot, worker);
-            eligible.map_err(|Ineligibility { why, permanent }| RefusalReason::NotEligible { why, permanent })?;
-        }
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
         let missing: Vec<TaskType> =
             needed.into_iter().filter(|skill| !worker.skills.contains(*skill)).cloned().collect();
         if !missing.is_empty() {
             return Err(RefusalReason::MissingSkills { skills: missing });
+        }
+        if let Some(condition) = call.eligible.get(role) {
+            let eligible = Eligibility::check_text(condition, &self.robot, worker);
+            eligible.map_err(|Ineligibility { why, permanent }| RefusalReason::NotEligible { why, permanent })?;
         }
         let budget = self.estimator.budget(plan, &pricing_context(worker, closed));
         let PlanBudget { parts, energy } = budget.map_err(|problem| RefusalReason::NotFeasible {

@@ -94,7 +94,7 @@ impl CheckpointStorage {
         }
         let lacks_checkpoint = plan.is_some_and(|active| active.finish_checkpoint(self.error.is_none()));
         let cause = self.problem().filter(|_| lacks_checkpoint)?;
-        Some(AttemptFailure { kind: FailureKind::Checkpoint, cause, permanent: true })
+        Some(AttemptFailure::new(FailureKind::Checkpoint, cause))
     }
 
     /// Checks whether the store works, or the next attempt to write is due.
@@ -145,7 +145,7 @@ mod tests {
         let mut active = started(award(7), None);
         assert!(storage.start_write(Some(&mut active), at(0)).unwrap().0.is_some());
         let failure = storage.finish_write(disk_full(), Some(&mut active)).unwrap();
-        assert_eq!((failure.kind, failure.permanent), (FailureKind::Checkpoint, true));
+        assert_eq!(failure.kind, FailureKind::Checkpoint);
         assert_eq!(failure.cause, "its checkpoint cannot be written: disk full");
 
         let mut resumed = started(award(7), started(award(7), None).start_checkpoint());

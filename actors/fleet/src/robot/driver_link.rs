@@ -5,6 +5,7 @@ use super::recovery_policy::AttemptFailure;
 use super::release::DriverActivity;
 use super::worker_record::WorkerRecord;
 use crate::robot_driver::RobotDriver;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::message::FailureKind;
@@ -131,10 +132,17 @@ impl DriverLink {
 
     /// Returns the failure of an attempt from the cause that the skill returned: a robot that
     /// cannot move any more has an empty battery.
-    pub(super) fn attempt_failure(&mut self, cause: String) -> AttemptFailure {
+    pub(super) fn attempt_failure(&mut self, cause: String, class: CauseClass) -> AttemptFailure {
         self.driver.refresh();
-        let stranded = self.telemetry().is_some_and(|report| !report.able);
-        let kind = if stranded { FailureKind::Battery } else { FailureKind::Task };
-        AttemptFailure { kind, cause, permanent: false }
+        match self.telemetry().is_some_and(|report| !report.able) {
+            true => AttemptFailure::new(FailureKind::Battery, cause),
+            false => AttemptFailure { class, ..AttemptFailure::new(FailureKind::Task, cause) },
+        }
+    }
+
+    /// Checks whether no goal of the task with this first goal has moved an item, as far as can be said for
+    /// certain.
+    pub(super) fn moved_nothing(&self, first: GoalId) -> bool {
+        self.driver.moved_nothing(first)
     }
 }

@@ -60,5 +60,5 @@ pub(super) fn pricing_context(worker: &RobotKnowledge, closed: &[(PlaceId, Place
     // A robot that does not drive has no navigation task to price, so its speed is irrelevant.
     let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
     let (place, discharge, closed) = (worker.place.clone(), worker.discharge, closed.to_vec());
-    EstimateContext { place, pose: None, speed, discharge, closed }
+    EstimateContext { place, pose: None, speed, discharge, closed, attributes: worker.attributes.clone() }
 }

@@ -5,6 +5,7 @@
 //! ```
 
 use super::sequencer::{Sequencer, StepRef};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::message::{FailureKind, TaskFailure};
 
 /// Failure of an attempt at a task.
@@ -14,9 +15,21 @@ pub(super) struct AttemptFailure {
     pub(super) kind: FailureKind,
     /// Cause, as text.
     pub(super) cause: String,
-    /// The same task would fail again for the same reason, so it is not retried.
-    pub(super) permanent: bool,
+    /// What the cause says about further attempts.
+    pub(super) class: CauseClass,
+    /// True if the robot has certainly moved no item in steps that it has not reported as ended.
+    pub(super) moved_nothing: bool,
 }
+
+impl AttemptFailure {
+    /// Creates a failure that says nothing about other robots, and may have moved an item.
+    pub(super) fn new(kind: FailureKind, cause: impl Into<String>) -> AttemptFailure {
+        AttemptFailure { kind, cause: cause.into(), class: CauseClass::Robot, moved_nothing: false }
+    }
+}
+
+/// Minimum number of attempts at a task that fails for transient causes.
+const TRANSIENT_ATTEMPTS: u8 = 4;
 
 /// Result of the recovery policy.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -45,7 +58,7 @@ pub(super) struct RecoveryPolicy {
 impl RecoveryPolicy {
     /// Selects the action after a failure of the current task. Afterwards no task is running.
     pub(super) fn next_action(&mut self, failure: AttemptFailure, sequencer: &mut Sequencer) -> RecoveryAction {
-        let AttemptFailure { kind, cause, permanent } = failure;
+        let AttemptFailure { kind, cause, class, moved_nothing } = failure;
         let current = sequencer.current_step().map(|(step, id, spec)| (step, id.clone(), spec.attempts));
         let (task, next_alternative) = match (kind, current) {
             (FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress, Some((step, id, allowed))) => {
@@ -53,7 +66,12 @@ impl RecoveryPolicy {
                     *self = RecoveryPolicy { step: Some(step), attempts: 0 };
                 }
                 self.attempts = self.attempts.saturating_add(1);
-                if !permanent && self.attempts < allowed {
+                let allowed = match class {
+                    CauseClass::Robot => allowed,
+                    CauseClass::Transient => allowed.max(TRANSIENT_ATTEMPTS),
+                    CauseClass::Task | CauseClass::Precondition => 1,
+                };
+                if self.attempts < allowed {
                     sequencer.abort_task();
                     return RecoveryAction::Retry { attempt: self.attempts };
                 }
@@ -68,7 +86,7 @@ impl RecoveryPolicy {
         *self = RecoveryPolicy::default();
         match next_alternative {
             Some(alternative) => RecoveryAction::UseAlternative { alternative },
-            None => RecoveryAction::ReleaseRole(TaskFailure { task, cause, kind }),
+            None => RecoveryAction::ReleaseRole(TaskFailure { task, cause, kind, class, moved_nothing }),
         }
     }
 }
@@ -92,7 +110,7 @@ mod tests {
     }
 
     fn failure(kind: FailureKind) -> AttemptFailure {
-        AttemptFailure { kind, cause: "stuck".to_owned(), permanent: false }
+        AttemptFailure::new(kind, "stuck")
     }
 
     fn start(sequencer: &mut Sequencer) -> (StepRef, String) {
@@ -103,7 +121,10 @@ mod tests {
     }
 
     fn release(task: &str, kind: FailureKind) -> RecoveryAction {
-        RecoveryAction::ReleaseRole(TaskFailure { task: Some(task.parse().unwrap()), cause: "stuck".to_owned(), kind })
+        RecoveryAction::ReleaseRole(TaskFailure {
+            task: Some(task.parse().unwrap()),
+            ..TaskFailure::new(kind, "stuck")
+        })
     }
 
     #[test]
@@ -153,11 +174,35 @@ mod tests {
     }
 
     #[test]
-    fn a_permanent_failure_is_not_retried() {
-        let (mut policy, mut sequencer) = (RecoveryPolicy::default(), sequencer(9, &["lift"]));
+    fn the_class_of_the_cause_decides_about_retries() {
+        let of_class = |class| AttemptFailure { class, ..failure(FailureKind::Task) };
+        for (class, allowed, retries) in [
+            (CauseClass::Robot, 1, 0),
+            (CauseClass::Robot, 3, 2),
+            (CauseClass::Transient, 1, 3),
+            (CauseClass::Transient, 6, 5),
+            (CauseClass::Task, 9, 0),
+            (CauseClass::Precondition, 9, 0),
+        ] {
+            let (mut policy, mut sequencer) = (RecoveryPolicy::default(), sequencer(allowed, &["lift"]));
+            for attempt in 1..=retries {
+                start(&mut sequencer);
+                let action = policy.next_action(of_class(class), &mut sequencer);
+                assert_eq!(action, RecoveryAction::Retry { attempt }, "{class:?}");
+            }
+            start(&mut sequencer);
+            let action = policy.next_action(of_class(class), &mut sequencer);
+            assert_eq!(action, RecoveryAction::UseAlternative { alternative: 0 }, "{class:?}: an alternative may do");
+        }
+    }
+
+    #[test]
+    fn the_release_carries_the_class() {
+        let (mut policy, mut sequencer) = (RecoveryPolicy::default(), sequencer(1, &[]));
         start(&mut sequencer);
-        let permanent = AttemptFailure { permanent: true, ..failure(FailureKind::Task) };
-        assert_eq!(policy.next_action(permanent, &mut sequencer), RecoveryAction::UseAlternative { alternative: 0 });
+        let failure = AttemptFailure { class: CauseClass::Task, moved_nothing: true, ..failure(FailureKind::Task) };
+        let RecoveryAction::ReleaseRole(released) = policy.next_action(failure, &mut sequencer) else { panic!() };
+        assert_eq!((released.class, released.moved_nothing), (CauseClass::Task, true));
     }
 
     #[test]
@@ -168,11 +213,7 @@ mod tests {
             policy.next_action(failure(FailureKind::Battery), &mut sequencer),
             release("drive", FailureKind::Battery)
         );
-        let none = RecoveryAction::ReleaseRole(TaskFailure {
-            task: None,
-            cause: "stuck".to_owned(),
-            kind: FailureKind::Leaving,
-        });
+        let none = RecoveryAction::ReleaseRole(TaskFailure::new(FailureKind::Leaving, "stuck"));
         assert_eq!(policy.next_action(failure(FailureKind::Leaving), &mut sequencer), none);
     }
 }

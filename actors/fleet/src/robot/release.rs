@@ -73,7 +73,7 @@ mod tests {
     }
 
     fn pending() -> PendingRelease {
-        let failure = TaskFailure { task: None, cause: "no way".to_owned(), kind: FailureKind::Task };
+        let failure = TaskFailure::new(FailureKind::Task, "no way");
         PendingRelease::new(failure, at(1_000))
     }
 

@@ -3,6 +3,7 @@
 
 use crate::robot_driver::RobotDriver;
 use consort_bus::tasks::Tasks;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::scalar::Scalar;
 use consort_skills::library::{ActiveSkill, SkillStatus};
 use ractor::{Actor, ActorCell, ActorId, ActorProcessingErr, ActorRef, SpawnErr};
@@ -14,8 +15,13 @@ use std::time::Duration;
 pub(crate) enum SkillOutcome {
     /// The skill has reached its goal, with the results of the task.
     Succeeded(BTreeMap<String, Scalar>),
-    /// The skill has failed, with the cause.
-    Failed(String),
+    /// The skill has failed.
+    Failed {
+        /// Cause, as text.
+        cause: String,
+        /// What the cause says about further attempts.
+        class: CauseClass,
+    },
 }
 
 /// Message for a skill runner.
@@ -113,7 +119,7 @@ impl Actor for SkillRunner {
             RunnerMessage::Tick => match state.skill.tick(&mut state.driver) {
                 SkillStatus::Running => return Ok(()),
                 SkillStatus::Succeeded(results) => Some(SkillOutcome::Succeeded(results)),
-                SkillStatus::Failed { cause } => Some(SkillOutcome::Failed(cause)),
+                SkillStatus::Failed { cause, class } => Some(SkillOutcome::Failed { cause, class }),
             },
             RunnerMessage::Halt => {
                 state.skill.halt(&mut state.driver);

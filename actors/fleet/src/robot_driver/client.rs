@@ -148,6 +148,12 @@ impl RobotDriver {
         self.lock().begin_attempt(first);
     }
 
+    /// Checks whether no goal of the task with this first goal has moved an item, as far as can be said for
+    /// certain.
+    pub(crate) fn moved_nothing(&self, first: GoalId) -> bool {
+        self.lock().moved_nothing(first)
+    }
+
     fn lock(&self) -> MutexGuard<'_, GoalTracker> {
         // A panic of a skill under the lock leaves no partial write, because each write is a single
         // step.

@@ -31,6 +31,10 @@ pub(super) struct GoalTracker {
     /// node.
     done: BTreeMap<GoalId, (Goal, GoalResult)>,
     attempt: Attempt,
+    /// Goals of this incarnation that may move items.
+    moving: BTreeSet<GoalId>,
+    /// First goal of this incarnation.
+    first: GoalId,
     /// Requests without a reply, in the order of sending.
     pending: Vec<GoalRequest>,
     changed: watch::Sender<u64>,
@@ -67,6 +71,8 @@ impl GoalTracker {
             canceled: BTreeSet::new(),
             done: BTreeMap::new(),
             attempt: Attempt::default(),
+            moving: BTreeSet::new(),
+            first: GoalId(next),
             pending: vec![],
             changed: watch::Sender::new(0),
         }
@@ -116,14 +122,28 @@ impl GoalTracker {
         while self.goals.len() > GOALS_KEPT {
             self.goals.pop_first();
         }
+        if !goal.is_repeatable() {
+            self.moving.insert(id);
+        }
         self.pending.push(GoalRequest::Start { id, goal });
         id
+    }
+
+    /// Checks whether no goal of the task with this first goal has moved an item. A goal that is in progress,
+    /// and a goal of a previous incarnation, may have.
+    pub(super) fn moved_nothing(&self, first: GoalId) -> bool {
+        let unmoved = |id: &GoalId| match self.goals.get(id) {
+            Some(GoalStatus::Aborted(error)) => error.moved_nothing,
+            _ => false,
+        };
+        first >= self.first && self.moving.range(first..).all(unmoved)
     }
 
     /// Begins an attempt at a task. `first` is the first goal of the task, perhaps of a previous
     /// incarnation of this node.
     pub(super) fn begin_attempt(&mut self, first: GoalId) {
         self.attempt = Attempt { earlier: first.0..self.next, claimed: BTreeSet::new() };
+        self.moving = self.moving.split_off(&first);
     }
 
     /// Cancels a goal in progress. Returns false if it is not in progress.
@@ -234,7 +254,7 @@ impl GoalTracker {
         let known = |id: &GoalId| reported.contains(id) || pending.contains(id);
         for (id, status) in self.goals.iter_mut().filter(|(id, status)| !status.is_final() && !known(id)) {
             let message = format!("the driver server has lost goal {}", id.0);
-            *status = GoalStatus::Aborted(ActionError { code: ErrorCode::Unknown, message });
+            *status = GoalStatus::Aborted(ActionError::new(ErrorCode::Unknown, message));
         }
         self.changed.send_modify(|count| *count += 1);
         has_unknown
@@ -293,6 +313,34 @@ mod tests {
         assert_eq!(tracker.command(start.clone(), at(600)), expected);
         assert_eq!(tracker.command(start, at(1_500)), heartbeat, "the lease has run out");
         assert_eq!(tracker.command(None, at(1_500)), heartbeat);
+    }
+
+    #[test]
+    fn only_certain_goals_have_moved_nothing() {
+        let error = |moved_nothing| {
+            let error = ActionError::new(ErrorCode::Failed, "why");
+            GoalStatus::Aborted(ActionError { moved_nothing, ..error })
+        };
+        let mut tracker = GoalTracker::new(100);
+        assert!(tracker.moved_nothing(GoalId(100)), "no goal was sent");
+        assert!(!tracker.moved_nothing(GoalId(99)), "a previous incarnation may have sent one");
+        tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
+        assert!(tracker.moved_nothing(GoalId(100)), "waiting moves nothing");
+        let pick_up = Goal::PickUp { from: "birch".parse().unwrap() };
+        for (number, (status, expected)) in (101..).zip([
+            (executing(), false),
+            (error(false), false),
+            (error(true), true),
+            (GoalStatus::succeeded(), false),
+            (GoalStatus::Canceled, false),
+        ]) {
+            assert_eq!(tracker.start_goal(pick_up.clone()), GoalId(number));
+            tracker.apply_state(state(number, &[(number, status.clone())]), at(number));
+            assert_eq!(tracker.moved_nothing(GoalId(number)), expected, "{status:?}");
+        }
+        assert!(!tracker.moved_nothing(GoalId(103)), "a later goal of the task may have");
+        tracker.begin_attempt(GoalId(106));
+        assert!(tracker.moved_nothing(GoalId(106)));
     }
 
     #[test]

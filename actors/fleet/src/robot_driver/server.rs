@@ -353,8 +353,7 @@ impl DriverServerState {
     fn state_of(&mut self, robot: &RobotId) -> Option<DriverState> {
         let telemetry = self.world.telemetry(robot)?;
         let status = |id: GoalId| {
-            let unknown_goal =
-                || ActionError { code: ErrorCode::Unknown, message: format!("goal {} is unknown here", id.0) };
+            let unknown_goal = || ActionError::new(ErrorCode::Unknown, format!("goal {} is unknown here", id.0));
             (id, self.world.status(robot, id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal())))
         };
         let goals: Vec<(GoalId, GoalStatus)> = self.goals.goals(robot)?.map(status).collect();

@@ -154,8 +154,9 @@ fn error_reply(problem: impl Into<String>) -> Value {
     json(ErrorReply::rejected(problem))
 }
 
-fn release_text(RoleRelease { role, robot, cause, robot_failed, .. }: &RoleRelease) -> String {
-    let again = if *robot_failed { ", and it is not asked for it again" } else { "" };
+fn release_text(release: &RoleRelease) -> String {
+    let RoleRelease { role, robot, cause, .. } = release;
+    let again = if release.excludes_robot() { ", and it is not asked for it again" } else { "" };
     format!("{role} was taken from {robot}: {cause}{again}")
 }
 

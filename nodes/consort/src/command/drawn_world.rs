@@ -4,7 +4,7 @@ use crate::config::{FleetConfig, FleetRef, WorldConfig};
 use consort_map_import::{Drawing, DrawnItem, DrawnObject, DrawnPerson, DrawnRobot};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_world::world::{ObjectSetup, PersonName, PersonSetup, RobotSetup, SampleId};
+use consort_world::world::{ObjectSetup, PersonSetup, RobotSetup, SampleId};
 use std::str::FromStr;
 
 /// Values that drawings do not contain: robots drive at 0.5 m/s, and their battery lasts for 40
@@ -56,14 +56,7 @@ fn robot(DrawnRobot { item, components, .. }: &DrawnRobot) -> Option<RobotSetup>
 
 fn person(DrawnPerson { item, role }: &DrawnPerson) -> Option<PersonSetup> {
     let (role, place) = (slug::<RoleId>(role)?, place(item)?);
-    Some(PersonSetup {
-        name: PersonName::from(item.name.as_str()),
-        role,
-        place,
-        samples: vec![],
-        endless_samples: false,
-        spontaneous_actions: vec![],
-    })
+    Some(PersonSetup::new(&item.name, role, place))
 }
 
 fn object(drawing: &Drawing, DrawnObject { item, weight_kg }: &DrawnObject) -> Option<ObjectSetup> {

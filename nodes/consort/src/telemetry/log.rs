@@ -95,8 +95,14 @@ mod tests {
     fn a_log_line_repeats_neither_the_kind_nor_the_span() {
         let mission = "lab-samples-1".parse().unwrap();
         let (role, task) = ("r1".parse().unwrap(), "go".parse().unwrap());
-        let kind = EventKind::TaskFailed { mission, role, task, cause: "the door is \"shut\"".to_owned() };
-        assert_eq!(fields(&kind), r#"cause="the door is \"shut\"" role="r1" task="go""#);
+        let kind = EventKind::TaskFailed {
+            mission,
+            role,
+            task,
+            class: consort_protocol::cause::CauseClass::default(),
+            cause: "the door is \"shut\"".to_owned(),
+        };
+        assert_eq!(fields(&kind), r#"cause="the door is \"shut\"" class="robot" role="r1" task="go""#);
         let level_of = |kind| level(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, kind });
         assert_eq!(level_of(kind), Level::WARN);
         let state = |state| EventKind::Mission { mission: "m-1".parse().unwrap(), state, submitted_at_ms: 0 };

@@ -124,7 +124,7 @@ impl SpanTracker {
             EventKind::TaskEnded { mission, role, task } => {
                 return self.end_task((mission.clone(), role.clone()), task, at, None).into_iter().collect();
             }
-            EventKind::TaskFailed { mission, role, task, cause } => {
+            EventKind::TaskFailed { mission, role, task, cause, .. } => {
                 let failure = Some(cause.clone());
                 return self.end_task((mission.clone(), role.clone()), task, at, failure).into_iter().collect();
             }
@@ -271,7 +271,13 @@ mod tests {
         robot.publish(started());
         robot.publish(began("go"));
         let cause = "the way is closed".to_owned();
-        let failed = EventKind::TaskFailed { mission: mission(), role: role(), task: task("go"), cause: cause.clone() };
+        let failed = EventKind::TaskFailed {
+            mission: mission(),
+            role: role(),
+            task: task("go"),
+            cause: cause.clone(),
+            class: consort_protocol::cause::CauseClass::default(),
+        };
         assert_eq!(summary(&robot.publish(failed)), [("task go", 8_000, 9_000, Some("the way is closed"))]);
     }
 

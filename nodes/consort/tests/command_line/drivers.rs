@@ -119,8 +119,8 @@ fn a_driver_that_outlives_its_node_fails_the_case_of_streams() {
 fn wrong_usage_of_the_check_is_reported() {
     let driver = example("driver.py");
     let ran = run(&["driver", "check", "--case", "hello_is_accepted", "--", "python3", &driver]);
-    assert_eq!(ran.code, Some(1), "without the domain its action is undeclared");
-    assert!(ran.out.contains("hello: actions.vacuum: no domain declares this action; allowed: "), "{}", ran.out);
+    assert_eq!(ran.code, Some(1), "without the domain its actions are undeclared");
+    assert!(ran.out.contains("hello: actions.empty_bag: no domain declares this action; allowed: "), "{}", ran.out);
     let ran = run(&["driver", "check", "--case", "goal_suceeds", "--", "python3", &driver]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("there is no case goal_suceeds") && ran.err.contains("`goal_succeeds`"), "{}", ran.err);

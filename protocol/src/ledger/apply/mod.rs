@@ -45,8 +45,8 @@ impl Ledger {
             Command::Progress { mission, role, epoch, branch, ended, outcomes } => {
                 self.progress(&mission, &role, epoch, branch, &ended, outcomes)
             }
-            Command::Release { mission, role, epoch, cause, robot_failed, place } => {
-                self.release(&mission, &role, epoch, &ReleaseCause { cause, robot_failed, place })
+            Command::Release { mission, role, epoch, cause, class, moved_nothing, place } => {
+                self.release(&mission, &role, epoch, &ReleaseCause { cause, class, moved_nothing, place })
             }
             Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
@@ -342,7 +342,7 @@ impl Ledger {
         if let Some(branch) = branch {
             self.in_branch(mission, branch)?;
         }
-        self.end(mission, MissionState::Failed { cause }, places)
+        self.end(mission, MissionState::Failed { cause }, places, &|_| false)
     }
 
     pub(super) fn active_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, CommandError> {

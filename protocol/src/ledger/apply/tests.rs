@@ -1,6 +1,7 @@
 use super::super::limits::UNENDED_MAX;
 use super::*;
 use crate::auction::{AuctionEntry, AuctionId, BidVerdict, RefusalReason};
+use crate::cause::CauseClass;
 use crate::codec;
 use crate::ids::{TaskId, TaskType};
 use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskSpec};
@@ -111,7 +112,7 @@ impl Log {
     fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> CommandOutcome {
         let cause = "silent for 7 s".to_owned();
         let (mission, role) = (mission.clone(), role(who));
-        self.apply(Command::Release { mission, role, epoch, cause, robot_failed: false, place: None })
+        self.apply(Command::Release { mission, role, epoch, cause, class: None, moved_nothing: false, place: None })
     }
 
     fn state(&self, mission: &MissionId) -> &MissionState {
@@ -432,7 +433,15 @@ fn long_texts_do_not_exceed_the_limit_of_a_mission() {
         let award = Command::Award { mission: mission.clone(), branch, holders, auction };
         let CommandOutcome::Awarded { epoch } = log.apply(award) else { panic!("not awarded") };
         let (mission, role, cause) = (mission.clone(), role("r1"), long.clone());
-        log.apply(Command::Release { mission, role, epoch, cause, robot_failed: true, place: None });
+        log.apply(Command::Release {
+            mission,
+            role,
+            epoch,
+            cause,
+            class: Some(CauseClass::Robot),
+            moved_nothing: false,
+            place: None,
+        });
     }
     let (places, cause) = (BTreeMap::new(), long.clone());
     log.apply(Command::Fail { mission: mission.clone(), cause, branch: None, places });

@@ -5,6 +5,7 @@
 //! a role is released from its holder, which …
 //!   has, or may have, an item ──────▶ the mission's recovery branch, else needs intervention
 //!   has only cleanup left ──────────▶ the role has ended
+//!   has found that no robot can ────▶ failed
 //!   has signalled no other role ────▶ the role is open again       (also: `on_loss: restart`)
 //!   has signalled other roles ──────▶ failed
 //! in the recovery branch: the robot has an item that the branch moves ──▶ needs intervention; else as above,
@@ -17,9 +18,11 @@ use super::command::{CommandError, CommandOutcome, ReleaseCause};
 use super::entry::{HeldItem, MissionEntry, MissionState, RELEASES_KEPT, RoleEntry, RolePhase, RoleRelease};
 use super::limits::CAUSE_BYTES_MAX;
 use crate::bounds::limit_text;
+use crate::cause::CauseClass;
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::{OnLoss, RoleKind};
+use crate::plan::ItemMove;
 use std::collections::BTreeMap;
 
 /// Maximum number of releases from robots that had confirmed their roles; then the mission fails.
@@ -43,25 +46,21 @@ impl Ledger {
             return Ok(CommandOutcome::Done);
         };
         let confirmed = role.phase == RolePhase::Active;
-        let ReleaseCause { cause, robot_failed, place } = loss;
+        let ReleaseCause { cause, class, moved_nothing, place } = loss;
         let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
         let (role, holder) = (role_id.clone(), robot.clone());
-        entry.releases.push(RoleRelease {
-            role,
-            robot: holder,
-            cause: cause.clone(),
-            robot_failed: *robot_failed,
-            confirmed,
-        });
+        entry.releases.push(RoleRelease { role, robot: holder, cause: cause.clone(), class: *class, confirmed });
         entry.release_count = entry.release_count.saturating_add(1);
         if entry.releases.len() > RELEASES_KEPT {
             let first = entry.releases.iter().position(|released| !released.confirmed).unwrap_or(0);
             entry.releases.remove(first);
         }
 
+        let undone: &dyn Fn(&ItemMove) -> bool =
+            &|item_move| *moved_nothing && item_move.performers.iter().eq([role_id]);
         let places = place.iter().map(|place| (robot.clone(), place.clone())).collect();
-        let held = in_places(entry.custody(), &places);
+        let held = in_places(entry.custody_without(undone), &places);
         let lost =
             held.iter().filter(|held| held.role == *role_id && held.robot == robot).min_by_key(|held| !held.certain);
         if let Some(lost) = lost.cloned() {
@@ -83,7 +82,10 @@ impl Ledger {
         let on_loss = entry.mission().roles.get(role_id).map_or(OnLoss::Fail, |role| role.on_loss);
         if entry.has_signalled(role_id) && on_loss == OnLoss::Fail {
             let cause = format!("{robot} was lost as {role_id} after others had acted on its work: {cause}");
-            return self.end(mission, MissionState::Failed { cause }, &places);
+            return self.end(mission, MissionState::Failed { cause }, &places, undone);
+        }
+        if *class == Some(CauseClass::Task) {
+            return self.end(mission, MissionState::Failed { cause: cause.clone() }, &places, undone);
         }
         let confirmed_releases: Vec<&RoleRelease> =
             entry.releases.iter().filter(|released| released.confirmed).collect();
@@ -91,7 +93,7 @@ impl Ledger {
             let causes = confirmed_releases.iter().map(|released| format!("{} ({})", released.cause, released.role));
             let causes = causes.collect::<Vec<_>>().join("; ");
             let cause = format!("its roles were given up {} times: {causes}", confirmed_releases.len());
-            return self.end(mission, MissionState::Failed { cause }, &places);
+            return self.end(mission, MissionState::Failed { cause }, &places, undone);
         }
         let role = self.held_role(mission, role_id, epoch)?;
         role.holder = None;
@@ -102,16 +104,17 @@ impl Ledger {
     }
 
     /// Ends a mission in the given state. If a robot has an item, the mission needs intervention
-    /// instead.
+    /// instead. The moves in `undone` have certainly not happened.
     pub(super) fn end(
         &mut self,
         mission: &MissionId,
         state: MissionState,
         places: &BTreeMap<RobotId, PlaceId>,
+        undone: &dyn Fn(&ItemMove) -> bool,
     ) -> Result<CommandOutcome, CommandError> {
         let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
-        let items = in_places(entry.custody(), places);
+        let items = in_places(entry.custody_without(undone), places);
         let cause = match &state {
             MissionState::Failed { cause } => cause.clone(),
             MissionState::Canceled { by } => format!("canceled by {by}"),
@@ -141,7 +144,7 @@ impl Ledger {
         match self.mission_state(mission) {
             Some(MissionState::NeedsIntervention { .. }) => Ok(CommandOutcome::Done),
             Some(MissionState::Canceled { by: known }) if *known == by => Ok(CommandOutcome::Done),
-            _ => self.end(mission, MissionState::Canceled { by }, places),
+            _ => self.end(mission, MissionState::Canceled { by }, places, &|_| false),
         }
     }
 

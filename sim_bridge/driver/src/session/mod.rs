@@ -363,11 +363,15 @@ impl DriverSession {
                 let status = match status {
                     ResultStatus::Succeeded => GoalStatus::with_result(results),
                     ResultStatus::Canceled => GoalStatus::Canceled,
-                    ResultStatus::Aborted => aborted(
-                        code.unwrap_or(ErrorCode::Failed),
-                        shorten(message.as_deref().unwrap_or("the driver gives no cause"), CAUSE_BYTES_MAX)
-                            .into_owned(),
-                    ),
+                    ResultStatus::Aborted => {
+                        let message =
+                            shorten(message.as_deref().unwrap_or("the driver gives no cause"), CAUSE_BYTES_MAX);
+                        let goal = self.goals.content(id);
+                        let action = goal.as_ref().map_or("", Goal::action);
+                        let (error, unknown) = self.contract.failure(action, code.as_deref(), &message);
+                        self.goals.end(id, GoalStatus::Aborted(error));
+                        return unknown.map(|problem| self.log_wrong_line(problem)).unwrap_or_default();
+                    }
                 };
                 self.goals.end(id, status);
             }
@@ -403,7 +407,7 @@ impl DriverSession {
         let busy = self.goals.current().is_some();
         self.goals.add(id, goal, now);
         if busy {
-            self.goals.end(id, aborted(ErrorCode::Busy, format!("{} has a goal in progress", self.robot)));
+            self.goals.end(id, rejected(ErrorCode::Busy, format!("{} has a goal in progress", self.robot)));
             return vec![];
         }
         self.begin_waiting_goal(now)
@@ -467,7 +471,11 @@ impl DriverSession {
 }
 
 fn aborted(code: ErrorCode, message: String) -> GoalStatus {
-    GoalStatus::Aborted(ActionError { code, message })
+    GoalStatus::Aborted(ActionError::new(code, message))
+}
+
+fn rejected(code: ErrorCode, message: String) -> GoalStatus {
+    GoalStatus::Aborted(ActionError::rejected(code, message))
 }
 
 fn millis(time: Duration) -> u64 {

@@ -95,6 +95,7 @@ impl Allocator for OracleAllocator {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::knowledge::Attributes;
     use consort_protocol::auction::{AuctionId, BidLimits, CallForBids};
     use consort_protocol::ids::{PlaceId, TaskId, TaskType};
     use consort_protocol::mission::TaskSpec;
@@ -168,6 +169,7 @@ mod tests {
             speed: MetresPerSecond::new(speed).unwrap(),
             discharge: SharePerSecond::new(0.01).unwrap(),
             closed: vec![],
+            attributes: Attributes::default(),
         };
         let allocator = GreedyAllocator {
             estimator: Arc::new(DescriptorRegistry::standard().resolve(environment).unwrap()),

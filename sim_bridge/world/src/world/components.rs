@@ -37,6 +37,8 @@ pub(crate) struct PersonInfo {
     pub(crate) name: PersonName,
     pub(crate) role: RoleId,
     pub(crate) place: PlaceIndex,
+    /// The person comes to robots at other places.
+    pub(crate) on_call: bool,
 }
 
 /// True while a person hands something over.

@@ -10,9 +10,9 @@ use consort_protocol::ids::RobotId;
 use consort_skills::actions::{ActionError, ErrorCode};
 use hecs::Entity;
 
-/// Builds the error of a goal.
+/// Builds the error of a goal. Goals of the simulator move items at their end, or not at all.
 pub(crate) fn action_error(code: ErrorCode, message: String) -> ActionError {
-    ActionError { code, message }
+    ActionError::rejected(code, message)
 }
 
 impl SimState {

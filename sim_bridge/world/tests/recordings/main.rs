@@ -53,14 +53,8 @@ impl Drop for TempFile {
 /// Ada drives from A via B to C and back to B; Bob stands at C.
 pub(crate) fn hall() -> SharedWorld {
     let setup = WorldSetup::new(map::read(HALL, "hall.yaml").unwrap(), 1);
-    let nia = PersonSetup {
-        name: "Nia".into(),
-        role: "nurse".parse().unwrap(),
-        place: place("B"),
-        samples: vec!["blood".into()],
-        endless_samples: false,
-        spontaneous_actions: vec![],
-    };
+    let nia =
+        PersonSetup { samples: vec!["blood".into()], ..PersonSetup::new("Nia", "nurse".parse().unwrap(), place("B")) };
     let setup = setup.robot(carrier("ada", "A")).robot(carrier("bob", "C")).person(nia);
     SharedWorld::new(World::new(setup).unwrap())
 }

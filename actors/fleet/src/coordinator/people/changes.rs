@@ -1,5 +1,6 @@
 //! Changes of unmanaged roles in the ledger, as events and signals to be published.
 
+use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::ledger::{Branch, FinalAnswer, Ledger, MissionEntry, PersonRequestEntry, PersonRequestPhase};
@@ -102,5 +103,5 @@ fn add_request(published: &mut Published, entry: &MissionEntry, request: &Person
         PersonRequestPhase::Answered { note, .. } if !note.is_empty() => note.clone(),
         phase => phase.to_string(),
     };
-    published.events.push(EventKind::TaskFailed { mission, role, task, cause });
+    published.events.push(EventKind::TaskFailed { mission, role, task, cause, class: CauseClass::Task });
 }

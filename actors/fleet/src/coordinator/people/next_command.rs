@@ -175,7 +175,8 @@ mod tests {
             role,
             epoch: held.epoch,
             cause: "silent".to_owned(),
-            robot_failed: false,
+            class: None,
+            moved_nothing: false,
             place: None,
         };
         assert_eq!(apply(&mut main, release), CommandOutcome::Done);

@@ -66,8 +66,15 @@ pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
         };
         assert_eq!(ledger.apply(at(3), progress_of(r1.clone(), at(2), &[0, 1, 2])), CommandOutcome::Done);
         let (cause, place) = ("silent".to_owned(), None);
-        let release =
-            Command::Release { mission: mission.clone(), role: r1, epoch: at(2), cause, robot_failed: false, place };
+        let release = Command::Release {
+            mission: mission.clone(),
+            role: r1,
+            epoch: at(2),
+            cause,
+            class: None,
+            moved_nothing: false,
+            place,
+        };
         assert_eq!(ledger.apply(at(4), release), CommandOutcome::Done);
         assert_eq!(ledger.mission(&mission).unwrap().branch, Branch::Recovery);
     }

@@ -1,12 +1,10 @@
 //! Handling of robot reports by the coordinator.
 
-use super::last_known_place::last_known_places;
 use super::lease_monitor::SharedLeaseMonitor;
 use super::session_context::SessionContext;
 use super::settings::NodeParts;
 use consort_bus::clock::Clock;
-use consort_gossip::SharedKnowledge;
-use consort_protocol::ids::{NodeId, PlaceId, RobotId};
+use consort_protocol::ids::NodeId;
 use consort_protocol::lease::{EndReason, LeaseMonitor};
 use consort_protocol::ledger::{
     Branch, Command, CommandError, CommandOutcome, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase,
@@ -14,7 +12,6 @@ use consort_protocol::ledger::{
 use consort_protocol::message::{FailureKind, Report, ReportReply, TaskFailure};
 use consort_protocol::units::NodeTime;
 use consort_raft::{ProposeError, Replica};
-use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, info};
 
@@ -37,7 +34,6 @@ pub(super) enum Step {
 /// Handler of reports, with the state it needs.
 pub(super) struct ReportHandler {
     replica: Replica<Ledger>,
-    knowledge: SharedKnowledge,
     leadership_age_max: Duration,
     clock: Clock,
     lease_monitor: SharedLeaseMonitor,
@@ -45,10 +41,9 @@ pub(super) struct ReportHandler {
 
 impl ReportHandler {
     pub(super) fn new(context: &SessionContext) -> ReportHandler {
-        let NodeParts { replica, knowledge, clock, .. } = &context.settings.parts;
+        let NodeParts { replica, clock, .. } = &context.settings.parts;
         ReportHandler {
             replica: replica.clone(),
-            knowledge: knowledge.clone(),
             leadership_age_max: context.settings.lease_terms.leadership_age_max(),
             clock: *clock,
             lease_monitor: context.lease_monitor.clone(),
@@ -77,10 +72,7 @@ impl ReportHandler {
     }
 
     fn next_step(&self, report: &Report) -> Step {
-        self.replica.read(|ledger| {
-            let entry = ledger.mission(&report.mission);
-            next(entry, report, || last_known_places(&self.knowledge, entry))
-        })
+        self.replica.read(|ledger| next(ledger.mission(&report.mission), report))
     }
 
     fn renew_if_leader(&self, reply: ReportReply, report: &Report) -> ReportReply {
@@ -144,26 +136,19 @@ enum ReportCase<'a> {
     Unaccepted,
     /// The ledger does not contain all ended steps.
     NewSteps,
-    /// A robot cannot continue.
-    RobotFailed(&'a TaskFailure),
-    /// No robot can continue: a result is unknown.
-    MissionFailed(&'a MissionEntry, &'a TaskFailure),
+    /// The robot cannot continue.
+    Failed(&'a TaskFailure),
     /// The ledger contains the whole report.
     NoNews(&'a MissionEntry, &'a RoleEntry),
 }
 
 /// Returns the next step of handling a report.
-pub(super) fn next(
-    entry: Option<&MissionEntry>,
-    report: &Report,
-    places: impl FnOnce() -> BTreeMap<RobotId, PlaceId>,
-) -> Step {
+pub(super) fn next(entry: Option<&MissionEntry>, report: &Report) -> Step {
     match report_case(entry, report) {
         ReportCase::Ended(reason) => Step::Reply(ended(entry, report, reason)),
         ReportCase::Unaccepted => Step::Commit(accept(report)),
         ReportCase::NewSteps => Step::Commit(progress(report)),
-        ReportCase::RobotFailed(failure) => Step::Commit(release_failed(report, failure)),
-        ReportCase::MissionFailed(entry, failure) => Step::Commit(fail_mission(entry, report, failure, places())),
+        ReportCase::Failed(failure) => Step::Commit(release_failed(report, failure)),
         ReportCase::NoNews(entry, role) => Step::Reply(renewed(entry, role, report)),
     }
 }
@@ -178,10 +163,7 @@ fn report_case<'a>(entry: Option<&'a MissionEntry>, report: &'a Report) -> Repor
         (Some(obstacle), _) => obstacle,
         (None, _) if !report.ended.is_subset(&role.ended) => ReportCase::NewSteps,
         (None, _) if report.outcomes.keys().any(|task| entry.lacks_outcome(&report.role, task)) => ReportCase::NewSteps,
-        (None, Some(failure)) if failure.kind == FailureKind::UnknownResult => {
-            ReportCase::MissionFailed(entry, failure)
-        }
-        (None, Some(failure)) => ReportCase::RobotFailed(failure),
+        (None, Some(failure)) => ReportCase::Failed(failure),
         (None, None) => ReportCase::NoNews(entry, role),
     }
 }
@@ -245,26 +227,20 @@ fn progress(report: &Report) -> Command {
     Command::Progress { mission, role, epoch, branch: Branch::default(), ended, outcomes }
 }
 
-/// Releases the role to another robot. A robot that only leaves the fleet, that gives way, or that has
-/// started nothing because its checkpoint failed, may bid again.
+/// Releases the role. A robot that only leaves the fleet, that gives way, or that has started nothing because
+/// its checkpoint failed, may bid again.
 fn release_failed(report: &Report, failure: &TaskFailure) -> Command {
-    let robot_failed = !matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint | FailureKind::GaveWay);
-    release(report, failure_cause(report, failure), robot_failed)
-}
-
-fn release(report: &Report, cause: String, robot_failed: bool) -> Command {
+    let gave_back = matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint | FailureKind::GaveWay);
     let (mission, role, epoch) = (report.mission.clone(), report.role.clone(), report.epoch);
-    Command::Release { mission, role, epoch, cause, robot_failed, place: report.place.clone() }
-}
-
-fn fail_mission(
-    entry: &MissionEntry,
-    report: &Report,
-    failure: &TaskFailure,
-    places: BTreeMap<RobotId, PlaceId>,
-) -> Command {
-    let cause = failure_cause(report, failure);
-    Command::Fail { mission: report.mission.clone(), cause, branch: Some(entry.branch), places }
+    Command::Release {
+        mission,
+        role,
+        epoch,
+        cause: failure_cause(report, failure),
+        class: (!gave_back).then_some(failure.class),
+        moved_nothing: failure.moved_nothing,
+        place: report.place.clone(),
+    }
 }
 
 fn failure_cause(report: &Report, failure: &TaskFailure) -> String {

@@ -1,8 +1,8 @@
 use super::*;
 use crate::coordinator::people::test_ledger::{ledger, nurse};
-use consort_protocol::ids::MissionId;
+use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::lease::Epoch;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 fn report(mission: &MissionId, ended: &[u32]) -> Report {
     Report {
@@ -27,10 +27,9 @@ fn nobody_reports_for_a_person() {
         let reason = if lost { EndReason::Replaced } else { EndReason::Released };
         let ended = Step::Reply(ReportReply::Ended { epoch: Epoch::default(), reason, current: None });
         let mut failed = report(&mission, &[]);
-        let (cause, kind) = ("she has none".to_owned(), FailureKind::UnknownResult);
-        failed.failure = Some(TaskFailure { task: None, cause, kind });
+        failed.failure = Some(TaskFailure::new(FailureKind::UnknownResult, "she has none"));
         for report in [report(&mission, &[0, 1]), report(&mission, &[]), failed] {
-            assert_eq!(next(ledger.mission(&mission), &report, BTreeMap::new), ended);
+            assert_eq!(next(ledger.mission(&mission), &report), ended);
         }
     }
 }

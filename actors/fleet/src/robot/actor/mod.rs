@@ -215,7 +215,7 @@ impl RobotState {
         self.tasks.send_after(timeout, &self.myself, RobotMessage::DecommissionTimeout);
         if self.execution.continuing_plan().is_some() {
             let TaskFailure { kind, cause, .. } = leaving();
-            self.handle_failure(AttemptFailure { kind, cause, permanent: true }).await?;
+            self.handle_failure(AttemptFailure::new(kind, cause)).await?;
         }
         self.report();
         self.perform_actions(vec![]).await

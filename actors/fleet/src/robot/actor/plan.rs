@@ -10,6 +10,7 @@ use crate::robot::settings::PricingSettings;
 use crate::robot::signals::ReceivedSignals;
 use crate::robot::skill_runner::{RunningSkill, SkillOutcome, SkillRun};
 use crate::robot::task_timeout::TaskTimer;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::TaskId;
 use consort_protocol::message::FailureKind;
@@ -64,7 +65,8 @@ impl RobotState {
             Ok(skill) => skill,
             Err(problem) => {
                 let (kind, cause) = (FailureKind::Task, problem.to_string());
-                self.recover(AttemptFailure { kind, cause, permanent: true });
+                let class = CauseClass::Precondition;
+                self.recover(AttemptFailure { class, ..AttemptFailure::new(kind, cause) });
                 return Ok(());
             }
         };
@@ -97,8 +99,8 @@ impl RobotState {
                 active.end_task(attempt.step, task, results, self.driver.next_goal());
                 self.advance().await
             }
-            SkillOutcome::Failed(cause) => {
-                let failure = self.driver.attempt_failure(cause);
+            SkillOutcome::Failed { cause, class } => {
+                let failure = self.driver.attempt_failure(cause, class);
                 self.handle_failure(failure).await
             }
         }
@@ -112,7 +114,7 @@ impl RobotState {
         }
         self.driver.stop();
         let cause = format!("the skill crashed: {problem}");
-        self.handle_failure(AttemptFailure { kind: FailureKind::Crash, cause, permanent: false }).await
+        self.handle_failure(AttemptFailure::new(FailureKind::Crash, cause)).await
     }
 
     /// Handles a failure of the current task or of the whole plan.
@@ -125,7 +127,8 @@ impl RobotState {
     fn recover(&mut self, failure: AttemptFailure) {
         let (now, delay) = (self.now(), self.settings.execution.retry_delay);
         let Some(active) = self.execution.plan.as_mut() else { return };
-        let effect = active.recover(failure, delay, now);
+        let moved_nothing = self.driver.moved_nothing(active.first_goal());
+        let effect = active.recover(AttemptFailure { moved_nothing, ..failure }, delay, now);
         self.update_permission();
         match effect {
             Some(RecoveryEffect::Retry(delay, event)) => {

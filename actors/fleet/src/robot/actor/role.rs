@@ -45,7 +45,7 @@ impl RobotState {
         let may_give_way = |active: &mut ActivePlan| active.award.epoch == epoch && active.sequencer.is_untouched();
         if self.execution.continuing_plan().is_some_and(may_give_way) {
             let (kind, cause) = (FailureKind::GaveWay, format!("it gives way to {to}"));
-            self.handle_failure(AttemptFailure { kind, cause, permanent: true }).await?;
+            self.handle_failure(AttemptFailure::new(kind, cause)).await?;
         }
         Ok(())
     }

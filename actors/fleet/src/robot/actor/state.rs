@@ -78,7 +78,7 @@ impl DecommissionRequests {
 
 /// Returns the failure that releases the role of a leaving robot.
 pub(super) fn leaving() -> TaskFailure {
-    TaskFailure { task: None, cause: DECOMMISSION_CAUSE.to_owned(), kind: FailureKind::Leaving }
+    TaskFailure::new(FailureKind::Leaving, DECOMMISSION_CAUSE)
 }
 
 impl RobotState {

@@ -4,6 +4,7 @@ use super::super::branch::Branch;
 use super::super::submission::{RecoveryBranch, Submission};
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
+use crate::cause::CauseClass;
 use crate::ids::RequestId;
 use crate::lease::RoleHolder;
 use crate::ledger::Command;
@@ -133,8 +134,12 @@ impl Log {
     }
 
     fn lose(&mut self, who: &str, epoch: Epoch, robot_failed: bool) {
+        self.release(who, epoch, robot_failed.then_some(CauseClass::Robot), false);
+    }
+
+    fn release(&mut self, who: &str, epoch: Epoch, class: Option<CauseClass>, moved_nothing: bool) {
         let (mission, role, cause) = (self.2.clone(), role(who), "silent for 7 s".to_owned());
-        let release = Command::Release { mission, role, epoch, cause, robot_failed, place: Some(place()) };
+        let release = Command::Release { mission, role, epoch, cause, class, moved_nothing, place: Some(place()) };
         assert_eq!(self.apply(release), CommandOutcome::Done);
     }
 
@@ -278,6 +283,60 @@ fn an_arm_lost_at_the_drawer_makes_custody_uncertain() {
     let (cause, items) = log.intervention();
     assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
     assert_eq!(items, [("amber", None, false), ("arm", Some(&place()), false)]);
+}
+
+#[test]
+fn an_arm_that_has_moved_nothing_is_replaced_at_the_drawer() {
+    let mut log = Log::held_by_two();
+    log.ended("r1", epoch(2), 0..11);
+    log.ended("lab_arm", epoch(2), 0..1);
+    assert_eq!(log.custodians(), ["amber?", "arm?"]);
+    log.release("lab_arm", epoch(2), Some(CauseClass::Robot), true);
+    assert_eq!(log.entry().open_roles(), [role("lab_arm")].into());
+    assert_eq!(log.custodians(), ["amber!"]);
+    assert_eq!(log.entry().excluded(&role("lab_arm")).len(), 1);
+    // The next arm may have it again.
+    let awarded = log.hold(&[("lab_arm", "claw")]);
+    log.ended("lab_arm", awarded, 0..1);
+    assert_eq!(log.custodians(), ["amber?", "claw?"]);
+}
+
+/// A report that the ledger contains counts, whatever the robot says later.
+#[test]
+fn a_move_in_the_ledger_has_happened() {
+    let mut log = Log::held_by_two();
+    log.ended("r1", epoch(2), 0..11);
+    log.ended("lab_arm", epoch(2), 0..3);
+    log.release("r1", epoch(2), None, true);
+    assert_eq!(log.entry().state, MissionState::Running, "only the nurse has not ended");
+}
+
+#[test]
+fn a_mission_that_no_robot_can_do_fails_at_once() {
+    let mut log = Log::held_by_two();
+    log.release("r1", epoch(2), Some(CauseClass::Task), true);
+    assert_eq!(log.entry().state, MissionState::Failed { cause: "silent for 7 s".to_owned() });
+    // With an item in a robot a person is needed.
+    let mut log = Log::held_by_two();
+    log.ended("r1", epoch(2), 0..8);
+    log.release("lab_arm", epoch(2), Some(CauseClass::Task), true);
+    let (cause, items) = log.intervention();
+    assert_eq!(cause, "silent for 7 s; the sample is with amber");
+    assert_eq!(items, [("amber", None, true)]);
+}
+
+#[test]
+fn a_robot_with_a_transient_failure_may_bid_again() {
+    let mut log = Log::of(&fetch_sample());
+    for count in 1..RELEASES_MAX {
+        let epoch = log.hold(&[("r1", "amber"), ("lab_arm", "arm")][..if count == 1 { 2 } else { 1 }]);
+        log.release("r1", epoch, Some(CauseClass::Transient), true);
+        assert!(log.entry().excluded(&role("r1")).is_empty());
+    }
+    let epoch = log.hold(&[("r1", "amber")]);
+    log.release("r1", epoch, Some(CauseClass::Transient), true);
+    let MissionState::Failed { cause } = &log.entry().state else { panic!("{:?}", log.entry().state) };
+    assert!(cause.starts_with("its roles were given up 5 times: "), "{cause}");
 }
 
 #[test]

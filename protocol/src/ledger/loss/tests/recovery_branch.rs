@@ -90,7 +90,15 @@ fn a_branch_that_needs_an_unknown_place_is_not_taken() {
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
     let (mission, role, cause) = (log.2.clone(), role("r1"), "silent".to_owned());
-    log.apply(Command::Release { mission, role, epoch: epoch(2), cause, robot_failed: false, place: None });
+    log.apply(Command::Release {
+        mission,
+        role,
+        epoch: epoch(2),
+        cause,
+        class: None,
+        moved_nothing: false,
+        place: None,
+    });
     assert_eq!(log.intervention().1, [("amber", None, true)]);
 }
 

@@ -123,7 +123,7 @@ impl Nav2Driver {
         let Some(pose) = places.get(&place).copied() else {
             let names: Vec<&str> = places.keys().map(PlaceId::as_str).collect();
             let message = format!("{:?} is not on the map; allowed are {}", place.as_str(), names.join(", "));
-            return Err(ActionError { code: ErrorCode::Unknown, message });
+            return Err(ActionError::new(ErrorCode::Unknown, message));
         };
         Ok(Nav2Driver {
             robot,
@@ -163,7 +163,7 @@ impl Nav2Driver {
     fn begin(&mut self, goal: &Goal) -> Result<Activity, ActionError> {
         let reject = |what: &str| {
             let message = format!("{} is driven by Nav2 and cannot {what}", self.robot);
-            Err(ActionError { code: ErrorCode::Unknown, message })
+            Err(ActionError::new(ErrorCode::Unknown, message))
         };
         match goal {
             Goal::NavigateToPose { pose, place } => {
@@ -257,7 +257,7 @@ impl Nav2Driver {
     }
 
     fn abort(&mut self, id: GoalId, goal: Goal, code: ErrorCode, message: String) {
-        self.finish_goal(id, goal, GoalStatus::Aborted(ActionError { code, message }));
+        self.finish_goal(id, goal, GoalStatus::Aborted(ActionError::new(code, message)));
     }
 
     /// Sets the pose of the robot, and its place if the pose is at a place.
@@ -328,7 +328,7 @@ impl RobotBackend for Nav2Driver {
         let message = "this driver has no people".to_owned();
         self.pending_events.push(BackendEvent::PersonRequestEnded {
             request: id,
-            result: Err(ActionError { code: ErrorCode::Unknown, message }),
+            result: Err(ActionError::new(ErrorCode::Unknown, message)),
         });
     }
 

@@ -58,7 +58,7 @@ impl DriverTest {
 }
 
 fn aborted(code: ErrorCode, message: &str) -> GoalStatus {
-    GoalStatus::Aborted(ActionError { code, message: message.to_owned() })
+    GoalStatus::Aborted(ActionError::new(code, message.to_owned()))
 }
 
 fn outcome(error_code: u16) -> DriveResult {

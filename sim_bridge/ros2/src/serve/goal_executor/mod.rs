@@ -307,7 +307,7 @@ impl GoalExecutor {
     }
 
     fn error(&self, code: ErrorCode, why: &str) -> ActionError {
-        ActionError { code, message: format!("{}: {why}", self.robot) }
+        ActionError::new(code, format!("{}: {why}", self.robot))
     }
 
     /// Ends the current goal and starts the waiting goal.

@@ -58,7 +58,7 @@ fn executing(metres: f64, seconds: f64) -> GoalStatus {
 }
 
 fn aborted(code: ErrorCode) -> GoalStatus {
-    GoalStatus::Aborted(ActionError { code, message: "why".to_owned() })
+    GoalStatus::Aborted(ActionError::new(code, "why".to_owned()))
 }
 
 fn at_b() -> Result<Pose, PoseError> {

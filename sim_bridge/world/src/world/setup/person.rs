@@ -22,10 +22,29 @@ pub struct PersonSetup {
     /// True if the person, once these are handed over, has a new sample for every request. Default: false.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub endless_samples: bool,
+    /// True if the person comes to a robot that approaches somebody with this role at another place, unless
+    /// another robot or a handover needs the person. Default: false.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub on_call: bool,
     /// Unrequested actions of the person. Default: none, so the person waits and does every
     /// requested task.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub spontaneous_actions: Vec<SpontaneousAction>,
+}
+
+impl PersonSetup {
+    /// Creates a person without samples who waits and does every requested task.
+    pub fn new(name: &str, role: RoleId, place: PlaceId) -> PersonSetup {
+        PersonSetup {
+            name: PersonName::from(name),
+            role,
+            place,
+            samples: vec![],
+            endless_samples: false,
+            on_call: false,
+            spontaneous_actions: vec![],
+        }
+    }
 }
 
 /// An action that a person may take after a trigger.

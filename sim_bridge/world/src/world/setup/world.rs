@@ -6,7 +6,7 @@ use super::person::PersonSetup;
 use super::robot::RobotSetup;
 use crate::map::Map;
 use consort_protocol::ids::ActionName;
-use consort_skills::domain_file::{DomainFile, ReadingForm, SimulatedAction};
+use consort_skills::domain_file::{ActionForm, DomainFile, ReadingForm};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ pub struct WorldSetup {
     /// Durations of actions.
     pub durations: Durations,
     /// Actions that domain files declare.
-    pub actions: BTreeMap<ActionName, SimulatedAction>,
+    pub actions: BTreeMap<ActionName, ActionForm>,
     /// Readings that domain files declare: every robot has them.
     pub readings: BTreeMap<String, ReadingForm>,
     /// Limits of memory and numbers.

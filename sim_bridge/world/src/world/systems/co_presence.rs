@@ -1,6 +1,6 @@
 //! Co-presence: approaching people and robots, and authenticating people.
 
-use crate::world::components::{CoPresence, DepartureCount, PersonInfo, SimRobot};
+use crate::world::components::{CoPresence, DepartureCount, HandsBusy, PersonInfo, SimRobot};
 use crate::world::event::WorldEvent;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
@@ -22,11 +22,11 @@ impl System for CoPresenceSystem {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        component_types![SimRobot, DepartureCount, PersonStates, RobotLocation, PersonInfo]
+        component_types![SimRobot, DepartureCount, PersonStates, RobotLocation, HandsBusy]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        component_types![CoPresence]
+        component_types![CoPresence, PersonInfo]
     }
 
     fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
@@ -47,6 +47,7 @@ impl System for CoPresenceSystem {
         let co_presence = state.co_presence_after(robot, goal)?;
         *state.get_mut::<CoPresence>(robot) = co_presence;
         if let CoPresence::Person { person, authenticated } = co_presence {
+            state.get_mut::<PersonInfo>(person).place = state.require_place(robot)?;
             let person = state.get::<PersonInfo>(person).name.clone();
             state.log_event(WorldEvent::Approached { robot: state.robot_id(robot), person, authenticated });
         }
@@ -71,13 +72,22 @@ impl SimState {
             let info = self.get::<PersonInfo>(**person);
             info.role == *role && info.place == place && self.is_present(&info.name)
         };
-        match self.people.values().find(is_here) {
+        let may_come = |person: &&Entity| {
+            let info = self.get::<PersonInfo>(**person);
+            info.role == *role && info.on_call && self.is_present(&info.name) && self.is_needed_by_nobody(**person)
+        };
+        match self.people.values().find(is_here).or_else(|| self.people.values().find(may_come)) {
             Some(person) => Ok(CoPresence::Person { person: *person, authenticated: false }),
             None => {
                 let message = format!("{}: no {role} is at {}", self.robot_id(robot), self.map.place_at(place).id);
                 Err(action_error(ErrorCode::OutOfReach, message))
             }
         }
+    }
+
+    fn is_needed_by_nobody(&self, person: Entity) -> bool {
+        let is_with = |robot: &Entity| matches!(*self.get::<CoPresence>(*robot), CoPresence::Person { person: other, .. } if other == person);
+        !self.get::<HandsBusy>(person).0 && !self.robots.values().any(is_with)
     }
 
     fn authenticate_person(&self, robot: Entity, role: &RoleId) -> Result<CoPresence, ActionError> {

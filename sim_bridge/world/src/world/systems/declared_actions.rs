@@ -10,7 +10,7 @@ use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::ActionName;
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
-use consort_skills::domain_file::{Addition, ReadingForm, SimulatedAction, SimulatedEffect, SimulatedResult};
+use consort_skills::domain_file::{ActionForm, Addition, ReadingForm, SimulatedEffect, SimulatedResult};
 use hecs::Entity;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -23,7 +23,7 @@ pub(crate) struct DeclaredActions;
 
 /// The declared actions and readings, with the generator of durations, failures and values.
 pub(crate) struct ActionModels {
-    actions: BTreeMap<ActionName, SimulatedAction>,
+    actions: BTreeMap<ActionName, ActionForm>,
     readings: BTreeMap<String, ReadingForm>,
     chance: ChaCha8Rng,
 }
@@ -64,7 +64,7 @@ impl System for DeclaredActions {
         let Goal::Declared(goal) = goal else { return None };
         let now = state.now;
         let mut models = state.resource_mut::<ActionModels>();
-        let (least, greatest) = models.actions.get(&goal.action)?.duration_s;
+        let (least, greatest) = models.actions.get(&goal.action)?.simulate.duration_s;
         Some(Ok(now + models.chance.random_range(least..=greatest)))
     }
 
@@ -73,14 +73,21 @@ impl System for DeclaredActions {
         let mut models = state.resource_mut::<ActionModels>();
         let ActionModels { actions, readings, chance } = &mut *models;
         let Some(action) = actions.get(&goal.action) else { return Ok(GoalResult::default()) };
-        if chance.random_bool(action.failure_rate) {
-            let problem = format!("{} failed at {}", state.robot_id(robot), goal.action);
-            return Err(action_error(ErrorCode::Failed, problem));
+        let message = || format!("{} failed at {}", state.robot_id(robot), goal.action);
+        let mut drawn = chance.random_range(0.0..1.0);
+        for (reason, share) in &action.simulate.failures {
+            if drawn < *share {
+                return action.failure(reason, &message()).map_or(Ok(GoalResult::default()), Err);
+            }
+            drawn -= share;
         }
-        let results = action.results.iter().map(|(name, result)| (name.clone(), json!(draw(result, chance))));
+        if drawn < action.simulate.failure_rate {
+            return Err(action_error(ErrorCode::Failed, message()));
+        }
+        let results = action.simulate.results.iter().map(|(name, result)| (name.clone(), json!(draw(result, chance))));
         let results = GoalResult(results.collect());
         let current = &mut state.get_mut::<Readings>(robot).0;
-        for (name, effect) in &action.effects {
+        for (name, effect) in &action.simulate.effects {
             let Some(form) = readings.get(name) else { continue };
             let value = match effect {
                 SimulatedEffect::Set(value) => draw(value, chance),

@@ -52,14 +52,7 @@ fn carrier(name: &str, at: &str) -> RobotSetup {
 }
 
 fn nurse(name: &str, at: &str, sample: &str) -> PersonSetup {
-    PersonSetup {
-        name: name.into(),
-        role: role("nurse"),
-        place: place(at),
-        samples: vec![sample.into()],
-        endless_samples: false,
-        spontaneous_actions: vec![],
-    }
+    PersonSetup { samples: vec![sample.into()], ..PersonSetup::new(name, role("nurse"), place(at)) }
 }
 
 fn hospital(seed: u64) -> WorldSetup {
@@ -81,7 +74,7 @@ fn ended(name: &str, goal: u64, status: GoalStatus) -> BackendEvent {
 }
 
 fn aborted(code: ErrorCode, message: &str) -> GoalStatus {
-    GoalStatus::Aborted(ActionError { code, message: message.to_owned() })
+    GoalStatus::Aborted(ActionError::rejected(code, message.to_owned()))
 }
 
 /// A request to a nurse to deposit into the drawer of the robot that holds `r1`.

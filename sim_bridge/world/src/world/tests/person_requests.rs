@@ -100,7 +100,7 @@ fn a_request_canceled_before_its_arrival_is_not_served() {
 
 #[test]
 fn an_impossible_request_ends_with_its_reason() {
-    let error = |code, message: &str| Err(ActionError { code, message: message.to_owned() });
+    let error = |code, message: &str| Err(ActionError::rejected(code, message.to_owned()));
     let mut world = ready();
     world.request_person(GoalId(2), PersonRequest { role: role("doctor"), ..deposit("r1") });
     world.request_person(GoalId(3), deposit("r9"));
@@ -154,6 +154,35 @@ fn a_person_with_endless_samples_serves_any_number_of_requests() {
         run_to_success(&mut world, "porter", 2 * number + 1, Goal::Deposit { into: None });
     }
     assert_eq!(world.samples().len(), 21, "used samples are taken again");
+}
+
+#[test]
+fn a_person_on_call_comes_to_one_robot_at_a_time() {
+    let nia =
+        PersonSetup { on_call: true, endless_samples: true, ..PersonSetup::new("Nia", role("nurse"), place("Dock")) };
+    let setup = hospital(3)
+        .robot(carrier("a", "PC Room 2"))
+        .robot(carrier("b", "IC Room 6"))
+        .person(nia)
+        .person(nurse("Ana", "PC Room 1", "s1"));
+    let mut world = World::new(setup).unwrap();
+    run_to_success(&mut world, "a", 1, approach());
+    let here = |world: &World| {
+        let nia = world.people().into_iter().find(|person| person.name.as_str() == "Nia");
+        nia.unwrap().place.to_string()
+    };
+    assert_eq!(here(&world), "PC Room 2");
+    let busy = rejected_status(&mut world, "b", 1, approach());
+    assert_eq!(busy, aborted(ErrorCode::OutOfReach, "b: no nurse is at IC Room 6"));
+    run_to_success(&mut world, "a", 2, open());
+    world.request_person(GoalId(7), deposit("a"));
+    let until = at(world.now().as_secs() + 9.0);
+    assert_eq!(world.advance(until), [answer(7, Ok(()))]);
+    run_to_success(&mut world, "a", 4, Goal::OperateDrawer { open: false });
+    let away = drive_goal(&world, "PC Corridor 2");
+    run_to_success(&mut world, "a", 5, away);
+    run_to_success(&mut world, "b", 2, approach());
+    assert_eq!(here(&world), "IC Room 6");
 }
 
 #[test]

@@ -91,14 +91,7 @@ fn a_canceled_goal_changes_nothing() {
 #[test]
 fn the_wrong_person_is_not_authenticated() {
     let mut setup = hospital(1).robot(carrier("r1", "PC Room 1")).person(nurse("Ana", "PC Room 1", "s1"));
-    setup.people.push(PersonSetup {
-        name: "Eve".into(),
-        role: role("visitor"),
-        place: place("PC Room 1"),
-        samples: vec![],
-        endless_samples: false,
-        spontaneous_actions: vec![],
-    });
+    setup.people.push(PersonSetup::new("Eve", role("visitor"), place("PC Room 1")));
     let mut world = World::new(setup).unwrap();
     run_to_success(&mut world, "r1", 1, Goal::ApproachPerson { role: role("visitor") });
     let status = rejected_status(&mut world, "r1", 2, Goal::AuthenticatePerson { role: role("nurse") });

@@ -68,7 +68,7 @@ fn a_world_has_the_systems_that_its_setup_names() {
     let status = rejected_status(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
     assert_eq!(status, aborted(ErrorCode::Unknown, "no system of this world executes operate_drawer"));
     world.request_person(GoalId(3), deposit("r1"));
-    let nobody = ActionError { code: ErrorCode::Unknown, message: "there are no people in this world".to_owned() };
+    let nobody = ActionError::rejected(ErrorCode::Unknown, "there are no people in this world".to_owned());
     let now = world.now();
     assert_eq!(world.advance(now), [BackendEvent::PersonRequestEnded { request: GoalId(3), result: Err(nobody) }]);
     assert_eq!((world.people(), world.samples()), (vec![], vec![]));

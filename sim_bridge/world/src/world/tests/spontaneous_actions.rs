@@ -97,7 +97,7 @@ fn a_robot_that_approaches_again_is_served() {
 #[test]
 fn a_person_declines() {
     let mut world = ward(1, SpontaneousAction::certain(PersonTrigger::HandingOver, PersonAction::Declines));
-    let why = ActionError { code: ErrorCode::NotAuthenticated, message: "Bea declines".to_owned() };
+    let why = ActionError::rejected(ErrorCode::NotAuthenticated, "Bea declines".to_owned());
     assert_eq!(
         meet_and_wait(&mut world),
         [(6.0, BackendEvent::PersonRequestEnded { request: GoalId(7), result: Err(why) })]
@@ -113,7 +113,7 @@ fn gone(waited_s: f64) -> BackendEvent {
     let message = format!("every nurse has walked away; waited for {waited_s} s");
     BackendEvent::PersonRequestEnded {
         request: GoalId(7),
-        result: Err(ActionError { code: ErrorCode::OutOfReach, message }),
+        result: Err(ActionError::rejected(ErrorCode::OutOfReach, message)),
     }
 }
 

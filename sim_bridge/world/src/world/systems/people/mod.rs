@@ -152,7 +152,8 @@ impl SimState {
     fn spawn_person(&mut self, person: &PersonSetup, rng: ChaCha8Rng) {
         let place = self.map.index(&person.place).expect("checked: the place is on the map");
         let entity = self.spawn();
-        self.insert(entity, PersonInfo { name: person.name.clone(), role: person.role.clone(), place });
+        let PersonSetup { name, role, on_call, .. } = person.clone();
+        self.insert(entity, PersonInfo { name, role, place, on_call });
         self.insert(entity, HandsBusy(false));
         self.insert(entity, HandoverRng(rng));
         self.insert(entity, SampleSupply { endless: person.endless_samples, made: vec![] });

@@ -1,0 +1,27 @@
+//! Classes of causes: what a failure says about further attempts.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What the cause of a failure says about further attempts.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CauseClass {
+    /// This robot failed; another robot may succeed. The robot tries as often as the task allows.
+    #[default]
+    Robot,
+    /// No robot can do the task: the mission fails at once.
+    Task,
+    /// The same attempt may succeed later. The robot tries again after growing pauses, and then the role
+    /// goes to any robot.
+    Transient,
+    /// The robot lacks what the task needs; another robot may have it. The robot does not try again.
+    Precondition,
+}
+
+impl CauseClass {
+    /// Checks whether the robot is not asked again for the role.
+    pub fn excludes_robot(self) -> bool {
+        matches!(self, CauseClass::Robot | CauseClass::Precondition)
+    }
+}
