@@ -10,21 +10,24 @@ const OPEN_SEEDS: u64 = 90;
 /// fleets that are now correct (`found_by_chaos`) is 165.
 const CLOSED_SEEDS: u64 = 170;
 
-/// Runs the seeds from 1 to `seeds` with open or closed fleets.
-fn everything_holds(seeds: u64, minutes: f64, closed: bool) {
+/// Number of seeds with missions that cannot be completed as the only faults.
+const POISON_SEEDS: u64 = 20;
+
+/// Runs the seeds from 1 to `seeds` with open or closed fleets and these faults.
+fn everything_holds(seeds: u64, minutes: f64, closed: bool, kinds: &[FaultKind]) {
     let order = |seed| RunConfig { seed, nodes: 7, minutes, closed, mutant: None };
     let composition = ChaosFleet::of(7);
     let mut missions = 0;
     let found = SeedSweep {
         seeds: 1..=seeds,
         jobs: jobs(),
-        config: &|seed| (order(seed), generate(seed, &composition, minutes, &FaultKind::FAULTS)),
+        config: &|seed| (order(seed), generate(seed, &composition, minutes, kinds)),
     }
     .run(|outcome| missions += outcome.counters.acknowledged);
     if let Some(outcome) = found
         && let Some(violation) = outcome.violation
     {
-        let schedule = generate(outcome.seed, &composition, minutes, &FaultKind::FAULTS);
+        let schedule = generate(outcome.seed, &composition, minutes, kinds);
         let events = violation.events_before.join("\n");
         panic!("seed {}: {}: {}\n{events}\n{schedule}", outcome.seed, violation.invariant, violation.reason);
     }
@@ -33,12 +36,17 @@ fn everything_holds(seeds: u64, minutes: f64, closed: bool) {
 
 #[test]
 fn invariants_hold_for_the_first_seeds() {
-    everything_holds(OPEN_SEEDS, 3.0, false);
+    everything_holds(OPEN_SEEDS, 3.0, false, &FaultKind::FAULTS);
 }
 
 #[test]
 fn invariants_hold_in_closed_fleets_with_a_hostile_node() {
-    everything_holds(CLOSED_SEEDS, 2.0, true);
+    everything_holds(CLOSED_SEEDS, 2.0, true, &FaultKind::FAULTS);
+}
+
+#[test]
+fn missions_that_cannot_be_completed_disturb_no_others() {
+    everything_holds(POISON_SEEDS, 3.0, false, &[FaultKind::Poison]);
 }
 
 #[test]

@@ -18,6 +18,9 @@ pub(crate) const ROOMS: [&str; 12] = [
     "PC Room 7",
 ];
 
+/// Rooms without a nurse. A mission that fetches a sample from one of them cannot be completed.
+pub(crate) const ROOMS_WITHOUT_NURSE: [&str; 2] = ["PC Room 4", "PC Room 8"];
+
 /// Missions of the clients: without and with a recovery branch for the loss of the sample.
 pub(crate) const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
 

@@ -37,11 +37,12 @@ pub enum FaultKind {
     CircularWait,
     StaleMajority,
     BlockedBus,
+    Poison,
 }
 
 impl FaultKind {
     /// All kinds except `None`.
-    pub const FAULTS: [FaultKind; 30] = [
+    pub const FAULTS: [FaultKind; 31] = [
         FaultKind::Crash,
         FaultKind::CrashTorn,
         FaultKind::CrashEmpty,
@@ -72,6 +73,7 @@ impl FaultKind {
         FaultKind::CircularWait,
         FaultKind::StaleMajority,
         FaultKind::BlockedBus,
+        FaultKind::Poison,
     ];
 
     /// Checks whether faults of this kind are drawn by themselves, not in place of others.
@@ -87,6 +89,7 @@ impl FaultKind {
                 | FaultKind::CircularWait
                 | FaultKind::StaleMajority
                 | FaultKind::BlockedBus
+                | FaultKind::Poison
         )
     }
 
@@ -124,6 +127,7 @@ impl FaultKind {
             FaultKind::CircularWait => "circular-wait",
             FaultKind::StaleMajority => "stale-majority",
             FaultKind::BlockedBus => "blocked-bus",
+            FaultKind::Poison => "poison",
         }
     }
 }

@@ -304,7 +304,8 @@ impl Draw<'_> {
             | FaultKind::Upgrade
             | FaultKind::CircularWait
             | FaultKind::StaleMajority
-            | FaultKind::BlockedBus => return None,
+            | FaultKind::BlockedBus
+            | FaultKind::Poison => return None,
         })
     }
 

@@ -12,7 +12,7 @@ use super::generate::LIFTED;
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
 use super::run_counters::{RunCounters, millis};
-use super::schedule::{DiskAfterCrash, Schedule};
+use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
 use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, slug};
@@ -36,6 +36,11 @@ const MISSION_LIMIT: Duration = Duration::from_secs(600);
 
 /// Limit for the fleet to converge after all faults have ended.
 const CONVERGENCE_LIMIT: Duration = Duration::from_secs(60);
+
+/// Limit for each requested mission to keep the others waiting, if no fault but missions that cannot be
+/// completed disturbs them: a drive to a room, a wait for an absent person and a drive to the laboratory, during
+/// which the mission has the only arm.
+const MISSION_SHARE: Duration = Duration::from_secs(45);
 
 /// Longest time without a leader in a transfer of leadership, in milliseconds.
 const TRANSFER_MAX_MS: u64 = 120;
@@ -181,6 +186,9 @@ impl Run {
         })
         .await?;
         self.checker.counters.converged_ms = Some(millis(self.fleet.elapsed() - since));
+        if schedule.has_only_poison() {
+            self.check_undisturbed_by_poison(schedule)?;
+        }
         self.checker.end(&self.fleet)?;
         // The rest of the run has no faults.
         let end = Duration::from_secs_f64(config.minutes * 60.0);
@@ -200,6 +208,37 @@ impl Run {
         let violation = |name, reason| self.checker.violation(name, reason, &self.fleet);
         history.check_linearizable().map_err(|reason| violation("linearizable", reason))?;
         history.check_ages().map_err(|reason| violation("read_age", reason))
+    }
+
+    /// Checks, when all missions have ended, that those that can be completed were, and in time. Faults
+    /// must not be the reason for anything else.
+    fn check_undisturbed_by_poison(&self, schedule: &Schedule) -> Result<(), Violation> {
+        let violation = |reason| Err(self.checker.violation("undisturbed", reason, &self.fleet));
+        let acknowledged = self.executor.acknowledged();
+        let (mut last_ms, mut missions) = (0, 0);
+        for step in &schedule.steps {
+            let ChaosAction::Submit { request, deadline_s, .. } = &step.action else { continue };
+            (last_ms, missions) = (last_ms.max(step.at_ms), missions + 1);
+            let is_canceled = schedule
+                .steps
+                .iter()
+                .any(|other| matches!(&other.action, ChaosAction::Cancel { request: name } if name == request));
+            let state = acknowledged.get(request).and_then(|id| self.fleet.mission_state(&slug::<MissionId>(id)));
+            match state {
+                Some(MissionState::Failed { cause }) if !step.action.is_poison() && deadline_s.is_none() => {
+                    return violation(format!("{request} failed beside missions that cannot be completed: {cause}"));
+                }
+                Some(MissionState::NeedsIntervention { cause, .. }) if !is_canceled && deadline_s.is_none() => {
+                    return violation(format!("{request} needs intervention: {cause}"));
+                }
+                _ => {}
+            }
+        }
+        let took = self.fleet.elapsed().saturating_sub(Duration::from_millis(last_ms));
+        if took > MISSION_SHARE * missions {
+            return violation(format!("{missions} missions ended {} s after the last request", took.as_secs()));
+        }
+        Ok(())
     }
 
     /// Executes the schedule until all faults have ended.

@@ -1,6 +1,6 @@
 //! Schedules of actions as plain data that can be stored, shrunk and replayed.
 
-use super::chaos_fleet::MISSIONS;
+use super::chaos_fleet::{MISSIONS, ROOMS_WITHOUT_NURSE};
 use crate::disk::{CrashEffect, DiskFault};
 use consort_protocol::trust::NodeRole;
 use serde::{Deserialize, Serialize};
@@ -363,6 +363,11 @@ impl ChaosAction {
         if let ChaosAction::Submit { request, .. } = self { Some(request.clone()) } else { None }
     }
 
+    /// Checks whether the action requests a mission that cannot be completed.
+    pub(super) fn is_poison(&self) -> bool {
+        matches!(self, ChaosAction::Submit { room, .. } if ROOMS_WITHOUT_NURSE.contains(&room.as_str()))
+    }
+
     /// Returns the action with another duration.
     #[must_use]
     pub(crate) fn with_duration_ms(&self, ms: u64) -> ChaosAction {
@@ -399,6 +404,13 @@ impl Schedule {
         self.steps.iter().all(|step| {
             matches!(step.action, ChaosAction::Submit { .. } | ChaosAction::Cancel { .. } | ChaosAction::Hostile { .. })
         })
+    }
+
+    /// Checks whether the schedule has no faults but missions that cannot be completed, and has some.
+    pub(super) fn has_only_poison(&self) -> bool {
+        let is_request =
+            |action: &ChaosAction| matches!(action, ChaosAction::Submit { .. } | ChaosAction::Cancel { .. });
+        self.steps.iter().all(|step| is_request(&step.action)) && self.steps.iter().any(|step| step.action.is_poison())
     }
 
     /// Sorts the actions by time; actions of the same instant keep their order.

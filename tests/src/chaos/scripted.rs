@@ -1,6 +1,6 @@
 //! Faults that meet a request at a moment at which they matter: drawn by themselves, not in place of others.
 
-use super::chaos_fleet::{ARM, MISSIONS, ROOMS, WORLD};
+use super::chaos_fleet::{ARM, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE, WORLD};
 use super::fault_kind::FaultKind;
 use super::generate::{AWAY_MS, Draw, FIRST_MS};
 use super::run_counters::millis;
@@ -41,7 +41,26 @@ impl Draw<'_> {
             FaultKind::CircularWait => self.circular_wait(),
             FaultKind::StaleMajority => self.stale_majority(),
             FaultKind::BlockedBus => self.block_buses(),
+            FaultKind::Poison => self.poison(),
             _ => {}
+        }
+    }
+
+    /// Requests missions that cannot be completed.
+    fn poison(&mut self) {
+        for number in 0..self.chance.random_range(1..=3) {
+            let at_ms = self.chance.random_range(FIRST_MS..self.end_ms);
+            let room = *ROOMS_WITHOUT_NURSE.choose(&mut self.chance).expect("there are two");
+            let mission = *MISSIONS.choose(&mut self.chance).expect("there are two");
+            let action = ChaosAction::Submit {
+                request: format!("poison-{number}"),
+                unnamed: false,
+                mission: mission.to_owned(),
+                room: room.to_owned(),
+                priority: *[0, 10].choose(&mut self.chance).expect("there are two"),
+                deadline_s: None,
+            };
+            self.steps.push(ScheduledAction { at_ms, action });
         }
     }
 
