@@ -12,6 +12,8 @@
 
 mod events;
 mod fleet;
+#[cfg(test)]
+mod mission_mix;
 mod process_fleet;
 mod reporter;
 mod runner;
@@ -123,7 +125,8 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let places = map_loader::load(&scenario.fleet.map)?.topology.places;
     let domain = extensions.domain().with_places(places.into_keys());
     let requested = runner::request_mission(&args.mission, &args.people.people, &domain)?;
-    let scenario = scenario.with_people(&requested.mission, &domain);
+    let scenario = scenario.with_participants(&requested.mission, &domain);
+    let scenario = if args.keep_running { scenario.with_participants_of_shipped_missions(&domain) } else { scenario };
     let reporter = DemoReporter::new(args.json, &scenario);
     let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, requested };
     if args.virtual_time {

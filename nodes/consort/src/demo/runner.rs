@@ -76,8 +76,10 @@ struct MissionProgress {
 pub(super) struct RequestedMission {
     /// Request in the format of the API, without an id.
     request: SubmitRequest,
-    /// True if each mission gets a room with a nurse. Every sample must then end up in the laboratory.
+    /// True if each mission gets a room with a nurse.
     has_room: bool,
+    /// True if every sample must end up in the laboratory.
+    delivers: bool,
     /// The mission, in a room with a nurse.
     pub(super) mission: Mission,
 }
@@ -94,7 +96,8 @@ pub(super) fn request_mission(text: &str, people: &[RoleId], domain: &Domain) ->
     let mission = document
         .instantiate(&room, domain)
         .map_err(|problem| Failure::Usage(format!("--mission {text}: {problem}")))?;
-    Ok(RequestedMission { request: inputs::mission_request(text, people)?, has_room, mission })
+    let delivers = document.parameters().contains_key("laboratory");
+    Ok(RequestedMission { request: inputs::mission_request(text, people)?, has_room, delivers, mission })
 }
 
 impl<S: DemoFleet> DemoRunner<S> {
@@ -338,7 +341,7 @@ impl<S: DemoFleet> DemoRunner<S> {
             .count();
         let all = self.missions.len();
         let mut words: Vec<String> = self.takeover_in_words().into_iter().collect();
-        let in_laboratory = match self.options.requested.has_room {
+        let in_laboratory = match self.options.requested.delivers {
             true => format!("; {delivered} of {} samples in the laboratory", samples.len()),
             false => String::new(),
         };
@@ -353,7 +356,7 @@ impl<S: DemoFleet> DemoRunner<S> {
         };
         self.reporter.summary(&rows, &words, DemoEvent::Summary(summary))?;
         let no_takeover = self.killed.is_some() && self.takeover.is_none();
-        let all_delivered = !self.options.requested.has_room || delivered == samples.len();
+        let all_delivered = !self.options.requested.delivers || delivered == samples.len();
         if completed == all && all_delivered && !no_takeover {
             return Ok(());
         }

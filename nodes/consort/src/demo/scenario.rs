@@ -5,11 +5,12 @@ use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::{EnsembleId, FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::{Domain, Mission, RoleKind, ValueKind};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_skills::missions;
 use consort_world::world::{PersonSetup, RobotSetup};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Rooms with nurses, in the order in which missions use them.
 const ROOMS: [&str; 14] = [
@@ -39,6 +40,9 @@ const CARRIER: [&str; 5] = ["navigation", "approach_person", "authenticate_perso
 
 /// Skills that every mobile robot has.
 const SERVICES: [&str; 5] = ["wait", "carry", "disinfect", "measure_vital_signs", "operate_door"];
+
+/// Skills that need an arm.
+const OF_ARMS: [&str; 3] = ["pick_up", "grasp", "deposit"];
 
 /// A kind of robot: its differences from the other kinds.
 struct Kind {
@@ -149,12 +153,9 @@ fn nurses(missions: usize) -> Vec<PersonSetup> {
     let nurse = |(index, room): (usize, &str)| {
         let samples = (index..missions).step_by(ROOMS.len()).map(|mission| format!("sample-{}", mission + 1));
         PersonSetup {
-            name: format!("nurse of {room}").as_str().into(),
-            role: slug::<RoleId>("nurse"),
-            place: slug(room),
             samples: samples.map(|sample| sample.as_str().into()).collect(),
             endless_samples: true,
-            spontaneous_actions: vec![],
+            ..PersonSetup::new(&format!("nurse of {room}"), slug("nurse"), slug(room))
         }
     };
     ROOMS.into_iter().enumerate().map(nurse).collect()
@@ -204,24 +205,70 @@ impl DemoScenario {
         self
     }
 
-    /// Adds a person for each unmanaged role that nobody in the world has.
+    /// Adds a person on call for each unmanaged role of a mission that nobody in the world has. Of the people in
+    /// the role only those count for whom `counts` is true.
     #[must_use]
-    pub fn with_people(mut self, mission: &Mission, domain: &Domain) -> DemoScenario {
+    fn with_people(mut self, mission: &Mission, domain: &Domain, counts: fn(&PersonSetup) -> bool) -> DemoScenario {
         let unmanaged = mission.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged);
         for (role, _) in unmanaged {
-            if self.world.person.iter().any(|person| person.role == *role) {
+            if self.world.person.iter().any(|person| person.role == *role && counts(person)) {
                 continue;
             }
+            let place = place_of_role(mission, role, domain).unwrap_or_else(|| slug(ROOMS[0]));
             self.world.person.push(PersonSetup {
-                name: role.as_str().into(),
-                role: role.clone(),
-                place: place_of_role(mission, role, domain).unwrap_or_else(|| slug(ROOMS[0])),
-                samples: vec![],
                 endless_samples: true,
-                spontaneous_actions: vec![],
+                on_call: true,
+                ..PersonSetup::new(&format!("{role} on call"), role.clone(), place)
             });
         }
         self
+    }
+
+    /// Adds a robot for each managed role of a mission that no robot has the skills for.
+    #[must_use]
+    fn with_robots(mut self, mission: &Mission) -> DemoScenario {
+        for (role, _) in mission.roles.iter().filter(|(_, role)| role.kind == RoleKind::Managed) {
+            let tasks = mission.elementary();
+            let needed = tasks.iter().filter(|(_, spec)| spec.roles.contains(role));
+            let skills: BTreeSet<TaskType> = needed.map(|(_, spec)| spec.task_type.clone()).collect();
+            if self.robots.iter().any(|robot| robot.skills.is_superset(&skills)) {
+                continue;
+            }
+            let (id, place): (RobotId, PlaceId) = (slug(role.as_str()), slug("Dock"));
+            let speed = MetresPerSecond::new(0.7).expect("a speed");
+            let (battery, discharge) = (BatteryShare::FULL, SharePerSecond::new(0.000_5).expect("a rate"));
+            let has_arm = skills.iter().any(|skill| OF_ARMS.contains(&skill.as_str()));
+            self.world.robot.push(RobotSetup {
+                has_arm,
+                has_drawer: !has_arm,
+                ..RobotSetup::carrier(id.clone(), place.clone(), speed, battery, discharge)
+            });
+            self.robots.push(RobotConfig {
+                speed_mps: Some(speed),
+                battery,
+                discharge_share_per_s: discharge,
+                fleet: self.world.fleet.clone(),
+                ..RobotConfig::new(id, place, skills)
+            });
+        }
+        self
+    }
+
+    /// Adds the people and robots of a mission, so that it can be completed.
+    #[must_use]
+    pub fn with_participants(self, mission: &Mission, domain: &Domain) -> DemoScenario {
+        self.with_people(mission, domain, |_| true).with_robots(mission)
+    }
+
+    /// Adds the people and robots of all shipped missions, so that each of them can be submitted while the
+    /// demo runs, with any places.
+    #[must_use]
+    pub fn with_participants_of_shipped_missions(self, domain: &Domain) -> DemoScenario {
+        let shipped = missions::shipped().values();
+        let missions = shipped.filter_map(|mission| mission.instantiate(&BTreeMap::new(), domain).ok());
+        missions.fold(self, |scenario, mission| {
+            scenario.with_people(&mission, domain, |person| person.on_call).with_robots(&mission)
+        })
     }
 
     /// Returns all nodes that may vote, by name.

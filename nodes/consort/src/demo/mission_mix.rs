@@ -1,0 +1,182 @@
+//! Test of a demo that is kept running: any mix of missions, with missions among them that no robot can do.
+
+use super::fleet::DemoFleet as _;
+use super::scenario::DemoScenario;
+use super::virtual_fleet::VirtualFleet;
+use crate::config::FleetConfig;
+use crate::domains::{self, LoadedDomain};
+use crate::extensions::Extensions;
+use crate::map_loader;
+use crate::rendering::RenderFlags;
+use consort_dashboard::query::{QueryTarget, query_once};
+use consort_protocol::api::SubmitReply;
+use consort_protocol::ids::{MissionId, PlaceId};
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_protocol::ledger::MissionState;
+use consort_protocol::mission::{TemplateKind, TemplateParameter};
+use consort_protocol::view::{CoordinatorView, MissionsView};
+use consort_skills::missions;
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::time::Duration;
+
+const ROBOTS: usize = 12;
+const MISSIONS: usize = 100;
+const POISON: usize = 10;
+
+/// World seconds per second. The batteries last until the end.
+const SPEED: f64 = 1.0;
+
+/// Time in which the missions are submitted, in seconds.
+const SUBMITTED_S: u64 = 600;
+
+/// Time afterwards in which running missions can end, in seconds.
+const AFTERWARDS_S: u64 = 300;
+
+/// Tasks that always fail, each for a cause of another class.
+const FAILING: &str = r#"
+domain: failing
+actions:
+  fail_robot: { failures: { worn: { class: robot } }, simulate: { failures: { worn: 1.0 } } }
+  fail_task: { failures: { forbidden: { class: task } }, simulate: { failures: { forbidden: 1.0 } } }
+  fail_transient: { failures: { jammed: { class: transient } }, simulate: { failures: { jammed: 1.0 } } }
+  fail_precondition: { failures: { no_tool: { class: precondition } }, simulate: { failures: { no_tool: 1.0 } } }
+tasks:
+  fail_robot: { action: fail_robot }
+  fail_task: { action: fail_task }
+  fail_transient: { action: fail_transient }
+  fail_precondition: { action: fail_precondition }
+"#;
+
+fn extensions() -> Extensions {
+    let domain =
+        domains::parse(Path::new("failing.yaml"), FAILING, &[]).unwrap_or_else(|problems| panic!("{problems}"));
+    Extensions { domains: vec![LoadedDomain { path: "failing.yaml".into(), domain }].leak(), ..Extensions::default() }
+}
+
+/// A request in the format of the API, and its time in milliseconds.
+type Submission = (u64, Value);
+
+/// Returns random shipped missions with random places.
+fn mix(places: &[PlaceId], chance: &mut ChaCha8Rng) -> Vec<Submission> {
+    let shipped: Vec<_> = missions::shipped().iter().collect();
+    let request = |number: usize| {
+        let (name, template) = shipped.choose(chance).expect("there are some");
+        let parameter = |(name, parameter): (&String, &TemplateParameter)| {
+            // The laboratory is where the arms are.
+            let is_chosen = parameter.kind == TemplateKind::Place && name != "laboratory";
+            is_chosen.then(|| (name.clone(), places.choose(chance).expect("there are some").to_string()))
+        };
+        let parameters: BTreeMap<String, String> = template.parameters().iter().filter_map(parameter).collect();
+        let at_ms = chance.random_range(0..SUBMITTED_S * 1000);
+        (at_ms, json!({ "mission": name, "parameters": parameters, "request": format!("mix-{number}") }))
+    };
+    (0..MISSIONS).map(request).collect()
+}
+
+/// Returns missions that cannot be completed: tasks that always fail, people that do not exist, a laboratory
+/// without an arm.
+fn poison(chance: &mut ChaCha8Rng) -> Vec<Submission> {
+    let managed = |task: &str| {
+        json!({ "mission": "try", "roles": { "r1": { "kind": "managed" } },
+            "root": { "task": "it", "type": task, "roles": ["r1"] } })
+    };
+    let approach = json!({ "task": "approach", "type": "approach_person", "roles": ["r1"],
+        "parameters": { "person_role": "doctor" } });
+    let go = json!({ "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": "IC Room 6" } });
+    let attend =
+        json!({ "task": "attend", "type": "attend", "roles": ["doctor"], "parameters": { "at": "IC Room 6" } });
+    let nobody = json!({ "mission": "meet",
+        "roles": { "r1": { "kind": "managed" }, "doctor": { "kind": "unmanaged" } },
+        "root": { "task": "all", "method": "sequential", "tasks": [go, approach, attend] } });
+    let kinds =
+        [managed("fail_robot"), managed("fail_task"), managed("fail_transient"), managed("fail_precondition"), nobody];
+    let request = |number: usize| {
+        let at_ms = chance.random_range(0..SUBMITTED_S * 1000);
+        let mission = kinds[number % kinds.len()].clone();
+        (at_ms, json!({ "mission": mission, "request": format!("poison-{number}") }))
+    };
+    (0..POISON).map(request).collect()
+}
+
+/// Submits the missions to a demo and returns their states at the end, by the name of the request.
+async fn run(seed: u64, mut submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
+    let extensions = extensions();
+    let map = map_loader::load(&FleetConfig::default().map).unwrap();
+    let domain = extensions.domain().with_places(map.topology.places.into_keys());
+    let scenario = DemoScenario::new(ROBOTS, 3, SPEED, seed)
+        .with_skills(&extensions.declared_task_types())
+        .with_participants_of_shipped_missions(&domain);
+    let keys = Keys::new(&scenario.fleet.name);
+    let fleet = VirtualFleet::start(&scenario, seed, &RenderFlags::default(), extensions).await.unwrap();
+    let bus = fleet.bus();
+    let query = async |key: &Key, payload: &str| {
+        let limit = Duration::from_secs(2);
+        query_once(&*bus, &keys.write(key), payload, limit, QueryTarget::All).await
+    };
+    let has_coordinator = async || {
+        let view = query(&Key::ViewCoordinator, "").await.ok().and_then(|view| CoordinatorView::deserialize(view).ok());
+        view.is_some_and(|view| view.node.is_some())
+    };
+    while !has_coordinator().await {
+        tokio::time::sleep(Duration::from_millis(100)).await; // virtual time
+    }
+    let begin = fleet.elapsed();
+    submissions.sort_by_key(|(at_ms, _)| *at_ms);
+    let mut requests = BTreeMap::new();
+    for (at_ms, request) in submissions {
+        tokio::time::sleep((begin + Duration::from_millis(at_ms)).saturating_sub(fleet.elapsed())).await;
+        let reply = query(&Key::Api(ApiCall::Submit), &request.to_string()).await;
+        let reply = reply.unwrap_or_else(|problem| panic!("seed {seed}: {request}: {problem:?}"));
+        let mission: MissionId = SubmitReply::deserialize(reply).unwrap().mission;
+        requests.insert(mission, request["request"].as_str().unwrap().to_owned());
+    }
+    let end = begin + Duration::from_secs(SUBMITTED_S + AFTERWARDS_S);
+    tokio::time::sleep(end.saturating_sub(fleet.elapsed())).await;
+    let view = query(&Key::ViewMissions, "").await.unwrap_or_else(|problem| panic!("seed {seed}: {problem:?}"));
+    fleet.shut_down().await;
+    let missions = MissionsView::deserialize(view).unwrap().missions.into_iter().map(|mission| mission.brief);
+    missions.filter_map(|mission| Some((requests.remove(&mission.mission)?, mission.status.detail))).collect()
+}
+
+/// Returns the names of the missions of the mix that were completed. All others are still under way.
+fn completed(seed: u64, states: &BTreeMap<String, MissionState>) -> BTreeSet<&str> {
+    let mix = || states.iter().filter(|(request, _)| request.starts_with("mix-"));
+    let bad: Vec<_> = mix()
+        .filter(|(_, state)| !matches!(state, MissionState::Completed | MissionState::Running | MissionState::Pending))
+        .collect();
+    assert!(bad.is_empty(), "seed {seed}: {bad:#?}");
+    assert_eq!(mix().count(), MISSIONS, "seed {seed}");
+    mix().filter(|(_, state)| **state == MissionState::Completed).map(|(request, _)| request.as_str()).collect()
+}
+
+/// Runs two demos at once, with and without missions that no robot can do among the others.
+#[test]
+fn missions_that_no_robot_can_do_cost_the_others_nothing() {
+    let seed = 1;
+    let map = map_loader::load(&FleetConfig::default().map).unwrap();
+    let places: Vec<PlaceId> = map.topology.places.into_keys().collect();
+    let mut chance = ChaCha8Rng::seed_from_u64(seed);
+    let mix = mix(&places, &mut chance);
+    let poisoned: Vec<Submission> = mix.iter().cloned().chain(poison(&mut chance)).collect();
+    let [alone, among] = [mix, poisoned].map(|submissions| {
+        std::thread::spawn(move || {
+            let mut builder = tokio::runtime::Builder::new_current_thread();
+            let runtime = builder.enable_time().start_paused(true).build().unwrap();
+            runtime.block_on(run(seed, submissions))
+        })
+    });
+    let (alone, among) = (alone.join().unwrap(), among.join().unwrap());
+    let unexpected = among
+        .iter()
+        .filter(|(request, state)| request.starts_with("poison-") && !matches!(state, MissionState::Failed { .. }));
+    assert_eq!(unexpected.collect::<Vec<_>>(), [], "seed {seed}");
+    let (alone, among) = (completed(seed, &alone).len(), completed(seed, &among).len());
+    assert!(alone >= 30, "seed {seed}: {alone} missions were completed");
+    assert!(among * 10 >= alone * 9, "seed {seed}: {alone} missions were completed, and {among} beside the others");
+}
