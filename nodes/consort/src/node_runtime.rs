@@ -8,7 +8,7 @@ use crate::shutdown_signals::ShutdownSignals;
 use crate::telemetry::Telemetry;
 use crate::trust::NodeCredentials;
 use crate::wiring::bus_settings;
-use crate::zenoh_panic::abort_on_zenoh_panic;
+use crate::zenoh_panic::{abort_on_zenoh_panic, accept_zenoh_panics};
 use crate::{map_loader, output, service_manager};
 use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
@@ -176,6 +176,7 @@ async fn run_until_end(
     let shutdown = async {
         end.of(node, &name).await;
         telemetry.shut_down().await;
+        accept_zenoh_panics();
         zenoh.close().await
     };
     match tokio::time::timeout(SHUTDOWN_LIMIT, shutdown).await {

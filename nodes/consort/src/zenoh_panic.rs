@@ -9,14 +9,25 @@
 use std::panic::{self, PanicHookInfo};
 use std::path::Path;
 use std::process;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Ends this process with SIGABRT after a panic in the code of Zenoh. Other panics are reported as
-/// before.
+/// True once the node has left the fleet: it needs Zenoh no longer.
+static HAS_LEFT: AtomicBool = AtomicBool::new(false);
+
+/// Lets this process end as usual after a panic in Zenoh from now on. Zenoh can panic in its threads while the
+/// session closes.
+pub(crate) fn accept_zenoh_panics() {
+    HAS_LEFT.store(true, Ordering::Relaxed);
+}
+
+/// Ends this process with SIGABRT after a panic in the code of Zenoh, until the node
+/// [has left](accept_zenoh_panics). Other panics are reported as before.
 pub(crate) fn abort_on_zenoh_panic() {
     let report = panic::take_hook();
     panic::set_hook(Box::new(move |info: &PanicHookInfo<'_>| {
         report(info);
-        if info.location().is_some_and(|location| is_in_zenoh(Path::new(location.file()))) {
+        let is_in_zenoh = info.location().is_some_and(|location| is_in_zenoh(Path::new(location.file())));
+        if is_in_zenoh && !HAS_LEFT.load(Ordering::Relaxed) {
             process::abort();
         }
     }));

@@ -117,7 +117,7 @@ fn the_demo_is_usable_without_a_mouse() {
     browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length >= 8");
     browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
     browser.wait_until("missions", "document.querySelectorAll('#missions tbody tr').length === 2");
-    browser.wait_until("nurses", "document.querySelectorAll('#people tbody tr').length === 14");
+    browser.wait_until("people", "document.querySelectorAll('#people tbody tr').length === 16");
     browser.wait_until(
         "a way ahead",
         "Object.values(consort.connection.model.robots).some((robot) => robot.route.length)",
@@ -323,7 +323,7 @@ fn a_page_shows_the_loss_of_its_node_and_reconnects() {
         Some(desk.stdout().lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
     });
     browser.open(&url);
-    browser.wait_until("seven robots", "document.querySelectorAll('#robots tbody tr').length === 7");
+    browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length === 8");
     browser.wait_until("a mission", "document.querySelectorAll('#missions tbody tr').length === 1");
     browser.wait_until("a live fleet", "document.querySelector('#connection').innerText === 'live'");
     assert_eq!(browser.value("document.querySelector('#banner').hidden"), true);
@@ -332,7 +332,7 @@ fn a_page_shows_the_loss_of_its_node_and_reconnects() {
     demo.kill();
     browser.wait_until("a banner", "/^desk is cut off.* ago/s.test(document.querySelector('#banner').innerText)");
     browser.wait_until("grey", "document.body.classList.contains('stale')");
-    assert_eq!(browser.value("document.querySelectorAll('#robots tbody tr').length"), 7);
+    assert_eq!(browser.value("document.querySelectorAll('#robots tbody tr').length"), 8);
     browser
         .wait_until("ages that grow", "/\\b([6-9]|\\d\\d) s/.test(document.querySelector('#robots tbody').innerText)");
     check_access(&browser, "cut off");
