@@ -16,6 +16,7 @@ use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
 use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, slug};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, RoleEntry};
 use consort_world::world::World;
@@ -210,8 +211,8 @@ impl Run {
         history.check_ages().map_err(|reason| violation("read_age", reason))
     }
 
-    /// Checks, when all missions have ended, that those that can be completed were, and in time. Faults
-    /// must not be the reason for anything else.
+    /// Checks, when all missions have ended, that those that can be completed were, and in time, and that no
+    /// second robot tried one that cannot.
     fn check_undisturbed_by_poison(&self, schedule: &Schedule) -> Result<(), Violation> {
         let violation = |reason| Err(self.checker.violation("undisturbed", reason, &self.fleet));
         let acknowledged = self.executor.acknowledged();
@@ -219,6 +220,15 @@ impl Run {
         for step in &schedule.steps {
             let ChaosAction::Submit { request, deadline_s, .. } = &step.action else { continue };
             (last_ms, missions) = (last_ms.max(step.at_ms), missions + 1);
+            let awards = self.fleet.events().into_iter().filter(|kind| match kind {
+                EventKind::Awarded { mission, .. } => {
+                    acknowledged.get(request).is_some_and(|id| *id == mission.as_str())
+                }
+                _ => false,
+            });
+            if step.action.is_poison() && awards.count() > 1 {
+                return violation(format!("{request} was given to robots again after no robot could do it"));
+            }
             let is_canceled = schedule
                 .steps
                 .iter()

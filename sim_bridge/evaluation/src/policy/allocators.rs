@@ -95,9 +95,9 @@ impl Allocator for OracleAllocator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::knowledge::Attributes;
     use consort_protocol::auction::{AuctionId, BidLimits, CallForBids};
     use consort_protocol::ids::{PlaceId, TaskId, TaskType};
+    use consort_protocol::knowledge::Attributes;
     use consort_protocol::mission::TaskSpec;
     use consort_protocol::plan::{LocalPlan, Step, StepAction};
     use consort_protocol::pose::Pose;
