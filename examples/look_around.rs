@@ -1,10 +1,10 @@
 //! A Consort program with an extra skill: the robot turns in four steps, with a pause after each.
 
-use consort_nodes::{cli, extensions::Extensions};
+use consort_nodes::cli;
 use consort_protocol::mission::{TaskSchema, TaskSpec, ValueKind};
 use consort_protocol::{ids::TaskType, units::Seconds};
 use consort_skills::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
-use consort_skills::{actions::Goal, bt, environment::Environment, skill};
+use consort_skills::{actions::Goal, bt, environment::Environment, extensions::Extensions, skill};
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="look_around">
   <Repeat num_cycles="4"><Sequence><Turn degrees="90"/><Wait seconds="{pause}"/></Sequence></Repeat>

@@ -3,13 +3,13 @@
 
 use consort_fleet::node::{DriverServerPart, NodeSettings};
 use consort_nodes::config::{NodeFile, StationConfig, load};
-use consort_nodes::extensions::Extensions;
 use consort_nodes::wiring::{NodeIncarnation, station_node};
 use consort_nodes::{exit::Failure, map_loader, node_runtime};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, MetresPerSecond, WorldTime};
 use consort_skills::actions::*;
+use consort_skills::extensions::Extensions;
 use std::collections::BTreeMap;
 use std::path::Path;
 

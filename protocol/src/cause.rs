@@ -1,9 +1,9 @@
-//! Classes of causes: what a failure says about further attempts.
+//! Classes of causes of failures.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What the cause of a failure says about further attempts.
+/// Class of the cause of a failure. It decides about further attempts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CauseClass {

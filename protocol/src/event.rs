@@ -192,7 +192,7 @@ pub enum EventKind {
         task: TaskId,
         /// Reason.
         cause: String,
-        /// What the reason says about further attempts.
+        /// Class of the reason.
         class: CauseClass,
     },
     /// A role sent a signal to another role.

@@ -42,11 +42,11 @@
 use crate::actions::RobotActions;
 use crate::bt::xml::read_xml;
 use crate::bt::{
-    BlackboardError, Blueprint, NodeStatus, PortType, Registry, RegistryError, Tree, TreeError, TreeInput, TreeSpec,
-    Value, join_names,
+    BlackboardError, Blueprint, NodeSpec, NodeStatus, PortType, Registry, RegistryError, Tree, TreeError, TreeInput,
+    TreeSpec, Value, join_names,
 };
 use crate::environment::Environment;
-use crate::skill::{STANDARD_SKILLS, SkillContext, StandardSkill, TaskContext, register_shared_leaves};
+use crate::skill::{STANDARD_SKILLS, SkillContext, TaskContext, register_shared_leaves};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{DomainReference, OtherDomain, TaskSpec};
@@ -63,6 +63,7 @@ pub struct SkillLibrary {
 
 /// A skill.
 struct Skill {
+    tree: TreeSpec,
     blueprint: Blueprint<TaskContext>,
     declared: DeclaredBy,
 }
@@ -127,19 +128,12 @@ impl SkillLibrary {
         for skill in &STANDARD_SKILLS {
             (skill.register_leaves)(&mut library.registry).expect(own);
         }
-        for (task_type, tree) in SkillLibrary::standard_trees() {
-            library.register(task_type, &tree).expect("standard trees are valid");
+        for skill in &STANDARD_SKILLS {
+            let task_type = TaskType::new(skill.task_type).expect("names of standard skills are slugs");
+            let file = format!("{}.xml", skill.task_type);
+            library.register_xml(task_type, &file, skill.xml).expect("standard trees are valid");
         }
         library
-    }
-
-    /// Returns the trees of the standard skills by task type, as a basis for others.
-    pub fn standard_trees() -> BTreeMap<TaskType, TreeSpec> {
-        let tree = |skill: &StandardSkill| {
-            let task_type = TaskType::new(skill.task_type).expect("names of standard skills are slugs");
-            (task_type, read_xml(&format!("{}.xml", skill.task_type), skill.xml).expect("standard trees are valid"))
-        };
-        STANDARD_SKILLS.iter().map(tree).collect()
     }
 
     /// Registers a skill, replacing any for the same task type. The task's parameters are set on
@@ -160,7 +154,7 @@ impl SkillLibrary {
         declared: DeclaredBy,
     ) -> Result<(), TreeError> {
         let blueprint = self.registry.check(tree)?;
-        self.skills.insert(task_type, Skill { blueprint, declared });
+        self.skills.insert(task_type, Skill { tree: tree.clone(), blueprint, declared });
         Ok(())
     }
 
@@ -171,6 +165,22 @@ impl SkillLibrary {
     /// file.
     pub fn register_xml(&mut self, task_type: TaskType, source: &str, xml: &str) -> Result<(), TreeError> {
         self.register(task_type, &read_xml(source, xml)?)
+    }
+
+    /// Lets every registered skill execute a leaf first, for example to inject faults.
+    ///
+    /// # Errors
+    /// [`TreeError`] if there is no such leaf, or if it has ports without a default.
+    pub fn precede_with(&mut self, leaf: &str) -> Result<(), TreeError> {
+        for skill in self.skills.values_mut() {
+            if let Some(root) = skill.tree.trees.remove(&skill.tree.main) {
+                let mut sequence = NodeSpec::new("Sequence");
+                sequence.children = vec![NodeSpec::new(leaf), root];
+                skill.tree.trees.insert(skill.tree.main.clone(), sequence);
+                skill.blueprint = self.registry.check(&skill.tree)?;
+            }
+        }
+        Ok(())
     }
 
     /// Adds leaves for trees that are registered afterwards.
@@ -206,7 +216,7 @@ impl SkillLibrary {
     /// [`SkillError`] if there is no such skill, or the task's parameters do not fit.
     pub fn load(&self, task: &TaskSpec, context: &SkillContext) -> Result<ActiveSkill, SkillError> {
         let task_type = &task.task_type;
-        let Some(Skill { blueprint, declared: DeclaredBy { results, domain } }) = self.skills.get(task_type) else {
+        let Some(Skill { blueprint, declared: DeclaredBy { results, domain }, .. }) = self.skills.get(task_type) else {
             let known = join_names(self.task_types().map(TaskType::as_str));
             return Err(SkillError::NoSkill { task_type: task_type.clone(), known });
         };
@@ -244,7 +254,7 @@ pub enum SkillStatus {
     Failed {
         /// Cause for people: the leaf that failed last, with the robot's own message, if any.
         cause: String,
-        /// What the cause says about further attempts.
+        /// Class of the cause.
         class: CauseClass,
     },
 }

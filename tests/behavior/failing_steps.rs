@@ -1,5 +1,6 @@
 //! Failing steps report what was found instead.
 
+use consort_skills::extensions::Extensions;
 use consort_tests::behavior::{FeatureOutcome, Features, RunOptions, ScenarioFilter, run};
 use std::path::PathBuf;
 
@@ -11,7 +12,11 @@ pub(super) fn run_feature(name: &str, text: &str, seed: u64) -> (FeatureOutcome,
     std::fs::write(&file, text).expect("cargo's own folder");
     let features = Features::read(&[file], &ScenarioFilter::default()).unwrap_or_else(|bad| panic!("{bad}"));
     let mut report = vec![];
-    let outcome = run(features, &RunOptions { seed, jobs: 2, steps: false, colours: false }, &mut report);
+    let outcome = run(
+        features,
+        &RunOptions { extensions: Extensions::default(), seed, jobs: 2, steps: false, colours: false },
+        &mut report,
+    );
     (outcome, String::from_utf8(report).expect("UTF-8 output"))
 }
 

@@ -1,6 +1,7 @@
 //! Invariants hold for the first seeds.
 
 use crate::{jobs, once};
+use consort_skills::workload::Workload;
 use consort_tests::chaos::{ChaosFleet, FaultKind, RunConfig, SeedSweep, generate};
 
 /// Number of seeds of open fleets: as many as some injected bugs may need.
@@ -15,7 +16,7 @@ const POISON_SEEDS: u64 = 20;
 
 /// Runs the seeds from 1 to `seeds` with open or closed fleets and these faults.
 fn everything_holds(seeds: u64, minutes: f64, closed: bool, kinds: &[FaultKind]) {
-    let order = |seed| RunConfig { seed, nodes: 7, minutes, closed, mutant: None };
+    let order = |seed| RunConfig { seed, nodes: 7, minutes, closed, mutant: None, workload: Workload::default() };
     let composition = ChaosFleet::of(7);
     let mut missions = 0;
     let found = SeedSweep {
@@ -54,7 +55,14 @@ fn a_seed_determines_a_run_to_the_byte() {
     let composition = ChaosFleet::of(5);
     let runs: Vec<_> = (11..=12)
         .map(|seed| {
-            let order = RunConfig { seed, nodes: 5, minutes: 1.0, closed: seed == 12, mutant: None };
+            let order = RunConfig {
+                seed,
+                nodes: 5,
+                minutes: 1.0,
+                closed: seed == 12,
+                mutant: None,
+                workload: Workload::default(),
+            };
             let schedule = generate(seed, &composition, 1.0, &FaultKind::FAULTS);
             let (one, other) = (once(&order, &schedule), once(&order, &schedule));
             assert_eq!(one, other, "seed {seed}");

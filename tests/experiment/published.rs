@@ -5,6 +5,7 @@ use consort_evaluation::design::shipped;
 use consort_evaluation::policy::Policy;
 use consort_evaluation::published_format;
 use consort_evaluation::travel::{MeasuredLegs, TravelModel, TravelSettings};
+use consort_skills::workload::Workload;
 use consort_tests::experiment::{ExperimentSetup, run, trials};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -44,8 +45,15 @@ fn the_fleet_assigns_the_published_robots() {
     chosen.retain(|scenario| selected.contains_key(&scenario.code));
     assert_eq!(chosen.len(), 27);
     let map = published_format::published_map(&map, "hospital_map.json").unwrap();
-    let setup =
-        ExperimentSetup::new(design, chosen, map, TravelModel::Kinematic(TravelSettings::default()), None).unwrap();
+    let setup = ExperimentSetup::new(
+        design,
+        chosen,
+        map,
+        TravelModel::Kinematic(TravelSettings::default()),
+        None,
+        Workload::default(),
+    )
+    .unwrap();
     for outcome in run(&setup, &trials(&setup), 2, |_| ()) {
         let row = outcome.row;
         let robot = row.robots.split(' ').find_map(|pair| pair.strip_prefix("r1=")).unwrap_or_default().to_owned();

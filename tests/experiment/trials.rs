@@ -5,6 +5,7 @@ use consort_evaluation::outcome::EndState;
 use consort_evaluation::policy::Policy;
 use consort_evaluation::results::{Treatment, TrialRow, write};
 use consort_evaluation::travel::TravelModel;
+use consort_skills::workload::Workload;
 use consort_tests::experiment::{ExperimentSetup, run, trials};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +19,7 @@ pub(crate) fn reduced_setup(name: &str, scenarios_max: usize, change: impl FnOnc
     chosen = chosen.into_iter().step_by(step).take(scenarios_max).collect();
     let map = consort_world::map::shipped(&design.map).unwrap();
     let travel = TravelModel::Kinematic(design.travel.clone());
-    ExperimentSetup::new(design, chosen, map, travel, None).unwrap()
+    ExperimentSetup::new(design, chosen, map, travel, None, Workload::default()).unwrap()
 }
 
 pub(crate) fn rows(setup: &ExperimentSetup, jobs: usize) -> Vec<TrialRow> {
@@ -146,7 +147,7 @@ fn an_unknown_place_is_reported_before_any_trial() {
     chosen[0].levels = FactorLevels::default();
     let map = consort_world::map::shipped("hospital").unwrap();
     let travel = TravelModel::Kinematic(design.travel.clone());
-    let violations = ExperimentSetup::new(design, chosen, map, travel, None).err().unwrap();
+    let violations = ExperimentSetup::new(design, chosen, map, travel, None, Workload::default()).err().unwrap();
     assert_eq!(
         violations.0,
         ["scenario aaaaa, r1: there is no place \"IC Rom 1\" on map hospital; did you mean \"IC Room 1\"?"]

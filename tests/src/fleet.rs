@@ -16,8 +16,9 @@ use consort_protocol::keys::Keys;
 use consort_protocol::trust::AccessScope;
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
-use consort_skills::domain::{standard_descriptors, standard_library, task_types_with};
+use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::domain_file::DomainFile;
+use consort_skills::extensions::Extensions;
 use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
@@ -83,8 +84,8 @@ pub(crate) struct NodeOptions {
     pub(crate) date_ms: u64,
     /// World seconds per second of node time.
     pub(crate) world_speed: f64,
-    /// Domain files besides the shipped one.
-    pub(crate) domains: Vec<DomainFile>,
+    /// Domain files and skills in addition to the standard domain.
+    pub(crate) extensions: Extensions,
 }
 
 impl Default for NodeOptions {
@@ -96,7 +97,7 @@ impl Default for NodeOptions {
             signatures: None,
             date_ms: 0,
             world_speed: 10.0,
-            domains: vec![],
+            extensions: Extensions::default(),
         }
     }
 }
@@ -123,6 +124,11 @@ pub(crate) fn nurse_in(room: &str) -> PersonSetup {
     }
 }
 
+/// Returns such a nurse for each room.
+pub(crate) fn nurses_in(rooms: &[&str]) -> Vec<PersonSetup> {
+    rooms.iter().map(|room| nurse_in(room)).collect()
+}
+
 impl Fleet {
     /// Starts the hospital with a nurse in each named room, an arm in the laboratory, these mobile
     /// robots, and a station per name in `stations`. World time runs ten times as fast as node
@@ -144,13 +150,13 @@ impl Fleet {
         adjust: AdjustNode,
     ) -> Fleet {
         let options = NodeOptions { adjust, ..NodeOptions::default() };
-        Fleet::hospital_with(seed, members, stations, rooms, options).await
+        Fleet::hospital_with(seed, members, stations, nurses_in(rooms), options).await
     }
 
     /// Starts the same hospital with certificates; nodes sign their messages.
     pub async fn closed_hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
         let options = NodeOptions { signatures: Some(Signatures::Ed25519), ..NodeOptions::default() };
-        Fleet::hospital_with(seed, members, stations, rooms, options).await
+        Fleet::hospital_with(seed, members, stations, nurses_in(rooms), options).await
     }
 
     /// Starts the same hospital, whose robots have the actions, readings and tasks of a domain, too.
@@ -160,8 +166,9 @@ impl Fleet {
         stations: &[&str],
         domain: DomainFile,
     ) -> Fleet {
-        let options = NodeOptions { domains: vec![domain], ..NodeOptions::default() };
-        Fleet::hospital_with(seed, members, stations, &[], options).await
+        let extensions = Extensions::default().with_domain("domain.yaml", domain);
+        let options = NodeOptions { extensions, ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, vec![], options).await
     }
 
     /// Starts the hospital, open or closed.
@@ -169,23 +176,18 @@ impl Fleet {
         seed: u64,
         mut members: Vec<RobotSpec>,
         stations: &[&str],
-        rooms: &[&str],
+        people: Vec<PersonSetup>,
         options: NodeOptions,
     ) -> Fleet {
         if members.iter().all(|member| member.speed.is_some()) {
             members.push(RobotSpec::arm("lab-arm", "Laboratory"));
         }
         let map = map::shipped("hospital").expect("the shipped map is sound");
-        let mut setup = WorldSetup::new(map, seed);
-        for domain in &options.domains {
-            setup = setup.domain(domain);
-        }
+        let mut setup = options.extensions.files().fold(WorldSetup::new(map, seed), WorldSetup::domain);
         for member in &members {
             setup = setup.robot(member.robot_body());
         }
-        for room in rooms {
-            setup = setup.person(nurse_in(room));
-        }
+        setup = people.into_iter().fold(setup, WorldSetup::person);
         let world = SharedWorld::new(World::new(setup).expect("a valid world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
         let ensembles = vec![logistics(&["operate_drawer", "pick_up"])];
@@ -200,7 +202,7 @@ impl Fleet {
         let present = members.iter().filter(|member| !member.starts_later).count();
         let mut settings = ward(ensembles, present + stations.len());
         let places = world.with(|world| world.map().topology().places);
-        let task_types = task_types_with(&options.domains).with_places(places.into_keys());
+        let task_types = options.extensions.domain().with_places(places.into_keys());
         settings.domain = Arc::new(task_types.with_ensembles(settings.ensembles.names().cloned()));
         let client = network.bus(slug("client"));
         let credentials =
@@ -271,12 +273,9 @@ impl Fleet {
         let robot = self.world.with(|world| {
             let map = world.map();
             let environment = map.environment().expect("the shipped map is sound");
-            let mut library = standard_library(environment.clone());
-            let mut descriptors = standard_descriptors();
-            for domain in &self.options.domains {
-                domain.extend_library(&mut library).expect("its names are unique");
-                descriptors = domain.extend_descriptors(descriptors);
-            }
+            let extensions = self.options.extensions;
+            let mut library = extensions.library(environment.clone()).expect("its names are unique");
+            let descriptors = extensions.descriptors(DescriptorRegistry::standard());
             if let Some(train) = member.customize_library {
                 train(&mut library);
             }

@@ -9,6 +9,7 @@ pub(crate) mod disk;
 mod event_log;
 pub mod example_files;
 pub mod experiment;
+mod failing_domain;
 mod fleet;
 pub mod history;
 pub mod host_network;
@@ -20,6 +21,7 @@ mod ward;
 
 pub use credentials::{Credentials, Signatures};
 pub use event_log::{EventLog, Observation, RoleInterval};
+pub use failing_domain::{FAILING_TASKS, failing_domain};
 pub(crate) use fleet::AdjustNode;
 pub use fleet::Fleet;
 pub use robot_spec::RobotSpec;

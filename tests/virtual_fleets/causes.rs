@@ -4,40 +4,17 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
-use consort_protocol::yaml;
-use consort_skills::domain_file::DomainFile;
-use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_tests::{FAILING_TASKS, Fleet, RobotSpec, failing_domain, for_each_seed, slug};
 use serde_json::json;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 const SEEDS: [u64; 2] = [911, 912];
 
-/// Actions that always fail, each for a cause of another class.
-const DOMAIN: &str = r#"
-domain: failing
-actions:
-  fail_robot: { failures: { worn: { class: robot } }, simulate: { failures: { worn: 1.0 } } }
-  fail_task: { failures: { forbidden: { class: task } }, simulate: { failures: { forbidden: 1.0 } } }
-  fail_transient: { failures: { jammed: { class: transient } }, simulate: { failures: { jammed: 1.0 } } }
-  fail_precondition: { failures: { no_tool: { class: precondition } }, simulate: { failures: { no_tool: 1.0 } } }
-tasks:
-  fail_robot: { action: fail_robot }
-  fail_task: { action: fail_task }
-  fail_transient: { action: fail_transient }
-  fail_precondition: { action: fail_precondition }
-"#;
-
-const TASKS: [&str; 4] = ["fail_robot", "fail_task", "fail_transient", "fail_precondition"];
-
-fn domain() -> DomainFile {
-    DomainFile::check(yaml::parse(DOMAIN).unwrap(), &BTreeMap::new(), &[]).unwrap()
-}
-
 /// Starts a fleet of three robots with all tasks.
 async fn fleet(seed: u64) -> Fleet {
-    let robot = |name| RobotSpec::carrier(name, "Dock").with_skills(&TASKS).with_skill("operate_drawer");
+    let robot = |name| RobotSpec::carrier(name, "Dock").with_skills(&FAILING_TASKS).with_skill("operate_drawer");
     let robots = ["amber", "birch", "cedar"].map(robot).to_vec();
-    let mut fleet = Fleet::hospital_of_domain(seed, robots, &["post"], domain()).await;
+    let mut fleet = Fleet::hospital_of_domain(seed, robots, &["post"], failing_domain()).await;
     fleet.wait_for_coordinator().await;
     fleet
 }
@@ -47,7 +24,7 @@ async fn submit(fleet: &Fleet, task: &str) -> MissionId {
         "mission": "try", "roles": { "r1": { "kind": "managed" } },
         "root": { "task": "it", "type": task, "roles": ["r1"], "attempts": 2 },
     });
-    let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission, "request": task })).await;
+    let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
 }
 
@@ -64,48 +41,29 @@ async fn failure(fleet: &mut Fleet, task: &str) -> (String, usize, BTreeSet<Robo
     (cause, attempts, fleet.events().into_iter().filter_map(awarded).flatten().collect())
 }
 
-/// The mission fails with the first attempt of the first robot. All robots are free for the next one.
+/// Of three robots and a mission that allows two attempts:
+///
+/// - a task that no robot can do is tried once;
+/// - each robot tries twice where another robot may succeed;
+/// - each robot tries once if it lacks what the task needs;
+/// - a transient cause is tried four times by each robot, which may get the role again, and the robots give it up
+///   five times.
+///
+/// Afterwards all robots are free.
 #[test]
-fn a_task_that_no_robot_can_do_fails_at_once() {
+fn the_class_of_the_cause_bounds_the_attempts_of_all_robots() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
-        for round in 0..2 {
-            let (cause, attempts, robots) = failure(&mut fleet, "fail_task").await;
-            assert_eq!((attempts, robots.len()), (1, 1), "seed {seed}, round {round}: {cause}");
-            assert!(cause.contains("could not do it: fail_task: failed: forbidden: "), "seed {seed}: {cause}");
+        for (task, attempts, robots, expected) in [
+            ("fail_task", 1, 1, " as r1 could not do it: fail_task: failed: forbidden: "),
+            ("fail_robot", 6, 3, "no robot is left for r1: "),
+            ("fail_precondition", 3, 3, "no robot is left for r1: "),
+            ("fail_transient", 20, 3, "its roles were given up 5 times: "),
+            ("fail_task", 1, 1, " as r1 could not do it: fail_task: failed: forbidden: "),
+        ] {
+            let (cause, tried, by) = failure(&mut fleet, task).await;
+            assert_eq!((tried, by.len()), (attempts, robots), "seed {seed}, {task}: {cause}");
+            assert!(cause.contains(expected), "seed {seed}, {task}: {cause}");
         }
-    });
-}
-
-/// Each robot tries as often as the mission allows.
-#[test]
-fn another_robot_may_succeed_where_a_robot_failed() {
-    for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
-        let (cause, attempts, robots) = failure(&mut fleet, "fail_robot").await;
-        assert_eq!((attempts, robots.len()), (6, 3), "seed {seed}: {cause}");
-        assert!(cause.starts_with("no robot is left for r1: "), "seed {seed}: {cause}");
-    });
-}
-
-/// A robot without what the task needs does not try again; each other robot tries once.
-#[test]
-fn a_missing_precondition_is_not_tried_again() {
-    for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
-        let (cause, attempts, robots) = failure(&mut fleet, "fail_precondition").await;
-        assert_eq!((attempts, robots.len()), (3, 3), "seed {seed}: {cause}");
-    });
-}
-
-/// Robots try four times each, although the mission allows two attempts, and may get the role again. All
-/// robots together give it up five times.
-#[test]
-fn transient_failures_are_bounded_over_all_robots() {
-    for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
-        let (cause, attempts, robots) = failure(&mut fleet, "fail_transient").await;
-        assert_eq!((attempts, robots.len()), (20, 3), "seed {seed}: {cause}");
-        assert!(cause.starts_with("its roles were given up 5 times: "), "seed {seed}: {cause}");
     });
 }

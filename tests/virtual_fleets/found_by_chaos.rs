@@ -1,6 +1,7 @@
 //! Bugs found by chaos, each reduced to a minimal schedule. Each schedule violated an invariant
 //! once.
 
+use consort_skills::workload::Workload;
 use consort_tests::chaos::{RunConfig, Schedule, run};
 
 /// Asserts that all invariants hold under this schedule.
@@ -15,7 +16,8 @@ fn holds_closed(seed: u64, minutes: f64, schedule: &str) {
 
 fn holds_in(seed: u64, minutes: f64, closed: bool, schedule: &str) {
     let schedule: Schedule = serde_json::from_str(schedule).expect("a schedule");
-    let outcome = run(&RunConfig { seed, nodes: 7, minutes, closed, mutant: None }, &schedule);
+    let outcome =
+        run(&RunConfig { seed, nodes: 7, minutes, closed, mutant: None, workload: Workload::default() }, &schedule);
     if let Some(violation) = outcome.violation {
         let events = violation.events_before.join("\n");
         panic!("seed {seed}: {}: {}\n{events}\n{schedule}", violation.invariant, violation.reason);

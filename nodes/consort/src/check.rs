@@ -2,7 +2,6 @@
 
 use crate::config::{self, FleetConfig, NodeFile, RobotConfig, StationConfig, WorldConfig, load_unchecked};
 use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::extensions::Extensions;
 use crate::{domains, inputs, map_loader, wiring};
 use consort_map_import::MapFormat;
 use consort_protocol::ids::RoleId;
@@ -14,6 +13,7 @@ use consort_skills::bt::xml::read_xml;
 use consort_skills::bt::{NodeOrigin, TreeError, report_nodes};
 use consort_skills::descriptor::Calibration;
 use consort_skills::environment::Environment;
+use consort_skills::extensions::Extensions;
 use consort_text::count;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -120,7 +120,7 @@ fn check_kind(
             Ok(format!("{}, {}", count(places, "place", "places"), count(ways, "way", "ways")))
         }
         FileKind::Fleet => {
-            let extensions = extensions.with_domains(&load_unchecked::<FleetConfig>(path)?.domains)?;
+            let extensions = domains::with_files(extensions, &load_unchecked::<FleetConfig>(path)?.domains)?;
             let fleet: FleetConfig = config::load(path, &extensions.domain())?;
             wiring::fleet_settings(&fleet, extensions)?;
             wiring::fleet_skill_resources(&fleet, extensions)?;
@@ -150,7 +150,7 @@ fn check_kind(
         }
         FileKind::Tree => tree(text, file, extensions),
         FileKind::Domain => {
-            let domain = domains::parse(path, text, &[])?;
+            let domain = domains::parse(path, text, Extensions::default())?;
             let (actions, tasks) = (domain.actions().count(), domain.task_types().count());
             let (actions, tasks) = (count(actions, "action", "actions"), count(tasks, "task type", "task types"));
             let readings = match domain.reading_forms().count() {
@@ -177,7 +177,7 @@ pub(crate) fn node_file<C: NodeFile>(
 ) -> Result<(C, FleetConfig, Extensions), Diagnostics> {
     let mut unchecked: C = load_unchecked(path)?;
     let fleet = unchecked.common_mut().fleet.resolve_unchecked()?;
-    let extensions = extensions.with_domains(&fleet.domains)?;
+    let extensions = domains::with_files(extensions, &fleet.domains)?;
     let domain = extensions.domain();
     let mut node: C = config::load(path, &domain)?;
     let fleet = node.common_mut().fleet.resolve(&domain)?;
@@ -189,7 +189,7 @@ pub(crate) fn node_file<C: NodeFile>(
 fn tree(text: &str, file: &str, extensions: Extensions) -> Result<String, Diagnostics> {
     let in_file = |problem: &TreeError| Diagnostics::from(Diagnostic::for_file("", problem));
     let spec = read_xml(file, text).map_err(|problem| in_file(&problem))?;
-    let library = extensions.library(Environment::new())?;
+    let library = extensions.library(Environment::new()).map_err(domains::diagnostic)?;
     let nodes = report_nodes(&spec, library.registry());
     let unknown = nodes.iter().filter_map(|node| match &node.origin {
         NodeOrigin::Unknown { nearest } => {

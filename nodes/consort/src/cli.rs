@@ -6,10 +6,11 @@ use crate::command::{
     upgrade, watch, world,
 };
 use crate::demo;
+use crate::domains;
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::output;
 use clap::{CommandFactory, Parser, Subcommand};
+use consort_skills::extensions::Extensions;
 use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -101,7 +102,7 @@ pub fn run() -> ExitCode {
 /// Runs a program with additional skills. The first of `args` is the program's name.
 pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = Cli::parse_from(args);
-    let extensions = match extensions.with_domains(&cli.domains) {
+    let extensions = match domains::with_files(extensions, &cli.domains) {
         Ok(extensions) => extensions,
         Err(problems) => return output::exit_code("consort", Err(Failure::from(problems))),
     };

@@ -2,37 +2,19 @@
 
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::inputs;
+use consort_driver::Contract;
 use consort_protocol::mission::FILE_BYTES_MAX;
 use consort_protocol::yaml;
-use consort_skills::domain::shipped_domain;
 use consort_skills::domain_file::{DomainFile, DomainForm};
+use consort_skills::extensions::{ExtensionError, Extensions};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A domain with its file.
-#[derive(Debug, Clone)]
-pub struct LoadedDomain {
-    /// The file.
-    pub path: PathBuf,
-    /// The domain.
-    pub domain: DomainFile,
-}
-
-/// Reads a domain file and the trees that it names. It is used with the `known` domains.
-///
-/// # Errors
-/// [`Diagnostics`] with every problem of the files.
-fn load(path: &Path, known: &[LoadedDomain]) -> Result<LoadedDomain, Diagnostics> {
-    let known: Vec<&DomainFile> = known.iter().map(|loaded| &loaded.domain).collect();
-    let domain = parse(path, &inputs::read_text(path)?, &known)?;
-    Ok(LoadedDomain { path: path.to_owned(), domain })
-}
-
-/// Checks the text of a domain file, with the trees beside it and the `known` domains.
+/// Checks the text of a domain file that is used with these extensions, and the trees beside it.
 ///
 /// # Errors
 /// [`Diagnostics`] with every problem.
-pub(crate) fn parse(path: &Path, text: &str, known: &[&DomainFile]) -> Result<DomainFile, Diagnostics> {
+pub(crate) fn parse(path: &Path, text: &str, extensions: Extensions) -> Result<DomainFile, Diagnostics> {
     let file = path.display().to_string();
     if text.len() > FILE_BYTES_MAX {
         let what = format!("the domain file has {} bytes; at most {FILE_BYTES_MAX} are allowed", text.len());
@@ -42,26 +24,32 @@ pub(crate) fn parse(path: &Path, text: &str, known: &[&DomainFile]) -> Result<Do
     let folder = path.parent().unwrap_or(Path::new("."));
     let tree = |name: &str| Ok((name.to_owned(), inputs::read_text(&folder.join(name))?));
     let trees = form.tree_files().map(tree).collect::<Result<BTreeMap<_, _>, Diagnostics>>()?;
-    let known: Vec<&DomainFile> = [shipped_domain()].into_iter().chain(known.iter().copied()).collect();
+    let known: Vec<&DomainFile> = extensions.all_files().collect();
     DomainFile::check(form, &trees, &known)
         .map_err(|problems| Diagnostics(problems.iter().map(|problem| Diagnostic::for_file(&file, problem)).collect()))
 }
 
-/// Reads domain files in addition to those already read, unless they are among them. They are kept until
-/// the program ends.
+/// Returns the extensions with more domain files. Files that are already among them are left out.
 ///
 /// # Errors
 /// [`Diagnostics`] of the files.
-pub(crate) fn load_more(
-    already: &'static [LoadedDomain],
-    paths: &[PathBuf],
-) -> Result<&'static [LoadedDomain], Diagnostics> {
-    let mut loaded = already.to_vec();
-    for path in paths {
+pub fn with_files(extensions: Extensions, paths: &[PathBuf]) -> Result<Extensions, Diagnostics> {
+    paths.iter().try_fold(extensions, |extensions, path| {
         let file = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
-        if !loaded.iter().any(|other| file(&other.path) == file(path)) {
-            loaded.push(load(path, &loaded)?);
+        if extensions.domains.iter().any(|other| file(&other.path) == file(path)) {
+            return Ok(extensions);
         }
-    }
-    Ok(loaded.leak())
+        let domain = parse(path, &inputs::read_text(path)?, extensions)?;
+        Ok(extensions.with_domain(path, domain))
+    })
+}
+
+/// Returns the actions that drivers may offer, and the readings that they may send.
+pub(crate) fn driver_contract(extensions: Extensions) -> Contract {
+    Contract::new(extensions.all_files())
+}
+
+/// Returns the diagnostic of an extension.
+pub(crate) fn diagnostic(error: ExtensionError) -> Diagnostic {
+    Diagnostic::for_file(error.source_name, error.problem)
 }

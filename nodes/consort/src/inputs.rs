@@ -45,7 +45,7 @@ pub fn mission(name: &str, people: &[RoleId]) -> Result<MissionDocument, Diagnos
 ///
 /// # Errors
 /// See [`mission`].
-pub(crate) fn mission_request(name: &str, people: &[RoleId]) -> Result<SubmitRequest, Diagnostics> {
+pub fn mission_request(name: &str, people: &[RoleId]) -> Result<SubmitRequest, Diagnostics> {
     if shipped().contains_key(name) {
         mission(name, people)?;
         return Ok(SubmitRequest::of(MissionSource::Shipped(name.to_owned())));

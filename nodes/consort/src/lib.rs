@@ -16,7 +16,6 @@ pub(crate) mod doctor;
 pub mod domains;
 pub(crate) mod dry_run;
 pub mod exit;
-pub mod extensions;
 mod file;
 pub mod inputs;
 mod lab_program;

@@ -58,8 +58,8 @@ pub(crate) fn finish_recording(world: &SharedWorld, mut report: impl FnMut(&str)
 mod tests {
     use super::*;
     use crate::config::{FleetConfig, WorldConfig};
-    use crate::extensions::Extensions;
     use crate::wiring::build_world;
+    use consort_skills::extensions::Extensions;
 
     #[test]
     fn a_world_without_the_options_has_no_recorder() {

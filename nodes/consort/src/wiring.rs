@@ -3,7 +3,7 @@
 
 use crate::config::{self, BusConfig, FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::extensions::Extensions;
+use crate::domains;
 use crate::map_loader;
 use consort_bus::ZenohSettings;
 use consort_bus::clock::Clock;
@@ -26,6 +26,7 @@ use consort_raft::StoreIdentity;
 use consort_raft::store::{DurableStore, NodeStore, Quarantine, StoreOwner};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, ESTIMATOR_VERSION, Estimator};
 use consort_skills::environment::{Environment, Passages, Routes};
+use consort_skills::extensions::Extensions;
 use consort_skills::library::SkillLibrary;
 use consort_text::AllowedNames;
 use consort_world::SharedWorld;
@@ -165,7 +166,7 @@ pub(crate) fn skill_resources(floor: &LoadedMap, extensions: Extensions) -> Resu
     let environment = Environment::new().with(routes).with(passages);
     let estimator = extensions.descriptors(DescriptorRegistry::standard()).resolve(environment.clone());
     let estimator = estimator.map_err(|problem| Diagnostic::for_file("", problem))?;
-    let library = Arc::new(extensions.library(environment)?);
+    let library = Arc::new(extensions.library(environment).map_err(domains::diagnostic)?);
     let domain = Arc::new(extensions.domain().with_places(topology.places.keys().cloned()));
     Ok(SkillResources { domain, places: topology.places.clone(), estimator: Arc::new(estimator), library })
 }
@@ -242,7 +243,7 @@ fn process_driver(
         charge: robot.battery,
         places: equipment.places.clone(),
     };
-    let driver = ProcessDriver::new(start, endpoint, extensions.driver_contract());
+    let driver = ProcessDriver::new(start, endpoint, domains::driver_contract(extensions));
     Ok(DriverServerPart { world: Box::new(driver), speed: 1.0 })
 }
 
@@ -320,22 +321,19 @@ pub(crate) fn build_world(
         return Err(Diagnostic::for_file(name, what).into());
     };
     let setup = WorldSetup {
-        map,
         robots: world.robot.clone(),
         people: world.person.clone(),
         objects: world.object.clone(),
         doors: world.door.clone(),
         obstacles: world.obstacle.clone(),
-        seed: world.seed,
         durations: world.durations,
-        actions: extensions.simulated_actions(),
-        readings: extensions.readings(),
         limits: world.limits,
         systems: world.systems.clone(),
         step_s: world.step_s,
         wind: world.wind,
+        ..WorldSetup::new(map, world.seed)
     };
-    World::new(setup)
+    World::new(extensions.files().fold(setup, WorldSetup::domain))
         .map_err(|errors| Diagnostics(errors.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
 }
 

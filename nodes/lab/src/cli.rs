@@ -3,6 +3,8 @@
 use crate::command::{bench, chaos, check, experiment, png, schema, soak, test};
 use clap::{Parser, Subcommand};
 use consort_nodes::output::exit_code;
+use consort_skills::extensions::Extensions;
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 /// The laboratory of Consort: fault injection, behavior tests, evaluations and benchmarks.
@@ -28,6 +30,9 @@ Examples:
   # required behavior, in plain text
   consort-lab test tests/features
 
+  # a mission and a domain of your own under faults
+  consort-lab chaos --domain examples/plants/domain.yaml --mission examples/plants/rounds.yaml --seeds 1..20
+
   # the published evaluation: 1296 trials
   consort-lab experiment run published --out results
 
@@ -49,15 +54,20 @@ enum Command {
 
 /// Runs the program.
 pub fn run() -> ExitCode {
+    run_with(Extensions::default(), std::env::args_os())
+}
+
+/// Runs a program with additional skills. The first of `args` is the program's name.
+pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>) -> ExitCode {
     exit_code(
         "consort-lab",
-        match Cli::parse().command {
-            Command::Chaos(args) => chaos::run(&args),
+        match Cli::parse_from(args).command {
+            Command::Chaos(args) => chaos::run(args, extensions),
             Command::Soak(args) => soak::run(&args),
-            Command::Test(args) => test::run(args),
-            Command::Experiment(args) => experiment::run(&args),
+            Command::Test(args) => test::run(args, extensions),
+            Command::Experiment(args) => experiment::run(&args, extensions),
             Command::Bench(args) => bench::run(args),
-            Command::Check(args) => check::run(&args),
+            Command::Check(args) => check::run(&args, extensions),
             Command::Schema(args) => schema::run(&args),
             Command::Png(args) => png::run(&args),
         },

@@ -7,6 +7,7 @@ use consort_nodes::diagnostic::{Diagnostic, Diagnostics};
 use consort_nodes::inputs::read_text;
 use consort_nodes::map_loader;
 use consort_skills::descriptor::Calibration;
+use consort_skills::workload::Workload;
 use consort_tests::experiment::ExperimentSetup;
 use consort_world::map::{self, Map};
 use std::fmt::Display;
@@ -23,6 +24,8 @@ pub(crate) struct Evaluation {
     pub(crate) map: Map,
     /// Durations of drives.
     pub(crate) travel: TravelModel,
+    /// Missions of the user, and extensions.
+    pub(crate) workload: Workload,
 }
 
 /// Files that override the design.
@@ -37,11 +40,17 @@ pub(crate) struct InputOverrides<'a> {
 }
 
 impl Evaluation {
-    /// Reads the files that a design references.
+    /// Checks a design, and reads the files that it references.
     ///
     /// # Errors
-    /// [`Diagnostics`] of a referenced file.
-    pub(crate) fn load(design: Design, instead: &InputOverrides<'_>) -> Result<Evaluation, Diagnostics> {
+    /// [`Diagnostics`] of the design, without its file's name, or of a referenced file.
+    pub(crate) fn load(
+        design: Design,
+        instead: &InputOverrides<'_>,
+        workload: Workload,
+    ) -> Result<Evaluation, Diagnostics> {
+        let problems = design.validation_errors(&workload);
+        Diagnostics::into_result(problems.into_iter().map(|problem| Diagnostic::for_file("", problem)).collect())?;
         let scenarios = match instead.scenarios {
             Some(file) => {
                 published_format::scenarios(&read_text(file)?, &design).map_err(|problem| wrong(file, problem))?
@@ -56,7 +65,7 @@ impl Evaluation {
             Some(file) => TravelModel::Empirical(load_legs(file)?),
             None => TravelModel::Kinematic(design.travel.clone()),
         };
-        Ok(Evaluation { design, scenarios, map, travel })
+        Ok(Evaluation { design, scenarios, map, travel, workload })
     }
 
     /// Creates the fixture for trials of a design based on this evaluation, with learned
@@ -69,8 +78,8 @@ impl Evaluation {
         design: Design,
         calibration: Option<Arc<Calibration>>,
     ) -> Result<ExperimentSetup, Diagnostics> {
-        let set =
-            ExperimentSetup::new(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), calibration);
+        let (scenarios, map, travel) = (self.scenarios.clone(), self.map.clone(), self.travel.clone());
+        let set = ExperimentSetup::new(design, scenarios, map, travel, calibration, self.workload.clone());
         set.map_err(|error| Diagnostics(error.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
     }
 }

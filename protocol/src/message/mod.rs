@@ -217,7 +217,7 @@ pub struct TaskFailure {
     pub cause: String,
     /// Kind of failure.
     pub kind: FailureKind,
-    /// What the cause says about further attempts.
+    /// Class of the cause.
     pub class: CauseClass,
     /// True if the robot has certainly moved no item in steps that it has not reported as ended.
     pub moved_nothing: bool,

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub struct ActionError {
     /// Code, for programs.
     pub code: ErrorCode,
-    /// What the failure says about further attempts.
+    /// Class of the failure.
     pub class: CauseClass,
     /// True if the goal has certainly moved no item.
     pub moved_nothing: bool,

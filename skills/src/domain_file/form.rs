@@ -78,7 +78,7 @@ pub struct ActionForm {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FailureForm {
-    /// What the reason says about further attempts. Default `robot`.
+    /// Class of the reason. Default `robot`.
     pub class: CauseClass,
     /// Description for people.
     pub description: String,

@@ -5,10 +5,10 @@ use consort_evaluation::design;
 use consort_evaluation::{results, travel};
 use consort_lab::design_file::DesignFile;
 use consort_nodes::config::{ConfigFile, FleetConfig, RobotConfig, StationConfig, WorldConfig, from_text, to_toml};
-use consort_nodes::extensions::Extensions;
 use consort_nodes::inputs;
 use consort_protocol::mission::Domain;
 use consort_skills::descriptor::Calibration;
+use consort_skills::extensions::Extensions;
 use consort_tests::chaos::Schedule;
 
 fn domain() -> Domain {

@@ -9,6 +9,7 @@ use crate::ward::logistics;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::units::WorldTime;
 use consort_skills::actions::{GoalId, RobotBackend};
+use consort_skills::extensions::Extensions;
 use consort_world::SharedWorld;
 use consort_world::world::{LoggedEvent, World};
 use futures::future::LocalBoxFuture;
@@ -77,9 +78,9 @@ pub(super) struct PlannedAction {
 
 impl Fixture {
     /// Creates the fixture of an empty scenario.
-    pub(super) fn new(folder: PathBuf, seed: u64) -> Fixture {
+    pub(super) fn new(folder: PathBuf, seed: u64, extensions: Extensions) -> Fixture {
         Fixture {
-            setup: ScenarioSetup::new(folder, seed),
+            setup: ScenarioSetup::new(folder, seed, extensions),
             running: None,
             planned: vec![],
             missions: vec![],
@@ -151,7 +152,7 @@ impl Fixture {
                 world: running.world.clone(),
                 speed: self.setup.speed,
                 ensembles,
-                options: NodeOptions { domains: self.setup.domains.clone(), ..NodeOptions::default() },
+                options: NodeOptions { extensions: self.setup.extensions, ..NodeOptions::default() },
             };
             running.nodes_since_s = running.world.now().as_secs();
             running.fleet = Some(Fleet::from_setup(fleet_setup).await);

@@ -4,7 +4,7 @@ use super::fixture::Fixture;
 use super::scenario_setup::coordinates;
 use super::step_arguments::{StepArguments, name};
 use super::step_pattern::{FactStep, fact};
-use super::step_result::{StepFailure, expect_that};
+use super::step_result::{StepFailure, StepResult, expect_that};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{GoalStatus, RobotBackend, Telemetry};
@@ -273,25 +273,21 @@ fn reading_is() -> FactStep {
 }
 
 fn reading_is_at_least() -> FactStep {
-    fact(
-        "the reading {text} of {name} is at least {number}",
-        r#"the reading "bag_g" of amber is at least 5"#,
-        |fixture, arguments| {
-            let reading = number_of_reading(fixture, arguments)?;
-            expect_that(reading >= arguments.number(2), || format!("it is {reading}"))
-        },
-    )
+    let (pattern, example) =
+        ("the reading {text} of {name} is at least {number}", r#"the reading "bag_g" of amber is at least 5"#);
+    fact(pattern, example, |fixture, arguments| compare_reading(fixture, arguments, f64::ge))
 }
 
 fn reading_is_at_most() -> FactStep {
-    fact(
-        "the reading {text} of {name} is at most {number}",
-        r#"the reading "bag_g" of amber is at most 5"#,
-        |fixture, arguments| {
-            let reading = number_of_reading(fixture, arguments)?;
-            expect_that(reading <= arguments.number(2), || format!("it is {reading}"))
-        },
-    )
+    let (pattern, example) =
+        ("the reading {text} of {name} is at most {number}", r#"the reading "bag_g" of amber is at most 5"#);
+    fact(pattern, example, |fixture, arguments| compare_reading(fixture, arguments, f64::le))
+}
+
+/// Compares the number of a reading with the third argument.
+fn compare_reading(fixture: &Fixture, arguments: &StepArguments, holds: fn(&f64, &f64) -> bool) -> StepResult {
+    let reading = number_of_reading(fixture, arguments)?;
+    expect_that(holds(&reading, &arguments.number(2)), || format!("it is {reading}"))
 }
 
 /// Returns a reading; its name is the first argument, its robot the second.

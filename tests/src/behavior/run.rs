@@ -6,6 +6,7 @@ use super::fixture::Fixture;
 use super::report::{FeatureOutcome, Report};
 use super::step_registry::StepRegistry;
 use super::step_result::StepFailure;
+use consort_skills::extensions::Extensions;
 use cucumber::event::ScenarioFinished;
 use cucumber::gherkin::{Feature, Step};
 use cucumber::step::{Collection, Context};
@@ -27,6 +28,8 @@ const EVENT_LINES_MAX: usize = 40;
 
 /// Options of a run.
 pub struct RunOptions {
+    /// Domain files and skills of all scenarios, in addition to the standard domain.
+    pub extensions: Extensions,
     /// Seed of scenarios that set none.
     pub seed: u64,
     /// Number of parallel scenarios.
@@ -42,12 +45,12 @@ pub fn run(features: Features, options: &RunOptions, out: impl Write) -> Feature
     let steps = Collection::new();
     let any = || Regex::new(".*").expect("a sound pattern");
     let steps = steps.given(None, any(), perform).when(None, any(), perform).then(None, any(), perform);
-    let seed = options.seed;
+    let (seed, extensions) = (options.seed, options.extensions);
     let runner = runner::Basic::<ScenarioThread>::default()
         .max_concurrent_scenarios(Some(options.jobs.max(1)))
         .steps(steps)
         .before(move |feature, _, _, thread_handle: &mut ScenarioThread| {
-            thread_handle.open(feature, seed);
+            thread_handle.open(feature, seed, extensions);
             futures::future::ready(()).boxed_local()
         })
         .after(|_, _, _, finished, thread_handle| {
@@ -100,22 +103,22 @@ impl World for ScenarioThread {
 }
 
 impl ScenarioThread {
-    fn open(&mut self, feature: &Feature, seed: u64) {
+    fn open(&mut self, feature: &Feature, seed: u64, extensions: Extensions) {
         let folder = feature.path.as_ref().and_then(|path| path.parent()).map_or(PathBuf::new(), PathBuf::from);
         let (sender, jobs) = mpsc::channel();
         let thread = thread::Builder::new().name("scenario".to_owned());
-        thread.spawn(move || run_scenario(folder, seed, &jobs)).expect("a thread can be started");
+        thread.spawn(move || run_scenario(folder, seed, extensions, &jobs)).expect("a thread can be started");
         self.0 = Some(sender);
     }
 }
 
 /// Executes the steps of a scenario. No time passes between two steps.
-fn run_scenario(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
+fn run_scenario(folder: PathBuf, seed: u64, extensions: Extensions, jobs: &mpsc::Receiver<Job>) {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O");
     // The clock of the runtime is also read between steps.
     let _entered = runtime.enter();
-    let mut fixture = Fixture::new(folder, seed);
+    let mut fixture = Fixture::new(folder, seed, extensions);
     for Job(step, answer) in jobs {
         let Some(step) = step else {
             // The receiver may be gone; the result is not needed then.

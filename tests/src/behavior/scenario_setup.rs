@@ -4,7 +4,7 @@ use super::step_result::StepFailure;
 use crate::RobotSpec;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
-use consort_skills::domain_file::DomainFile;
+use consort_skills::extensions::Extensions;
 use consort_world::SharedWorld;
 use consort_world::kinematics::Kinematics;
 use consort_world::map::{LaneEntry, Map, MapFile, PlaceEntry, PlaceKind};
@@ -25,8 +25,8 @@ pub(super) struct ScenarioSetup {
     pub(super) stations: Vec<String>,
     /// Ensembles of the fleet; none: one of all robots.
     pub(super) ensembles: Vec<EnsembleSpec>,
-    /// Domains besides the shipped one.
-    pub(super) domains: Vec<DomainFile>,
+    /// Domain files and skills in addition to the standard domain.
+    pub(super) extensions: Extensions,
     pub(super) people: Vec<PersonSetup>,
     pub(super) objects: Vec<ObjectSetup>,
     pub(super) doors: Vec<DoorSetup>,
@@ -86,7 +86,7 @@ impl ScenarioRobot {
 
 impl ScenarioSetup {
     /// Creates an empty setup in the shipped hospital.
-    pub(super) fn new(folder: PathBuf, seed: u64) -> ScenarioSetup {
+    pub(super) fn new(folder: PathBuf, seed: u64, extensions: Extensions) -> ScenarioSetup {
         let hospital = consort_world::map::shipped("hospital").expect("the shipped map is sound");
         ScenarioSetup {
             seed,
@@ -96,7 +96,7 @@ impl ScenarioSetup {
             robots: vec![],
             stations: vec![],
             ensembles: vec![],
-            domains: vec![],
+            extensions,
             people: vec![],
             objects: vec![],
             doors: vec![],
@@ -113,10 +113,7 @@ impl ScenarioSetup {
 
     /// Creates the world.
     pub(super) fn world(&self) -> Result<SharedWorld, StepFailure> {
-        let mut setup = WorldSetup::new(self.map()?, self.seed);
-        for domain in &self.domains {
-            setup = setup.domain(domain);
-        }
+        let mut setup = self.extensions.files().fold(WorldSetup::new(self.map()?, self.seed), WorldSetup::domain);
         for part in &self.robots {
             setup = setup.robot(part.body()?);
         }

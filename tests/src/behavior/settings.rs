@@ -10,7 +10,6 @@ use crate::fleet::nurse_in;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::yaml;
-use consort_skills::domain::shipped_domain;
 use consort_skills::domain_file::{DomainFile, DomainForm};
 use consort_world::map;
 use consort_world::world::{
@@ -118,11 +117,11 @@ fn domain_file() -> SettingStep {
         let form: DomainForm = yaml::parse(&read(&file)?).map_err(|problem| invalid(&problem))?;
         let tree = |name: &str| Ok((name.to_owned(), read(&file.with_file_name(name))?));
         let trees = form.tree_files().map(tree).collect::<Result<_, StepFailure>>()?;
-        let known: Vec<&DomainFile> = [shipped_domain()].into_iter().chain(&setup.domains).collect();
+        let known: Vec<&DomainFile> = setup.extensions.all_files().collect();
         let checked = DomainFile::check(form, &trees, &known);
         let domain = checked
             .map_err(|problems| invalid(&problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")))?;
-        setup.domains.push(domain);
+        setup.extensions = setup.extensions.with_domain(file, domain);
         Ok(())
     })
 }

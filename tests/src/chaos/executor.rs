@@ -10,14 +10,16 @@ use crate::disk::DiskFault;
 use crate::history::{Acknowledged, History, Reader, RecordingClient};
 use crate::{Fleet, Observation, slug};
 use consort_bus::LinkModel;
-use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::api::SubmitRequest;
+use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::units::BatteryShare;
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::RobotBackend as _;
+use consort_skills::workload::Workload;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -35,12 +37,10 @@ const BASE_WATCHDOG: Duration = Duration::from_millis(500);
 const REPEATED: f64 = 0.5;
 const REPEATED_AFTER_S: RangeInclusive<u64> = 10..=120;
 
-/// Role of the carrier in the missions.
-const CARRIER_ROLE: &str = "r1";
-
 /// Executor of actions, with the active faults and the state that ends each of them.
 pub(super) struct ActionExecutor {
     composition: ChaosFleet,
+    workload: Workload,
     injector: FaultInjector,
     acknowledged: Acknowledged,
     history: History,
@@ -71,9 +71,10 @@ pub(super) struct ActionExecutor {
 }
 
 impl ActionExecutor {
-    pub(super) fn new(composition: ChaosFleet, injector: FaultInjector) -> ActionExecutor {
+    pub(super) fn new(composition: ChaosFleet, injector: FaultInjector, workload: Workload) -> ActionExecutor {
         ActionExecutor {
             composition,
+            workload,
             acknowledged: watch::Sender::default(),
             history: History::new(injector.ended_missions_max()),
             injector,
@@ -116,15 +117,14 @@ impl ActionExecutor {
         let Some(act) = act.resolved(|name| self.carrier(fleet, name)) else { return };
         match &act {
             ChaosAction::Submit { request, unnamed, mission, room, priority, deadline_s } => {
-                let mut request_body =
-                    json!({ "mission": mission, "parameters": { "room": room }, "priority": priority });
-                if !unnamed {
-                    request_body["request"] = json!(request);
-                }
-                if let Some(seconds) = deadline_s {
-                    request_body["deadline_s"] = json!(seconds);
-                }
-                self.submit(fleet, request, request_body);
+                let parameters = self.workload.parameters_in(mission, room);
+                let body = SubmitRequest {
+                    request: (!unnamed).then(|| slug(request)),
+                    priority: *priority,
+                    deadline_s: deadline_s.map(f64::from),
+                    ..self.workload.request(mission, parameters)
+                };
+                self.submit(fleet, request, &body);
             }
             ChaosAction::Cancel { request } => self.cancel(fleet, request),
             ChaosAction::Crash { node, disk, .. } => {
@@ -348,8 +348,9 @@ impl ActionExecutor {
     /// Returns the carrier of an acknowledged request.
     fn carrier(&self, fleet: &Fleet, name: &str) -> Option<String> {
         let mission: MissionId = slug(self.acknowledged.borrow().get(name.strip_prefix(CARRIER_OF)?)?);
-        let holder = fleet.ledger(|ledger| ledger.mission(&mission)?.holders().remove(&slug::<RoleId>(CARRIER_ROLE)));
-        holder.flatten().map(|robot| robot.to_string())
+        let holders = fleet.ledger(|ledger| Some(ledger.mission(&mission)?.holders())).flatten()?;
+        let mut robots = holders.into_values().map(|robot| robot.to_string());
+        robots.find(|robot| self.composition.carriers.contains(&robot.as_str()))
     }
 
     pub(super) async fn crash(&mut self, fleet: &mut Fleet, number: usize, nodes: &[String], disk: DiskAfterCrash) {
@@ -461,16 +462,17 @@ impl ActionExecutor {
         });
     }
 
-    fn submit(&self, fleet: &Fleet, request: &str, request_body: Value) {
+    fn submit(&self, fleet: &Fleet, request: &str, body: &SubmitRequest) {
         let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
         let (acknowledged, request) = (self.acknowledged.clone(), request.to_owned());
-        let name = request_body.get("request").is_some().then(|| request.clone());
+        let name = body.request.is_some().then(|| request.clone());
+        let body = json!(body);
         let mut chance = ChaCha8Rng::seed_from_u64(fleet.seed ^ fleet.elapsed().as_nanos() as u64);
         let repetition =
             chance.random_bool(REPEATED).then(|| Duration::from_secs(chance.random_range(REPEATED_AFTER_S)));
         tokio::spawn(async move {
             loop {
-                let (node, mission) = (slug("client"), client.submit(&request_body).await);
+                let (node, mission) = (slug("client"), client.submit(&body).await);
                 let request_name = name.clone();
                 event_log.add(Observation::RequestAcknowledged {
                     node,

@@ -10,8 +10,9 @@ use consort_bus::clock::Clock;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::units::{Seconds, WorldTime};
 use consort_protocol::versions::VersionRange;
-use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeSpec, NodeStatus};
+use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus};
 use consort_skills::environment::Environment;
+use consort_skills::extensions::Extensions;
 use consort_skills::library::SkillLibrary;
 use consort_skills::skill::TaskContext;
 use consort_world::map;
@@ -67,6 +68,7 @@ impl FaultInjector {
         counts_suspension: bool,
         composition: &ChaosFleet,
         schedule: &Schedule,
+        extensions: Extensions,
     ) -> FaultInjector {
         let drift = |act: &ChaosAction| {
             if let ChaosAction::Drift { node, rate } = act { Some((node.clone(), *rate)) } else { None }
@@ -77,7 +79,7 @@ impl FaultInjector {
         let robots = composition.carriers.iter().copied().chain([ARM]);
         let faults: BTreeMap<String, FaultQueue> =
             robots.map(|robot| (robot.to_owned(), FaultQueue::default())).collect();
-        let library = |faults: &FaultQueue| Arc::new(faulty_library(environment.clone(), faults));
+        let library = |faults: &FaultQueue| Arc::new(faulty_library(extensions, environment.clone(), faults));
         let libraries = faults.iter().map(|(robot, faults)| (robot.clone(), library(faults))).collect();
         let (started, disks, created_disks) = (Instant::now(), BTreeMap::new(), 0);
         let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5a_a95_407);
@@ -192,9 +194,9 @@ impl FaultInjector {
     }
 }
 
-/// Returns the shipped skills, each preceded by a leaf that injects the queued faults.
-fn faulty_library(environment: Environment, faults: &FaultQueue) -> SkillLibrary {
-    let mut library = SkillLibrary::standard(environment);
+/// Returns the skills, each preceded by a leaf that injects the queued faults.
+fn faulty_library(extensions: Extensions, environment: Environment, faults: &FaultQueue) -> SkillLibrary {
+    let mut library = extensions.library(environment).expect("its names are unique");
     let faults = Arc::clone(faults);
     let added = library.extend(|registry| {
         registry.register(NodeManifest::new("Stumble", NodeKind::Action, []), move |_: &TaskContext| {
@@ -202,13 +204,7 @@ fn faulty_library(environment: Environment, faults: &FaultQueue) -> SkillLibrary
         })
     });
     added.expect("the leaf name is unique");
-    for (task_type, mut tree) in SkillLibrary::standard_trees() {
-        let Some(root) = tree.trees.remove(&tree.main) else { continue };
-        let mut first = NodeSpec::new("Sequence");
-        first.children = vec![NodeSpec::new("Stumble"), root];
-        tree.trees.insert(tree.main.clone(), first);
-        library.register(task_type, &tree).expect("a shipped tree with a leaf before it");
-    }
+    library.precede_with("Stumble").expect("a leaf without ports");
     library
 }
 

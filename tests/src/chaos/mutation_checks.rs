@@ -6,6 +6,7 @@ use super::generate::generate;
 use super::mutants::Mutant;
 use super::run::RunConfig;
 use super::seed_sweep::SeedSweep;
+use consort_skills::workload::Workload;
 use serde::Serialize;
 
 /// A mutation check.
@@ -89,7 +90,14 @@ pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> 
     let composition = ChaosFleet::of(NODES);
     let config = |seed, mutant| {
         (
-            RunConfig { seed, nodes: NODES, minutes: MINUTES, closed: check.mutant.needs_closed_fleet(), mutant },
+            RunConfig {
+                seed,
+                nodes: NODES,
+                minutes: MINUTES,
+                closed: check.mutant.needs_closed_fleet(),
+                mutant,
+                workload: Workload::default(),
+            },
             generate(seed, &composition, MINUTES, check.faults),
         )
     };

@@ -5,7 +5,7 @@
 //!  ─────────┴──────── invariants at every step ─────────────┴─────── liveness ─────────────────┴──────── relay ───────▶
 //! ```
 
-use super::chaos_fleet::{ChaosFleet, DATE_MS, ROOMS};
+use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::LIFTED;
@@ -19,6 +19,7 @@ use crate::{Fleet, Observation, slug};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, RoleEntry};
+use consort_skills::workload::Workload;
 use consort_world::world::World;
 use serde::Serialize;
 use std::any::Any;
@@ -50,7 +51,7 @@ const TRANSFER_MAX_MS: u64 = 120;
 const RELAY_LIMIT: Duration = Duration::from_secs(30);
 
 /// Configuration of a run.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct RunConfig {
     /// Source of all randomness.
     pub seed: u64,
@@ -62,6 +63,8 @@ pub struct RunConfig {
     pub closed: bool,
     /// Bug injected into all nodes.
     pub mutant: Option<Mutant>,
+    /// Missions of a user, with the extensions of all nodes.
+    pub workload: Workload,
 }
 
 /// Outcome of a run.
@@ -117,10 +120,18 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
     let counts_suspension = config.mutant != Some(Mutant::SuspensionNotCounted);
-    let injector = FaultInjector::new(config.seed, counts_suspension, &composition, schedule);
-    let options = NodeOptions { world_speed: schedule.world_speed.into(), ..node_options(config, &injector) };
-    let fleet = Fleet::hospital_with(config.seed, composition.members(), &composition.stations, &ROOMS, options).await;
-    let mut run = Run { fleet, executor: ActionExecutor::new(composition.clone(), injector), checker: Checker::new() };
+    let injector =
+        FaultInjector::new(config.seed, counts_suspension, &composition, schedule, config.workload.extensions);
+    let workload = &config.workload;
+    let options = NodeOptions {
+        world_speed: schedule.world_speed.into(),
+        extensions: workload.extensions,
+        ..node_options(config, &injector)
+    };
+    let (members, people) = composition.participants(workload);
+    let fleet = Fleet::hospital_with(config.seed, members, &composition.stations, people, options).await;
+    let executor = ActionExecutor::new(composition.clone(), injector, workload.clone());
+    let mut run = Run { fleet, executor, checker: Checker::new() };
     for node in composition.nodes() {
         run.fleet.record_leadership(node);
     }

@@ -18,6 +18,8 @@ pub struct RunCounters {
     pub completed: usize,
     /// Acknowledged missions that failed with a cause.
     pub failed: usize,
+    /// Their causes.
+    pub causes: Vec<String>,
     /// Missions that wait for a person to fetch an item from a lost robot.
     pub needs_intervention: usize,
     /// Canceled missions.
@@ -61,7 +63,10 @@ impl RunCounters {
         for mission in acknowledged.values() {
             match fleet.mission_state(&slug::<MissionId>(mission)) {
                 Some(MissionState::Completed) => self.completed += 1,
-                Some(MissionState::Failed { .. }) => self.failed += 1,
+                Some(MissionState::Failed { cause }) => {
+                    self.failed += 1;
+                    self.causes.push(cause);
+                }
                 Some(MissionState::NeedsIntervention { .. }) => self.needs_intervention += 1,
                 Some(MissionState::Canceled { .. }) => self.canceled += 1,
                 Some(MissionState::Pending | MissionState::Running) => {}

@@ -40,6 +40,20 @@ impl Schedule {
         Schedule { steps, world_speed: self.world_speed }
     }
 
+    /// Replaces the missions of all requests but poison by these, in turn.
+    #[must_use]
+    pub fn requesting<'m>(mut self, missions: impl Iterator<Item = &'m str> + Clone) -> Schedule {
+        let mut names = missions.cycle();
+        for step in self.steps.iter_mut().filter(|step| !step.action.is_poison()) {
+            if let ChaosAction::Submit { mission, .. } = &mut step.action
+                && let Some(name) = names.next()
+            {
+                name.clone_into(mission);
+            }
+        }
+        self
+    }
+
     /// Returns the number by which missions last longer than at the usual speed.
     pub(super) fn slowdown(&self) -> u32 {
         USUAL_SPEED.div_ceil(self.world_speed.max(1))

@@ -2,13 +2,14 @@
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
 use super::schedule::{CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
+use consort_skills::workload::Workload;
 
 impl Schedule {
-    /// Checks that the fleet contains everything that the schedule names.
+    /// Checks that the fleet and the workload contain everything that the schedule names.
     ///
     /// # Errors
     /// A name is unknown, or a number is outside its range.
-    pub fn check(&self, composition: &ChaosFleet) -> Result<(), ScheduleError> {
+    pub fn check(&self, composition: &ChaosFleet, workload: &Workload) -> Result<(), ScheduleError> {
         let nodes = composition.nodes();
         let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
         let check_known = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
@@ -22,7 +23,8 @@ impl Schedule {
             match &step.action {
                 ChaosAction::Submit { room, mission, .. } => {
                     check_known(step, room, &ROOMS, &[])?;
-                    check_known(step, mission, &MISSIONS, &[])?;
+                    let own: Vec<&str> = workload.own_missions().collect();
+                    check_known(step, mission, &MISSIONS, &own)?;
                 }
                 ChaosAction::Cancel { .. }
                 | ChaosAction::Blackout { .. }

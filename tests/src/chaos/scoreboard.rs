@@ -5,6 +5,7 @@ use super::fault_kind::FaultKind;
 use super::generate::generate;
 use super::run::{RunConfig, RunOutcome};
 use super::seed_sweep::{SeedSweep, percentiles};
+use consort_skills::workload::Workload;
 use serde::Serialize;
 
 /// Results for a kind of fault.
@@ -64,7 +65,10 @@ pub fn run_row(
     // A hostile node has no effect in an open fleet, whose runs are ten times as fast.
     let closed = kinds.contains(&FaultKind::Hostile);
     let config = |seed| {
-        (RunConfig { seed, nodes: NODES, minutes, closed, mutant: None }, generate(seed, &composition, minutes, kinds))
+        (
+            RunConfig { seed, nodes: NODES, minutes, closed, mutant: None, workload: Workload::default() },
+            generate(seed, &composition, minutes, kinds),
+        )
     };
     let mut outcomes: Vec<RunOutcome> = vec![];
     let mut next = 1;

@@ -4,11 +4,10 @@ use consort_evaluation::design::{Design, Scenario};
 use consort_evaluation::travel::TravelModel;
 use consort_protocol::ensemble::{EnsembleSpec, Ensembles};
 use consort_protocol::ids::TaskType;
-use consort_protocol::mission::{Domain, MissionTemplate};
+use consort_protocol::mission::{Domain, MissionDocument};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, Estimator};
-use consort_skills::domain::{hospital, shipped_domain, standard_descriptors, standard_library};
 use consort_skills::library::SkillLibrary;
-use consort_skills::missions::shipped;
+use consort_skills::workload::Workload;
 use consort_world::map::Map;
 use std::sync::Arc;
 
@@ -23,7 +22,9 @@ pub struct ExperimentSetup {
     pub(super) map: Map,
     pub(super) domain: Arc<Domain>,
     pub(super) ensembles: Arc<Ensembles>,
-    pub(super) template: MissionTemplate,
+    /// The mission and its extensions.
+    pub(super) workload: Workload,
+    pub(super) document: MissionDocument,
     /// The uncalibrated estimator, used by a coordinator without calibration.
     pub(super) standard: Arc<Estimator>,
     /// The estimator of the robots' bids.
@@ -45,7 +46,7 @@ impl std::error::Error for ExperimentSetupError {}
 
 impl ExperimentSetup {
     /// Builds the setup of a design on a map, with its scenarios and, if given, the calibration of
-    /// the robots.
+    /// the robots. `workload` has the missions that are not shipped, and the extensions of the standard domain.
     ///
     /// # Errors
     /// [`ExperimentSetupError`] with all errors of the design, or with the places that are not on
@@ -56,8 +57,12 @@ impl ExperimentSetup {
         map: Map,
         travel: TravelModel,
         calibration: Option<Arc<Calibration>>,
+        workload: Workload,
     ) -> Result<ExperimentSetup, ExperimentSetupError> {
-        let mut violations = design.validation_errors();
+        let extensions = workload.extensions;
+        let task_types = extensions.domain();
+        let document = workload.mission(&design.mission.name);
+        let mut violations = design.validation_errors(&workload);
         if violations.is_empty() {
             for scenario in &scenarios {
                 violations.extend(design.unknown_places(scenario, &map));
@@ -68,13 +73,11 @@ impl ExperimentSetup {
             violations.dedup();
             return Err(ExperimentSetupError(violations));
         }
-        let template = shipped().get(&design.mission.name).cloned();
-        let template =
-            template.ok_or_else(|| single_error(format!("no mission {} is shipped", design.mission.name)))?;
-        let domain = hospital().with_places(map.topology().places.into_keys());
+        let document = document.expect("the design is validated");
+        let domain = task_types.with_places(map.topology().places.into_keys());
         for scenario in &scenarios {
             let in_scenario = |error: String| format!("scenario {}: {error}", scenario.code);
-            match scenario.parameters(&design.mission).map(|given| template.instantiate(&given, &domain)) {
+            match scenario.parameters(&design.mission).map(|given| document.instantiate(&given, &domain)) {
                 Ok(Ok(_)) => {}
                 Ok(Err(errors)) => {
                     violations.extend(errors.diagnostics.iter().map(|error| in_scenario(error.to_string())));
@@ -92,9 +95,9 @@ impl ExperimentSetup {
         let resolve = |registry: DescriptorRegistry| {
             registry.resolve(environment.clone()).map(Arc::new).map_err(|error| single_error(error.to_string()))
         };
-        let standard = resolve(standard_descriptors())?;
+        let standard = resolve(extensions.descriptors(DescriptorRegistry::standard()))?;
         let estimator = match &calibration {
-            Some(calibration) => resolve(shipped_domain().extend_descriptors(calibration.descriptors()))?,
+            Some(calibration) => resolve(extensions.descriptors(calibration.descriptors()))?,
             None => Arc::clone(&standard),
         };
         Ok(ExperimentSetup {
@@ -104,10 +107,11 @@ impl ExperimentSetup {
             map,
             domain: Arc::new(domain),
             ensembles: Arc::new(ensembles),
-            template,
+            workload,
+            document,
             standard,
             estimator,
-            library: Arc::new(standard_library(environment)),
+            library: Arc::new(extensions.library(environment).map_err(|error| single_error(error.to_string()))?),
         })
     }
 }

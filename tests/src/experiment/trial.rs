@@ -16,6 +16,7 @@ use consort_evaluation::success_estimate::{estimate_success, start_context};
 use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
+use consort_protocol::api::SubmitRequest;
 use consort_protocol::auction::{Allocator, BidLimits, OptimalAssignment};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::keys::{ApiCall, Key, Keys};
@@ -110,7 +111,7 @@ impl<'s> TrialRun<'s> {
         let repetition = trial.repetition.to_string();
         let seed = derive(design.seed, &["trial", &design.mission.name, &scenario.code, &repetition]);
         let parameters = scenario.parameters(&design.mission).expect("the setup is validated");
-        let mission = setup.template.instantiate(&parameters, &setup.domain).expect("the setup is validated");
+        let mission = setup.document.instantiate(&parameters, &setup.domain).expect("the setup is validated");
         let division = divide_and_check(&mission).expect("shipped missions can be divided");
         let managed: BTreeSet<RoleId> = mission.managed_roles().cloned().collect();
         let world = world(setup, scenario, derive(seed, &["world"]));
@@ -290,8 +291,8 @@ impl<'s> TrialRun<'s> {
 
     async fn submit(&self, client: &VirtualBus) {
         let key = Keys::new(&self.settings.fleet).write(&Key::Api(ApiCall::Submit));
-        let request =
-            json!({ "mission": self.setup.design.mission.name, "parameters": self.parameters, "request": "trial" });
+        let request = self.setup.workload.request(&self.setup.design.mission.name, self.parameters.clone());
+        let request = json!(SubmitRequest { request: Some(crate::slug("trial")), ..request });
         for _ in 0..100 {
             let payload = request.to_string().into();
             let mut replies =
@@ -450,7 +451,8 @@ fn note(observed: &TrialState, killed_after_s: Option<f64>) -> String {
 
 fn world(setup: &ExperimentSetup, scenario: &Scenario, seed: u64) -> SharedWorld {
     let checked = "scenarios are validated";
-    let mut world_setup = WorldSetup::new(setup.map.clone(), seed);
+    let world_setup = WorldSetup::new(setup.map.clone(), seed);
+    let mut world_setup = setup.workload.extensions.files().fold(world_setup, WorldSetup::domain);
     for robot in &scenario.robots {
         let sim_robot = RobotSetup::carrier(
             robot.name.clone(),

@@ -118,9 +118,6 @@ pub(super) enum ShortfallEffect {
     Continue(Option<EventKind>),
 }
 
-/// Maximum number of times that the pause between attempts doubles after transient failures.
-const BACKOFF_DOUBLINGS_MAX: u32 = 6;
-
 impl ActivePlan {
     /// Starts a plan, or continues it from the checkpoint. Returns also the reason to release the
     /// role at once, if the recorded steps do not fit the plan. Returns `None` for an invalid plan.
@@ -245,13 +242,12 @@ impl ActivePlan {
         }
         self.stop();
         let ((mission, role), task) = (self.mission_and_role(), self.sequencer.current_task().cloned());
-        let (cause, class) = (failure.cause.clone(), failure.class);
+        let cause = failure.cause.clone();
         warn!(robot = %self.award.robot, %mission, ?task, ?failure, "attempt failed");
         match (self.recovery.policy.next_action(failure, &mut self.sequencer), task) {
             (RecoveryAction::ReleaseRole(failure), _) => Some(RecoveryEffect::Release(self.release(failure, now))),
-            (RecoveryAction::Retry { attempt }, Some(task)) => {
-                let doublings = if class == CauseClass::Transient { u32::from(attempt.saturating_sub(1)) } else { 0 };
-                let retry_delay = retry_delay.saturating_mul(1 << doublings.min(BACKOFF_DOUBLINGS_MAX));
+            (RecoveryAction::Retry { attempt, pauses }, Some(task)) => {
+                let retry_delay = retry_delay.saturating_mul(pauses);
                 self.recovery.retry_at = now + retry_delay;
                 let event = EventKind::TaskRetried { mission, role, task, attempt, cause };
                 Some(RecoveryEffect::Retry(retry_delay, event))

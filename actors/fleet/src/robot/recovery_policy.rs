@@ -15,7 +15,7 @@ pub(super) struct AttemptFailure {
     pub(super) kind: FailureKind,
     /// Cause, as text.
     pub(super) cause: String,
-    /// What the cause says about further attempts.
+    /// Class of the cause.
     pub(super) class: CauseClass,
     /// True if the robot has certainly moved no item in steps that it has not reported as ended.
     pub(super) moved_nothing: bool,
@@ -31,6 +31,9 @@ impl AttemptFailure {
 /// Minimum number of attempts at a task that fails for transient causes.
 const TRANSIENT_ATTEMPTS: u8 = 4;
 
+/// Maximum number of times that the pause between attempts doubles after transient failures.
+const PAUSE_DOUBLINGS_MAX: u8 = 6;
+
 /// Result of the recovery policy.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum RecoveryAction {
@@ -38,6 +41,8 @@ pub(super) enum RecoveryAction {
     Retry {
         /// Number of attempts so far.
         attempt: u8,
+        /// Pause before the next attempt, as a multiple of the usual one.
+        pauses: u32,
     },
     /// An alternative replaces the task.
     UseAlternative {
@@ -66,14 +71,15 @@ impl RecoveryPolicy {
                     *self = RecoveryPolicy { step: Some(step), attempts: 0 };
                 }
                 self.attempts = self.attempts.saturating_add(1);
-                let allowed = match class {
-                    CauseClass::Robot => allowed,
-                    CauseClass::Transient => allowed.max(TRANSIENT_ATTEMPTS),
-                    CauseClass::Task | CauseClass::Precondition => 1,
+                let (allowed, doublings) = match class {
+                    CauseClass::Robot => (allowed, 0),
+                    CauseClass::Transient => (allowed.max(TRANSIENT_ATTEMPTS), self.attempts - 1),
+                    CauseClass::Task | CauseClass::Precondition => (1, 0),
                 };
                 if self.attempts < allowed {
                     sequencer.abort_task();
-                    return RecoveryAction::Retry { attempt: self.attempts };
+                    let pauses = 1 << doublings.min(PAUSE_DOUBLINGS_MAX);
+                    return RecoveryAction::Retry { attempt: self.attempts, pauses };
                 }
                 (Some(id), sequencer.switch_to_alternative())
             }
@@ -134,7 +140,7 @@ mod tests {
             assert_eq!(start(&mut sequencer).1, "drive");
             assert_eq!(
                 policy.next_action(failure(FailureKind::Task), &mut sequencer),
-                RecoveryAction::Retry { attempt }
+                RecoveryAction::Retry { attempt, pauses: 1 }
             );
         }
         assert_eq!(start(&mut sequencer).1, "drive");
@@ -146,7 +152,7 @@ mod tests {
             assert_eq!(start(&mut sequencer).1, "lift");
             assert_eq!(
                 policy.next_action(failure(FailureKind::Crash), &mut sequencer),
-                RecoveryAction::Retry { attempt }
+                RecoveryAction::Retry { attempt, pauses: 1 }
             );
         }
         assert_eq!(start(&mut sequencer).1, "lift");
@@ -162,14 +168,14 @@ mod tests {
         start(&mut sequencer);
         assert_eq!(
             policy.next_action(failure(FailureKind::Task), &mut sequencer),
-            RecoveryAction::Retry { attempt: 1 }
+            RecoveryAction::Retry { attempt: 1, pauses: 1 }
         );
         let (step, _) = start(&mut sequencer);
         sequencer.end_task(step, BTreeMap::new());
         assert_eq!(start(&mut sequencer).1, "knock");
         assert_eq!(
             policy.next_action(failure(FailureKind::Task), &mut sequencer),
-            RecoveryAction::Retry { attempt: 1 }
+            RecoveryAction::Retry { attempt: 1, pauses: 1 }
         );
     }
 
@@ -177,18 +183,18 @@ mod tests {
     fn the_class_of_the_cause_decides_about_retries() {
         let of_class = |class| AttemptFailure { class, ..failure(FailureKind::Task) };
         for (class, allowed, retries) in [
-            (CauseClass::Robot, 1, 0),
-            (CauseClass::Robot, 3, 2),
-            (CauseClass::Transient, 1, 3),
-            (CauseClass::Transient, 6, 5),
-            (CauseClass::Task, 9, 0),
-            (CauseClass::Precondition, 9, 0),
+            (CauseClass::Robot, 1, &[][..]),
+            (CauseClass::Robot, 3, &[1, 1]),
+            (CauseClass::Transient, 1, &[1, 2, 4]),
+            (CauseClass::Transient, 9, &[1, 2, 4, 8, 16, 32, 64, 64]),
+            (CauseClass::Task, 9, &[]),
+            (CauseClass::Precondition, 9, &[]),
         ] {
             let (mut policy, mut sequencer) = (RecoveryPolicy::default(), sequencer(allowed, &["lift"]));
-            for attempt in 1..=retries {
+            for (attempt, &pauses) in (1..).zip(retries) {
                 start(&mut sequencer);
                 let action = policy.next_action(of_class(class), &mut sequencer);
-                assert_eq!(action, RecoveryAction::Retry { attempt }, "{class:?}");
+                assert_eq!(action, RecoveryAction::Retry { attempt, pauses }, "{class:?}");
             }
             start(&mut sequencer);
             let action = policy.next_action(of_class(class), &mut sequencer);

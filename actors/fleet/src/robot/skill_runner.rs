@@ -19,7 +19,7 @@ pub(crate) enum SkillOutcome {
     Failed {
         /// Cause, as text.
         cause: String,
-        /// What the cause says about further attempts.
+        /// Class of the cause.
         class: CauseClass,
     },
 }

@@ -4,8 +4,8 @@ use super::flags::PeopleFlags;
 use crate::check::{FileKind, check_file, detect_kind};
 use crate::diagnostic::Diagnostics;
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::{lab_program, output};
+use consort_skills::extensions::Extensions;
 use consort_text::count;
 use std::path::{Path, PathBuf};
 
@@ -44,7 +44,9 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     if designs.is_empty() {
         return checked;
     }
-    let mut lab = lab_program::command([Path::new("check")].into_iter().chain(designs.iter().map(PathBuf::as_path)));
+    let domains = extensions.domains.iter().flat_map(|loaded| [Path::new("--domain"), loaded.path.as_path()]);
+    let files = designs.iter().map(PathBuf::as_path);
+    let mut lab = lab_program::command([Path::new("check")].into_iter().chain(domains).chain(files));
     let status = lab.status().map_err(|problem| lab_program::not_started(&problem))?;
     checked?;
     if status.success() { Ok(()) } else { Err(Failure::Unsuccessful("problems in a design".to_owned())) }

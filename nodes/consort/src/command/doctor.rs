@@ -3,8 +3,8 @@
 use crate::client::ClientFlags;
 use crate::doctor::{DiagnosisTarget, Severity, run_checks};
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::output;
+use consort_skills::extensions::Extensions;
 use consort_text::count;
 use std::path::PathBuf;
 

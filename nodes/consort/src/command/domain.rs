@@ -3,7 +3,6 @@
 use super::flags::PeopleFlags;
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::{domains, inputs, map_loader, output};
 use consort_dashboard::loaded_map::LoadedMap;
 use consort_protocol::ids::{DomainId, PlaceId};
@@ -11,8 +10,8 @@ use consort_protocol::mission::{
     IhtnNames, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions,
 };
 use consort_protocol::plan::divide_and_check;
-use consort_skills::domain::shipped_domain;
 use consort_skills::domain_file::{DomainFile, IhtnForm, scaffold, scaffold_yaml};
+use consort_skills::extensions::Extensions;
 use consort_world::map::PlaceKind;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -88,13 +87,12 @@ fn scaffold_domain(args: &ScaffoldArgs, extensions: Extensions) -> Result<String
     let places = stand_ins(&found, domain.ihtn_names(), &floor);
     let ihtn = IhtnForm { people: options.people.clone(), objects, places, actions: BTreeMap::new() };
     let comment = comment(&file, &args.map, &ihtn);
-    let known: Vec<&DomainFile> =
-        [shipped_domain()].into_iter().chain(extensions.domains.iter().map(|loaded| &loaded.domain)).collect();
+    let known: Vec<&DomainFile> = extensions.all_files().collect();
     let name = DomainId::new(options.name.as_str()).unwrap_or_else(|_| DomainId::new("ihtn").expect("a slug"));
     let yaml = scaffold_yaml(&scaffold(name, ihtn, &found.actions, domain.ihtn_names(), &known), &comment);
 
     // A domain that does not suffice is not written.
-    let declared = domains::parse(Path::new("the scaffolded domain"), &yaml, &known[1..])?;
+    let declared = domains::parse(Path::new("the scaffolded domain"), &yaml, extensions)?;
     let complete = domain
         .with_types(declared.task_types())
         .with_ihtn_names(declared.ihtn_names())

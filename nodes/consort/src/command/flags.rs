@@ -5,8 +5,8 @@ use crate::config::{
     BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load_unchecked, to_toml,
 };
 use crate::diagnostic::{Diagnostic, Diagnostics};
+use crate::domains;
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::wiring::NodeIncarnation;
 use crate::{node_runtime, output};
 use consort_fleet::node::NodeSettings;
@@ -15,6 +15,7 @@ use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, Seconds};
 use consort_protocol::versions::VersionRange;
+use consort_skills::extensions::Extensions;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
@@ -279,7 +280,7 @@ impl FleetFlags {
             Some(path) => load_unchecked(path)?,
             None => named.resolve_unchecked()?,
         };
-        let extensions = extensions.with_domains(&fleet.domains)?;
+        let extensions = domains::with_files(extensions, &fleet.domains)?;
         set(&mut fleet.name, self.fleet_name);
         set(&mut fleet.map, self.map);
         set(&mut fleet.bootstrap_expect, self.bootstrap_expect);

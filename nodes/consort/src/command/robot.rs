@@ -4,10 +4,10 @@ use super::flag_values::{InvalidValue, quantity, share};
 use super::flags::{NodeFlags, VoterFlags, set};
 use crate::config::{RobotConfig, load_unchecked};
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::wiring::robot_node;
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_skills::extensions::Extensions;
 use std::path::PathBuf;
 
 /// Run the node of a robot

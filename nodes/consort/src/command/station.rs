@@ -3,9 +3,9 @@
 use super::flags::{NodeFlags, VoterFlags, set};
 use crate::config::{StationConfig, load_unchecked};
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::wiring::station_node;
 use consort_protocol::ids::NodeId;
+use consort_skills::extensions::Extensions;
 use std::path::PathBuf;
 
 /// Run a node without a robot, which keeps the ledger and may coordinate

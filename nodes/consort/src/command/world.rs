@@ -3,10 +3,10 @@
 use super::flags::{MayVoteFlag, NodeFlags, set};
 use crate::config::{WorldConfig, load_unchecked};
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::rendering::{self, RenderFlags};
 use crate::wiring::world_node;
 use consort_protocol::ids::NodeId;
+use consort_skills::extensions::Extensions;
 use std::path::PathBuf;
 use tracing::info;
 

@@ -8,7 +8,7 @@
 //!
 //! ```
 //! use consort_nodes::config::{FleetConfig, from_text};
-//! use consort_nodes::extensions::Extensions;
+//! use consort_skills::extensions::Extensions;
 //!
 //! let domain = Extensions::default().domain();
 //! let fleet: FleetConfig = from_text("name = \"ward\"\nvoters = 3\n", "fleet.toml", &domain)?;

@@ -164,7 +164,7 @@ fn remove(table: &mut DeTable<'_>, span: &Range<usize>) -> bool {
 mod tests {
     use super::super::{FleetConfig, RobotConfig, WorldConfig};
     use super::*;
-    use crate::extensions::Extensions;
+    use consort_skills::extensions::Extensions;
 
     fn domain() -> Domain {
         Extensions::default().domain()

@@ -4,8 +4,6 @@ use super::fleet::DemoFleet as _;
 use super::scenario::DemoScenario;
 use super::virtual_fleet::VirtualFleet;
 use crate::config::FleetConfig;
-use crate::domains::{self, LoadedDomain};
-use crate::extensions::Extensions;
 use crate::map_loader;
 use crate::rendering::RenderFlags;
 use consort_dashboard::query::{QueryTarget, query_once};
@@ -15,14 +13,15 @@ use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::mission::{TemplateKind, TemplateParameter};
 use consort_protocol::view::{CoordinatorView, MissionsView};
+use consort_skills::extensions::Extensions;
 use consort_skills::missions;
+use consort_tests::{FAILING_TASKS, failing_domain};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 const ROBOTS: usize = 12;
@@ -35,28 +34,14 @@ const SPEED: f64 = 1.0;
 /// Time in which the missions are submitted, in seconds.
 const SUBMITTED_S: u64 = 600;
 
+/// Maximum time until there is a coordinator.
+const START_MAX: Duration = Duration::from_secs(60);
+
 /// Time afterwards in which running missions can end, in seconds.
 const AFTERWARDS_S: u64 = 300;
 
-/// Tasks that always fail, each for a cause of another class.
-const FAILING: &str = r#"
-domain: failing
-actions:
-  fail_robot: { failures: { worn: { class: robot } }, simulate: { failures: { worn: 1.0 } } }
-  fail_task: { failures: { forbidden: { class: task } }, simulate: { failures: { forbidden: 1.0 } } }
-  fail_transient: { failures: { jammed: { class: transient } }, simulate: { failures: { jammed: 1.0 } } }
-  fail_precondition: { failures: { no_tool: { class: precondition } }, simulate: { failures: { no_tool: 1.0 } } }
-tasks:
-  fail_robot: { action: fail_robot }
-  fail_task: { action: fail_task }
-  fail_transient: { action: fail_transient }
-  fail_precondition: { action: fail_precondition }
-"#;
-
 fn extensions() -> Extensions {
-    let domain =
-        domains::parse(Path::new("failing.yaml"), FAILING, &[]).unwrap_or_else(|problems| panic!("{problems}"));
-    Extensions { domains: vec![LoadedDomain { path: "failing.yaml".into(), domain }].leak(), ..Extensions::default() }
+    Extensions::default().with_domain("failing.yaml", failing_domain())
 }
 
 /// A request in the format of the API, and its time in milliseconds.
@@ -79,8 +64,7 @@ fn mix(places: &[PlaceId], chance: &mut ChaCha8Rng) -> Vec<Submission> {
     (0..MISSIONS).map(request).collect()
 }
 
-/// Returns missions that cannot be completed: tasks that always fail, people that do not exist, a laboratory
-/// without an arm.
+/// Returns missions that cannot be completed: tasks that always fail, and a person that does not exist.
 fn poison(chance: &mut ChaCha8Rng) -> Vec<Submission> {
     let managed = |task: &str| {
         json!({ "mission": "try", "roles": { "r1": { "kind": "managed" } },
@@ -94,8 +78,7 @@ fn poison(chance: &mut ChaCha8Rng) -> Vec<Submission> {
     let nobody = json!({ "mission": "meet",
         "roles": { "r1": { "kind": "managed" }, "doctor": { "kind": "unmanaged" } },
         "root": { "task": "all", "method": "sequential", "tasks": [go, approach, attend] } });
-    let kinds =
-        [managed("fail_robot"), managed("fail_task"), managed("fail_transient"), managed("fail_precondition"), nobody];
+    let kinds: Vec<Value> = FAILING_TASKS.map(managed).into_iter().chain([nobody]).collect();
     let request = |number: usize| {
         let at_ms = chance.random_range(0..SUBMITTED_S * 1000);
         let mission = kinds[number % kinds.len()].clone();
@@ -124,6 +107,7 @@ async fn run(seed: u64, mut submissions: Vec<Submission>) -> BTreeMap<String, Mi
         view.is_some_and(|view| view.node.is_some())
     };
     while !has_coordinator().await {
+        assert!(fleet.elapsed() < START_MAX, "seed {seed}: no coordinator after {START_MAX:?}");
         tokio::time::sleep(Duration::from_millis(100)).await; // virtual time
     }
     let begin = fleet.elapsed();
@@ -144,15 +128,15 @@ async fn run(seed: u64, mut submissions: Vec<Submission>) -> BTreeMap<String, Mi
     missions.filter_map(|mission| Some((requests.remove(&mission.mission)?, mission.status.detail))).collect()
 }
 
-/// Returns the names of the missions of the mix that were completed. All others are still under way.
-fn completed(seed: u64, states: &BTreeMap<String, MissionState>) -> BTreeSet<&str> {
+/// Returns the number of missions of the mix that were completed. All others are still under way.
+fn completed(seed: u64, states: &BTreeMap<String, MissionState>) -> usize {
     let mix = || states.iter().filter(|(request, _)| request.starts_with("mix-"));
     let bad: Vec<_> = mix()
         .filter(|(_, state)| !matches!(state, MissionState::Completed | MissionState::Running | MissionState::Pending))
         .collect();
     assert!(bad.is_empty(), "seed {seed}: {bad:#?}");
     assert_eq!(mix().count(), MISSIONS, "seed {seed}");
-    mix().filter(|(_, state)| **state == MissionState::Completed).map(|(request, _)| request.as_str()).collect()
+    mix().filter(|(_, state)| **state == MissionState::Completed).count()
 }
 
 /// Runs two demos at once, with and without missions that no robot can do among the others.
@@ -176,7 +160,7 @@ fn missions_that_no_robot_can_do_cost_the_others_nothing() {
         .iter()
         .filter(|(request, state)| request.starts_with("poison-") && !matches!(state, MissionState::Failed { .. }));
     assert_eq!(unexpected.collect::<Vec<_>>(), [], "seed {seed}");
-    let (alone, among) = (completed(seed, &alone).len(), completed(seed, &among).len());
+    let (alone, among) = (completed(seed, &alone), completed(seed, &among));
     assert!(alone >= 30, "seed {seed}: {alone} missions were completed");
     assert!(among * 10 >= alone * 9, "seed {seed}: {alone} missions were completed, and {among} beside the others");
 }

@@ -27,13 +27,14 @@ pub use scenario::{DemoScenario, MissionRequest};
 use crate::command::flag_values::InvalidValue;
 use crate::command::flags::PeopleFlags;
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::rendering::{self, RenderFlags};
 use crate::{map_loader, output};
 use consort_dashboard::address::BoundAddress;
 use consort_dashboard::admission::Admission;
 use consort_dashboard::fleet_model::FloorPlan;
 use consort_dashboard::server::Dashboard;
+use consort_driver::{DriverEndpoint, DriverSetting};
+use consort_skills::extensions::Extensions;
 use reporter::DemoReporter;
 use runner::{DemoOptions, DemoRunner};
 use std::net::SocketAddr;
@@ -53,6 +54,7 @@ Examples:
   consort demo --virtual --record run.mcap --svg paths.svg    record it for Foxglove and as an image
   consort demo --json | jq .event       every event as a line of JSON
   consort demo --domain examples/plants/domain.yaml --mission examples/plants/rounds.yaml    another domain
+  consort demo --domain domain.yaml --mission mission.yaml --driver 'python3 driver.py'    mobile robots with a driver of your own
   consort demo --virtual --domain domain.yaml --mission ihtn.json --person nurse    a mission in the flat iHTN form
   consort demo --keep-running           leave the fleet running afterwards (Ctrl-C ends it)
 
@@ -94,6 +96,10 @@ pub struct Args {
     mission: String,
     #[command(flatten)]
     people: PeopleFlags,
+    /// Command line of a driver for all mobile robots, in place of the simulator. Their nodes start the
+    /// program and exchange JSON lines with it; see docs/reference/driver.md
+    #[arg(long, value_name = "COMMAND", value_parser = driver, conflicts_with = "virtual_time")]
+    driver: Option<DriverSetting>,
     #[command(flatten)]
     render: RenderFlags,
 }
@@ -103,11 +109,23 @@ fn speed(text: &str) -> Result<f64, InvalidValue> {
     if (0.1..=200.0).contains(&speed) { Ok(speed) } else { Err(InvalidValue::new("allowed is 0.1 to 200")) }
 }
 
+fn driver(text: &str) -> Result<DriverSetting, InvalidValue> {
+    let words = shlex::split(text).ok_or_else(|| InvalidValue::new("a quote is not closed"))?;
+    let mut driver = DriverSetting::Command(words);
+    let folder =
+        std::env::current_dir().map_err(|problem| InvalidValue::new(format_args!("this folder: {problem}")))?;
+    driver.resolve(&folder);
+    let endpoint = DriverEndpoint::try_from(driver.clone()).map_err(InvalidValue::new)?;
+    endpoint.check_exists().map_err(InvalidValue::new)?;
+    Ok(driver)
+}
+
 impl Args {
     /// The demo takes under a minute: three parallel missions take about 25 s at 8 world seconds
-    /// per second.
+    /// per second. Drivers live in real time.
     fn speed(&self) -> f64 {
-        self.speed.unwrap_or_else(|| 8.0 * f64::from(self.missions.div_ceil(3)).min(5.0))
+        let usual = if self.driver.is_some() { 1.0 } else { 8.0 * f64::from(self.missions.div_ceil(3)).min(5.0) };
+        self.speed.unwrap_or(usual)
     }
 }
 
@@ -127,6 +145,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let requested = runner::request_mission(&args.mission, &args.people.people, &domain)?;
     let scenario = scenario.with_participants(&requested.mission, &domain);
     let scenario = if args.keep_running { scenario.with_participants_of_shipped_missions(&domain) } else { scenario };
+    let scenario = args.driver.iter().fold(scenario, DemoScenario::with_driver);
     let reporter = DemoReporter::new(args.json, &scenario);
     let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, requested };
     if args.virtual_time {

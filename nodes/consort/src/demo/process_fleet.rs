@@ -7,12 +7,12 @@
 use super::fleet::DemoFleet;
 use super::scenario::DemoScenario;
 use crate::config::{BusConfig, RobotConfig, StationConfig, WorldConfig, to_toml};
-use crate::domains::LoadedDomain;
 use crate::exit::Failure;
 use crate::shutdown_signals::ShutdownSignals;
 use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_protocol::ids::NodeId;
+use consort_skills::extensions::LoadedDomain;
 use consort_text::count;
 use std::collections::BTreeMap;
 use std::fs::{self, File};

@@ -1,6 +1,7 @@
 //! The demo's robots, arms, nurses and missions, derived from its flags.
 
 use crate::config::{FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConfig};
+use consort_driver::DriverSetting;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::{EnsembleId, FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::{Domain, Mission, RoleKind, ValueKind};
@@ -269,6 +270,16 @@ impl DemoScenario {
         missions.fold(self, |scenario, mission| {
             scenario.with_people(&mission, domain, |person| person.on_call).with_robots(&mission)
         })
+    }
+
+    /// Gives all mobile robots a driver, in place of the simulator.
+    #[must_use]
+    pub fn with_driver(mut self, driver: &DriverSetting) -> DemoScenario {
+        for robot in self.robots.iter_mut().filter(|robot| robot.speed_mps.is_some()) {
+            robot.driver = Some(driver.clone());
+            self.world.robot.retain(|simulated| simulated.id != robot.name);
+        }
+        self
     }
 
     /// Returns all nodes that may vote, by name.

@@ -3,7 +3,6 @@
 use super::fleet::DemoFleet;
 use super::scenario::DemoScenario;
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::rendering::RenderFlags;
 use crate::wiring::{self, NodeIncarnation, SkillResources};
 use consort_bus::clock::Clock;
@@ -11,6 +10,7 @@ use consort_bus::{LinkModel, SharedBus, VirtualNetwork};
 use consort_fleet::node::{NodeHandle, NodeSettings};
 use consort_protocol::ids::NodeId;
 use consort_raft::store::NodeStore;
+use consort_skills::extensions::Extensions;
 use consort_text::count;
 use consort_world::SharedWorld;
 use std::collections::BTreeMap;

@@ -89,6 +89,7 @@ fn level(event: &Event) -> Level {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::cause::CauseClass;
     use consort_protocol::ledger::MissionState;
 
     #[test]
@@ -99,7 +100,7 @@ mod tests {
             mission,
             role,
             task,
-            class: consort_protocol::cause::CauseClass::default(),
+            class: CauseClass::Robot,
             cause: "the door is \"shut\"".to_owned(),
         };
         assert_eq!(fields(&kind), r#"cause="the door is \"shut\"" class="robot" role="r1" task="go""#);

@@ -179,6 +179,7 @@ fn role_event(kind: &EventKind) -> Option<(&MissionId, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::cause::CauseClass;
     use consort_protocol::ids::NodeId;
     use consort_protocol::lease::{EndReason, Epoch};
 
@@ -276,7 +277,7 @@ mod tests {
             role: role(),
             task: task("go"),
             cause: cause.clone(),
-            class: consort_protocol::cause::CauseClass::default(),
+            class: CauseClass::Robot,
         };
         assert_eq!(summary(&robot.publish(failed)), [("task go", 8_000, 9_000, Some("the way is closed"))]);
     }

@@ -3,6 +3,7 @@
 use super::page::{Page, repository};
 use super::shell::{OUTPUT_MARKER, run_page, substitute_program};
 use consort_nodes::cli;
+use consort_skills::extensions::Extensions;
 use std::ffi::OsString;
 use std::io::Write;
 use std::path::Path;
@@ -38,11 +39,18 @@ fn it_runs_as_a_program() {
             let args = std::iter::once("consort").chain(args.iter().map(String::as_str)).map(OsString::from);
             cli::run_with(look_around::EXTENSIONS, args) == ExitCode::SUCCESS
         }
+        (Some("lab"), args) => run_lab(Extensions::default(), args),
+        (Some("look_around_lab"), args) => run_lab(look_around::EXTENSIONS, args),
         (Some("rover"), [file, robot, place]) => rover::adapt(file, robot, place).is_ok(),
         (Some("round_planner"), args) => round_planner::run(args).is_ok(),
         other => panic!("no tutorial has a program {other:?}"),
     };
     std::process::exit(i32::from(!succeeded));
+}
+
+fn run_lab(extensions: Extensions, args: &[String]) -> bool {
+    let args = std::iter::once("consort-lab").chain(args.iter().map(String::as_str)).map(OsString::from);
+    consort_lab::cli::run_with(extensions, args) == ExitCode::SUCCESS
 }
 
 /// Checks that a page contains the example that a test builds, and no other Rust code. Returns the
@@ -73,7 +81,13 @@ fn the_skill_tutorial_works() {
     let page = tutorial("skill");
     let code = shows(&page, "look_around.rs");
     assert!(code.lines().count() <= 50, "{} lines are not 50", code.lines().count());
-    run_page(&page, &[("cargo run --example look_around --", |args| substitute_program("look_around", args))]);
+    run_page(
+        &page,
+        &[
+            ("cargo run --example look_around --", |args| substitute_program("look_around", args)),
+            ("cargo run --example look_around_lab --", |args| substitute_program("look_around_lab", args)),
+        ],
+    );
 }
 
 #[test]
@@ -94,7 +108,13 @@ fn the_operations_tutorial_works() {
 
 #[test]
 fn the_domain_tutorial_works() {
-    run_page(&tutorial("domain"), &[]);
+    let page = tutorial("domain");
+    for name in ["rounds.yaml", "water_plant.xml", "driver.py"] {
+        let shown = page.blocks.iter().find(|block| block.file.as_deref() == Some(name)).expect("a file of the page");
+        let example = std::fs::read_to_string(repository().join("examples/plants").join(name)).expect("the example");
+        assert!(shown.text == example, "{} does not show what examples/plants/{name} is", page.path.display());
+    }
+    run_page(&page, &[("consort-lab", |args| substitute_program("lab", args))]);
 }
 
 #[test]

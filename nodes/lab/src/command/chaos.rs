@@ -1,19 +1,24 @@
 //! `consort-lab chaos`: runs whole fleets under generated faults, and checks invariants at every
 //! step.
 
+use super::workload_flags::WorkloadFlags;
 use clap::{ArgGroup, Args as ClapArgs};
 use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
+use consort_skills::extensions::Extensions;
+use consort_skills::workload::Workload;
 use consort_tests::chaos::mutants::Mutant;
 use consort_tests::chaos::mutation_checks::{MUTANT_CHECKS, check_mutant};
 use consort_tests::chaos::scoreboard::{self, markdown};
 use consort_tests::chaos::seed_sweep::percentiles;
 use consort_tests::chaos::{
     ChaosFleet, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate, shrink,
+    user_missions,
 };
 use consort_text::count;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -22,11 +27,14 @@ use std::time::Instant;
 /// The usages, each with its flags. Shown whenever other flags were given.
 const USAGE: &str = "\
 consort-lab chaos [--seeds FIRST..LAST] [--minutes MINUTES] [--nodes NODES] [--faults KIND,…] [--mutant NAME]
-                     [--jobs JOBS] [--json]
+                     [--domain FILE] [--mission FILE] [--person NAME] [--jobs JOBS] [--json]
        consort-lab chaos --seed SEED [--schedule FILE | --faults KIND,…] [--minutes MINUTES] [--nodes NODES]
-                     [--mutant NAME] [--verbose] [--json]
+                     [--mutant NAME] [--domain FILE] [--mission FILE] [--person NAME] [--verbose] [--json]
        consort-lab chaos --scoreboard [--runs N] [--minutes MINUTES] [--save FILE] [--jobs JOBS] [--json]
        consort-lab chaos --mutants [--jobs JOBS] [--json]";
+
+/// Maximum number of causes in the summary.
+const CAUSES_MAX: usize = 10;
 
 /// Maximum number of runs for shrinking a schedule.
 const SHRINK_TRIES: usize = 300;
@@ -42,6 +50,9 @@ const SHRINK_TRIES: usize = 300;
 /// others. After 70 % of the time all faults end. The fleet must then converge: a single
 /// coordinator, every mission ended, and complete membership at every node.
 ///
+/// With --mission the clients request missions of your own, in turn, in place of the lab samples; places without a
+/// default are rooms of the hospital. Carriers have the skills for them, and people on call have the roles of people.
+///
 /// It stops at the first seed that violates an invariant. It then prints the violation, the events
 /// before it, the smallest set of faults that reproduces it, and the command that repeats it. With
 /// --json all of that goes to the standard error.
@@ -56,6 +67,7 @@ Examples:
   consort-lab chaos --seed 4711 --schedule chaos-4711.json  # a violation again, with its written schedule
   consort-lab chaos --faults partition,coordinator-crash    # only some kinds of faults
   consort-lab chaos --scoreboard --runs 50 --save score.json  # the results under each kind of fault
+  consort-lab chaos --seeds 1..20 --domain domain.yaml --mission mission.yaml  # a mission of your own
 
   # checks that injected bugs are found
   consort-lab chaos --mutants
@@ -107,6 +119,8 @@ pub(crate) struct Args {
     /// Runs for each line of the scoreboard
     #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..), requires = "scoreboard", conflicts_with_all = ["seeds", "seed", "mutants"])]
     runs: u64,
+    #[command(flatten)]
+    workload: WorkloadFlags,
     /// Print the steps of the run
     #[arg(long, requires = "seed", conflicts_with_all = ["seeds", "mutants", "scoreboard"])]
     verbose: bool,
@@ -140,31 +154,47 @@ fn nodes(text: &str) -> Result<usize, InvalidValue> {
 ///
 /// # Errors
 /// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if an invariant was violated.
-pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    match args.seed {
-        _ if args.mutants => run_hunts(args),
-        _ if args.scoreboard => score(args),
-        Some(seed) => one(args, seed),
-        None => many(args),
+pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
+    let workload = args.workload.workload(extensions)?;
+    user_missions(&workload)
+        .map_err(|(mission, errors)| Failure::Usage(format!("--mission: the mission {mission}: {errors}")))?;
+    let chaos = Chaos { args, workload };
+    match chaos.args.seed {
+        _ if chaos.args.mutants => run_hunts(&chaos.args),
+        _ if chaos.args.scoreboard => score(&chaos.args),
+        Some(seed) => one(&chaos, seed),
+        None => many(&chaos),
     }
 }
 
-impl Args {
+/// The flags, and the files that they name.
+struct Chaos {
+    args: Args,
+    workload: Workload,
+}
+
+impl Chaos {
     fn order(&self, seed: u64) -> RunConfig {
+        let args = &self.args;
         RunConfig {
             seed,
-            nodes: self.nodes,
-            minutes: self.minutes,
-            closed: !self.open && self.mutant.is_none_or(Mutant::needs_closed_fleet),
-            mutant: self.mutant,
+            nodes: args.nodes,
+            minutes: args.minutes,
+            closed: !args.open && args.mutant.is_none_or(Mutant::needs_closed_fleet),
+            mutant: args.mutant,
+            workload: self.workload.clone(),
         }
     }
 
     fn generated(&self, seed: u64) -> Schedule {
-        let kinds = if self.faults.is_empty() { &FaultKind::FAULTS[..] } else { &self.faults };
-        generate(seed, &ChaosFleet::of(self.nodes), self.minutes, kinds)
+        let args = &self.args;
+        let kinds = if args.faults.is_empty() { &FaultKind::FAULTS[..] } else { &args.faults };
+        let schedule = generate(seed, &ChaosFleet::of(args.nodes), args.minutes, kinds);
+        schedule.requesting(self.workload.own_missions())
     }
+}
 
+impl Args {
     fn jobs(&self) -> usize {
         self.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into)).max(1)
     }
@@ -197,6 +227,7 @@ impl Args {
         if let Some(mutant) = self.mutant {
             flags.push_str(&format!(" --mutant {mutant}"));
         }
+        flags.push_str(&self.workload.as_given());
         flags
     }
 }
@@ -259,15 +290,16 @@ fn score(args: &Args) -> Result<(), Failure> {
     }
 }
 
-fn one(args: &Args, seed: u64) -> Result<(), Failure> {
+fn one(chaos: &Chaos, seed: u64) -> Result<(), Failure> {
+    let args = &chaos.args;
     let schedule = match &args.schedule {
-        Some(file) => read(file, &ChaosFleet::of(args.nodes))?,
-        None => args.generated(seed),
+        Some(file) => read(file, &ChaosFleet::of(args.nodes), &chaos.workload)?,
+        None => chaos.generated(seed),
     };
     if args.verbose {
         args.print(format_args!("{schedule}"))?;
     }
-    let order = args.order(seed);
+    let order = chaos.order(seed);
     let mut waiting = Progress::on_terminal();
     waiting.show(format_args!("seed {seed}: {} minutes of a fleet's time", args.minutes));
     let outcome = run_quietly(&order, &schedule);
@@ -282,7 +314,8 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
     }
 }
 
-fn many(args: &Args) -> Result<(), Failure> {
+fn many(chaos: &Chaos) -> Result<(), Failure> {
+    let args = &chaos.args;
     let seeds = args.seeds.end() - args.seeds.start() + 1;
     let bar = ProgressBar::new(seeds);
     let style = "{bar:40} {pos}/{len} seeds, {per_sec}, {eta} left  {msg}";
@@ -292,7 +325,7 @@ fn many(args: &Args) -> Result<(), Failure> {
     let many = SeedSweep {
         seeds: args.seeds.clone(),
         jobs: args.jobs(),
-        config: &|seed| (args.order(seed), args.generated(seed)),
+        config: &|seed| (chaos.order(seed), chaos.generated(seed)),
     };
     let mut printed = Ok(());
     let found = many.run(|outcome| {
@@ -309,7 +342,7 @@ fn many(args: &Args) -> Result<(), Failure> {
     if let Some(outcome) = found
         && let Some(violation) = &outcome.violation
     {
-        return broken(args, &args.order(outcome.seed), &args.generated(outcome.seed), violation, true);
+        return broken(args, &chaos.order(outcome.seed), &chaos.generated(outcome.seed), violation, true);
     }
     let seconds = began.elapsed().as_secs_f64();
     let rate = seeds as f64 * 60.0 / seconds;
@@ -328,6 +361,9 @@ fn many(args: &Args) -> Result<(), Failure> {
             median_and_p99(&totals.converged, 1000.0, "s"),
             totals.simulated_ms as f64 / 3_600_000.0,
         ))?;
+        if chaos.workload.own_missions().next().is_some() {
+            output::line(totals.causes_text())?;
+        }
     }
     Ok(())
 }
@@ -349,6 +385,7 @@ struct Totals {
     takeovers: Vec<u64>,
     converged: Vec<u64>,
     simulated_ms: u64,
+    causes: BTreeMap<String, usize>,
 }
 
 impl Totals {
@@ -361,6 +398,19 @@ impl Totals {
         self.takeovers.extend(&counters.takeovers_ms);
         self.converged.extend(counters.converged_ms);
         self.simulated_ms += counters.simulated_ms;
+        for cause in &counters.causes {
+            *self.causes.entry(cause.clone()).or_default() += 1;
+        }
+    }
+}
+
+impl Totals {
+    /// Lists the causes of failed missions, the most frequent first.
+    fn causes_text(&self) -> String {
+        let mut causes: Vec<_> = self.causes.iter().collect();
+        causes.sort_by_key(|(_, times)| std::cmp::Reverse(**times));
+        let lines = causes.iter().take(CAUSES_MAX).map(|(cause, times)| format!("\n  {times} × {cause}"));
+        if causes.is_empty() { "no mission failed".to_owned() } else { format!("failed:{}", lines.collect::<String>()) }
     }
 }
 
@@ -431,11 +481,11 @@ fn run_quietly(order: &RunConfig, schedule: &Schedule) -> RunOutcome {
     outcome.expect("a run has an outcome")
 }
 
-fn read(file: &Path, cast: &ChaosFleet) -> Result<Schedule, Failure> {
+fn read(file: &Path, cast: &ChaosFleet, workload: &Workload) -> Result<Schedule, Failure> {
     let wrong = |problem: String| Failure::Usage(format!("{}: {problem}", file.display()));
     let text = std::fs::read_to_string(file).map_err(|problem| wrong(problem.to_string()))?;
     let schedule: Schedule =
         serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))?;
-    schedule.check(cast).map_err(|problem| wrong(problem.to_string()))?;
+    schedule.check(cast, workload).map_err(|problem| wrong(problem.to_string()))?;
     Ok(schedule.in_order())
 }

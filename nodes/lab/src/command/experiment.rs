@@ -1,7 +1,8 @@
 //! `consort-lab experiment`: runs the published evaluation and others on whole fleets.
 
 use super::legs;
-use crate::design_file::{DesignFile, domain};
+use super::workload_flags::WorkloadFlags;
+use crate::design_file::DesignFile;
 use crate::evaluation::{Evaluation, InputOverrides};
 use clap::{Args as ClapArgs, Subcommand};
 use consort_evaluation::calibration::{self, DEFAULT_QUANTILE, Observation};
@@ -17,7 +18,9 @@ use consort_nodes::config;
 use consort_nodes::diagnostic::{Diagnostic, Diagnostics};
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
+use consort_protocol::mission::Domain;
 use consort_skills::descriptor::Calibration;
+use consort_skills::extensions::Extensions;
 use consort_tests::experiment::{ExperimentSetup, TrialOutcome, run as run_trials, trials};
 use consort_text::count;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -59,6 +62,7 @@ Examples:
   consort-lab experiment run published --out all --policies consort,mission-control,random,optimal --treatments calm,coordinator-killed
   consort-lab experiment run food --out food --jobs 4 --repetitions 2
   consort-lab experiment run my-design.toml --out results --legs legs.csv
+  consort-lab experiment run my-design.toml --out results --domain domain.yaml --mission mission.yaml
   consort-lab experiment run published --out repeated --scenarios scenarios_81.json --map hospital_map.json --legs nav_legs.csv
 
 Bundled designs: published, food, rounds (in sim_bridge/evaluation/designs/ of the source). A design file is TOML; an unknown key is
@@ -110,6 +114,8 @@ struct Common {
     /// The output folder; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    #[command(flatten)]
+    workload: WorkloadFlags,
     /// Repetitions of each scenario under each policy, in place of the design's
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     repetitions: Option<u32>,
@@ -158,17 +164,18 @@ fn share(text: &str) -> Result<f64, InvalidValue> {
 /// # Errors
 /// [`Failure::Usage`] for wrong flags or files; [`Failure::Unsuccessful`] if a file cannot be
 /// written.
-pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+pub(crate) fn run(args: &Args, extensions: Extensions) -> Result<(), Failure> {
     match &args.what {
-        ExperimentCommand::Run(args) => run_design(args),
-        ExperimentCommand::Calibrate(args) => calibrate(args),
+        ExperimentCommand::Run(args) => run_design(args, extensions),
+        ExperimentCommand::Calibrate(args) => calibrate(args, extensions),
         ExperimentCommand::Legs(args) => legs::run(args),
     }
 }
 
 impl Common {
-    fn evaluation(&self) -> Result<Evaluation, Failure> {
-        let mut design = self.design()?;
+    fn evaluation(&self, extensions: Extensions) -> Result<Evaluation, Failure> {
+        let workload = self.workload.workload(extensions)?;
+        let mut design = self.design(&workload.extensions.domain())?;
         design.repetitions = self.repetitions.unwrap_or(design.repetitions);
         design.seed = self.seed.unwrap_or(design.seed);
         let instead = InputOverrides {
@@ -176,15 +183,16 @@ impl Common {
             map: self.map.as_deref(),
             legs: self.legs.as_deref(),
         };
-        Ok(Evaluation::load(design, &instead)?)
+        let evaluation = Evaluation::load(design, &instead, workload);
+        Ok(evaluation.map_err(|problems| problems.with_file(&self.design))?)
     }
 
-    fn design(&self) -> Result<Design, Failure> {
+    fn design(&self, domain: &Domain) -> Result<Design, Failure> {
         let path = Path::new(&self.design);
         let shipped = design::SHIPPED.iter().find(|(name, _)| *name == self.design);
         match shipped {
-            Some((name, text)) if !path.is_file() => Ok(config::from_text::<DesignFile>(text, name, &domain())?.0),
-            _ if path.exists() => Ok(config::load::<DesignFile>(path, &domain())?.0),
+            Some((name, text)) if !path.is_file() => Ok(config::from_text::<DesignFile>(text, name, domain)?.0),
+            _ if path.exists() => Ok(config::load::<DesignFile>(path, domain)?.0),
             _ => {
                 let known: Vec<&str> = design::SHIPPED.iter().map(|(name, _)| *name).collect();
                 let what = format!("no such file; give the path of a file, or a bundled design: {}", known.join(", "));
@@ -220,9 +228,10 @@ fn build_report(heading: &ReportHeader, rows: &[TrialRow], gain: Option<&Calibra
     report(heading, rows, gain)
 }
 
-fn run_design(args: &RunArgs) -> Result<(), Failure> {
-    let evaluation = args.common.evaluation()?;
-    let calibration = args.calibration.as_ref().map(|file| config::load::<Calibration>(file, &domain())).transpose()?;
+fn run_design(args: &RunArgs, extensions: Extensions) -> Result<(), Failure> {
+    let evaluation = args.common.evaluation(extensions)?;
+    let domain = evaluation.workload.extensions.domain();
+    let calibration = args.calibration.as_ref().map(|file| config::load::<Calibration>(file, &domain)).transpose()?;
     let mut design = evaluation.design.clone();
     design.policies = args.policies.clone().unwrap_or(design.policies);
     design.treatments = args.treatments.clone().unwrap_or(design.treatments);
@@ -241,8 +250,8 @@ fn run_design(args: &RunArgs) -> Result<(), Failure> {
     output::line(format_args!("{trials} in {seconds:.1} s; see {}", out.join("report.md").display()))
 }
 
-fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
-    let evaluation = args.common.evaluation()?;
+fn calibrate(args: &CalibrateArgs, extensions: Extensions) -> Result<(), Failure> {
+    let evaluation = args.common.evaluation(extensions)?;
     let jobs = args.common.jobs();
     args.common.folder()?;
     let one = |design: &Design, policies: Vec<Policy>| Design {

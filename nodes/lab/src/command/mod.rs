@@ -9,3 +9,4 @@ pub(crate) mod png;
 pub mod schema;
 pub(crate) mod soak;
 pub mod test;
+mod workload_flags;

@@ -1,8 +1,10 @@
 //! `consort-lab test`: runs Gherkin features on whole fleets in virtual time.
 
+use super::workload_flags::DomainFlags;
 use clap::Args as ClapArgs;
 use consort_nodes::exit::Failure;
 use consort_nodes::output;
+use consort_skills::extensions::Extensions;
 use consort_tests::behavior::{self, Features, RunOptions, ScenarioFilter, step_docs};
 use consort_text::count;
 use std::io::{IsTerminal, stdout};
@@ -26,6 +28,7 @@ Examples:
   consort-lab test my.feature --verbose               # a single file, with every step
   consort-lab test tests/features --tags '@nurse and not @slow'
   consort-lab test tests/features --name 'battery' --seed 7
+  consort-lab test plants.feature --domain plants.yaml  # actions and tasks of your own in all scenarios
 
 A feature:
   Feature: Lab samples
@@ -43,6 +46,8 @@ pub struct Args {
     /// Feature files, or folders with files that end in .feature
     #[arg(value_name = "FEATURES", required_unless_present = "steps")]
     features: Vec<PathBuf>,
+    #[command(flatten)]
+    domains: DomainFlags,
     /// Run only scenarios with matching tags, as in '@nurse and not @slow'
     #[arg(long, value_name = "EXPRESSION")]
     tags: Option<String>,
@@ -66,9 +71,9 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for invalid feature files and unknown steps; [`Failure::Unsuccessful`] if a
+/// [`Failure::Usage`] for invalid feature files, unknown steps and invalid domains; [`Failure::Unsuccessful`] if a
 /// scenario does not pass.
-pub fn run(args: Args) -> Result<(), Failure> {
+pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     if args.steps {
         return steps();
     }
@@ -82,6 +87,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let features = Features::read(&args.features, &filter).map_err(|bad| Failure::Usage(bad.to_string()))?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let order = RunOptions {
+        extensions: args.domains.extend(extensions)?,
         seed: args.seed,
         jobs: args.jobs.unwrap_or(cores),
         steps: args.verbose,

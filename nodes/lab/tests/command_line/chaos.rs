@@ -109,3 +109,34 @@ fn a_violation_prints_json_and_the_suggested_commands_reproduce_it() {
         run(&line.split(' ').chain(["--json"]).collect::<Vec<_>>());
     }
 }
+
+fn plants(name: &str) -> String {
+    format!("{}/../../examples/plants/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Missions and domains of a user run under faults, and are completed. Missing values are reported with their names.
+#[test]
+fn a_mission_of_a_domain_runs_under_faults() {
+    let (domain, mission) = (plants("domain.yaml"), plants("rounds.yaml"));
+    let of_domain = ["chaos", "--domain", &domain, "--mission", &mission, "--minutes", "1"];
+    let ran = run(&[&of_domain[..], &["--seeds", "1..4", "--json"]].concat());
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let counters: Vec<Value> = lines_of_json(&ran.out).into_iter().map(|outcome| outcome["counters"].clone()).collect();
+    let sum = |name: &str| counters.iter().filter_map(|counters| counters[name].as_u64()).sum::<u64>();
+    assert!(sum("completed") > 0 && sum("completed") * 2 >= sum("acknowledged"), "{counters:#?}");
+
+    let ran = run(&["chaos", "--mission", &mission, "--seeds", "1..1"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{}", ran.err);
+    assert!(ran.err.contains("--mission: the mission water-plants: "), "{}", ran.err);
+    assert!(ran.err.contains("unknown task type `water_plant`"), "{}", ran.err);
+
+    let open = "mission: pause\nparameters:\n  time: { kind: seconds }\nroles:\n  r1: { kind: managed }\n\
+                root: { task: rest, type: wait, roles: [r1], parameters: { seconds: \"${time}\" } }\n";
+    let ran = run(&["chaos", "--mission", &test_file("open.yaml", open), "--seeds", "1..1"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{}", ran.err);
+    assert!(
+        ran.err.contains("--mission: the mission pause: ") && ran.err.contains("parameters/time: is not given"),
+        "{}",
+        ran.err
+    );
+}

@@ -1,6 +1,6 @@
 use super::support::{run, test_file};
 use consort_nodes::check::{FileKind, check_file};
-use consort_nodes::extensions::Extensions;
+use consort_skills::extensions::Extensions;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -197,4 +197,30 @@ fn legs_reports_an_invalid_file_with_its_line() {
     let form = error(&format!("{header}A,B,long,1\n"));
     assert!(form.contains("FILE: ") && form.contains("line: 2"), "{form}");
     assert!(error(header).contains("FILE: the file contains no drives"));
+}
+
+/// A design with a mission and a domain of a user.
+#[test]
+fn a_design_of_a_domain_runs() {
+    let plants = |name: &str| format!("{}/../../examples/plants/{name}", env!("CARGO_MANIFEST_DIR"));
+    let begin = THIN.find("[mission]").expect("a section");
+    let factors = THIN.find("[factors]").expect("a section");
+    let design = format!(
+        "{}[mission]\nname = \"water-plants\"\n\n[[robots]]\ncount = 3\nskills = [\"water_plant\"]\n\n{}",
+        &THIN[..begin],
+        THIN[factors..].replace("sites = { room = [\"IC Room 6\"] }", "")
+    );
+    let (design, out) = (test_file("plants.toml", &design), folder("plants").display().to_string());
+    let (domain, mission) = (plants("domain.yaml"), plants("rounds.yaml"));
+    let files = ["--domain", &domain, "--mission", &mission];
+    let ran = run(&[&["experiment", "run", &design, "--out", &out], &files[..]].concat());
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let rows = std::fs::read_to_string(folder("plants").join("rows.csv")).expect("the rows");
+    assert_eq!(rows.lines().count(), 3, "{rows}");
+    assert_eq!(rows.matches(",success,").count(), 2, "{rows}");
+    let ran = run(&[&["check", &design], &files[..]].concat());
+    assert_eq!((ran.code, ran.err.as_str()), (Some(0), ""), "{}", ran.out);
+    let ran = run(&["check", &design]);
+    assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
+    assert!(ran.out.contains("there is no mission \"water-plants\""), "{}", ran.out);
 }

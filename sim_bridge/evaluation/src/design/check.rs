@@ -3,8 +3,7 @@
 use super::{Design, PlaceError, Scenario, UniformRange};
 use consort_protocol::ids::{PlaceId, RoleId, TaskId};
 use consort_protocol::mission::{Mission, RoleKind};
-use consort_skills::domain::hospital;
-use consort_skills::missions::shipped;
+use consort_skills::workload::Workload;
 use consort_world::map::Map;
 use consort_world::suggest::did_you_mean;
 use consort_world::world::STOPPING_SHARE;
@@ -20,9 +19,9 @@ const ROBOTS_MAX: usize = 99;
 const TRIALS_MAX: usize = 1_000_000;
 
 impl Design {
-    /// Returns all errors in the content of the design. [`unknown_places`](Design::unknown_places)
-    /// checks the places.
-    pub fn validation_errors(&self) -> Vec<String> {
+    /// Returns all errors in the content of the design, whose mission is shipped or in the workload.
+    /// [`unknown_places`](Design::unknown_places) checks the places.
+    pub fn validation_errors(&self, workload: &Workload) -> Vec<String> {
         let mut violations = vec![];
         let mut check = |sound: bool, error: String| {
             if !sound {
@@ -56,7 +55,7 @@ impl Design {
         .collect();
         further.extend(self.travel.validation_errors());
         further.extend(self.factor_problems());
-        further.extend(self.mission_problems());
+        further.extend(self.mission_problems(workload));
         let trials = self.trials();
         check(trials <= TRIALS_MAX, format!("{trials} trials are more than the {TRIALS_MAX} allowed"));
         violations.extend(further);
@@ -131,7 +130,7 @@ impl Design {
         violations
     }
 
-    fn mission_problems(&self) -> Vec<String> {
+    fn mission_problems(&self, workload: &Workload) -> Vec<String> {
         let mut violations = vec![];
         let sites = &self.factors.location.sites;
         let mut site = |key: String, written: &str| {
@@ -162,10 +161,10 @@ impl Design {
                 ));
             }
         }
-        let Some(template) = shipped().get(&self.mission.name) else {
-            let known = || shipped().keys().map(String::as_str);
+        let Some(mission) = workload.mission(&self.mission.name) else {
+            let known = || workload.mission_names();
             violations.push(format!(
-                "mission.name: no mission {:?} is shipped{}; shipped missions: {}",
+                "mission.name: there is no mission {:?}{}; missions: {}",
                 self.mission.name,
                 did_you_mean(&self.mission.name, known()),
                 known().collect::<Vec<_>>().join(", ")
@@ -179,7 +178,7 @@ impl Design {
             .iter()
             .map(|(name, value)| (name.clone(), value.trim_start_matches('@').to_owned()))
             .collect();
-        match template.instantiate(&parameters, &hospital()) {
+        match mission.instantiate(&parameters, &workload.extensions.domain()) {
             Ok(mission) => {
                 violations.extend(self.role_problems(&mission));
                 violations.extend(self.phase_problems(&mission));
@@ -262,11 +261,12 @@ impl Design {
 #[cfg(test)]
 mod tests {
     use super::super::{DeliveryGoal, Design, shipped};
+    use consort_skills::workload::Workload;
 
     fn errors_after(change: impl FnOnce(&mut Design)) -> Vec<String> {
         let mut design = shipped("published").unwrap().unwrap();
         change(&mut design);
-        design.validation_errors()
+        design.validation_errors(&Workload::default())
     }
 
     #[test]
@@ -324,7 +324,7 @@ mod tests {
         assert_eq!(errors_after.len(), 1);
         assert!(
             errors_after[0]
-                .starts_with("mission.name: no mission \"lab-sample\" is shipped; did you mean \"lab-samples\"?"),
+                .starts_with("mission.name: there is no mission \"lab-sample\"; did you mean \"lab-samples\"?"),
             "{errors_after:?}"
         );
     }

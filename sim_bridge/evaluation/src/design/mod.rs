@@ -125,7 +125,7 @@ fn kill_within_s() -> f64 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DesignMission {
-    /// Name of a shipped mission.
+    /// Name of a shipped mission, or of a mission file that is given with the design.
     pub name: String,
     /// Its parameters; a value `@site` stands for a place drawn by the factor location.
     #[serde(default)]

@@ -17,13 +17,14 @@ pub fn shipped(name: &str) -> Option<Result<Design, toml::de::Error>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_skills::workload::Workload;
 
     #[test]
     fn every_shipped_design_is_valid_and_has_its_name() {
         for (name, _) in SHIPPED {
             let design = shipped(name).unwrap().unwrap_or_else(|error| panic!("{name}: {error}"));
             assert_eq!(design.name, *name);
-            assert_eq!(design.validation_errors(), Vec::<String>::new(), "{name}");
+            assert_eq!(design.validation_errors(&Workload::default()), Vec::<String>::new(), "{name}");
             let map = consort_world::map::shipped(&design.map).unwrap();
             for scenario in super::super::scenarios(&design) {
                 assert_eq!(design.unknown_places(&scenario, &map), Vec::<String>::new(), "{name}");

@@ -72,11 +72,8 @@ impl SimState {
             let info = self.get::<PersonInfo>(**person);
             info.role == *role && info.place == place && self.is_present(&info.name)
         };
-        let may_come = |person: &&Entity| {
-            let info = self.get::<PersonInfo>(**person);
-            info.role == *role && info.on_call && self.is_present(&info.name) && self.is_needed_by_nobody(**person)
-        };
-        match self.people.values().find(is_here).or_else(|| self.people.values().find(may_come)) {
+        let comes = |person: &&Entity| self.comes_when_called(**person, role);
+        match self.people.values().find(is_here).or_else(|| self.people.values().find(comes)) {
             Some(person) => Ok(CoPresence::Person { person: *person, authenticated: false }),
             None => {
                 let message = format!("{}: no {role} is at {}", self.robot_id(robot), self.map.place_at(place).id);
@@ -85,9 +82,18 @@ impl SimState {
         }
     }
 
-    fn is_needed_by_nobody(&self, person: Entity) -> bool {
-        let is_with = |robot: &Entity| matches!(*self.get::<CoPresence>(*robot), CoPresence::Person { person: other, .. } if other == person);
-        !self.get::<HandsBusy>(person).0 && !self.robots.values().any(is_with)
+    /// Checks whether a person has the role and is on call, and neither a robot nor a handover needs the person.
+    fn comes_when_called(&self, person: Entity, role: &RoleId) -> bool {
+        let info = self.get::<PersonInfo>(person);
+        let is_with = |robot: &Entity| match *self.get::<CoPresence>(*robot) {
+            CoPresence::Person { person: other, .. } => other == person,
+            CoPresence::None | CoPresence::Robot { .. } => false,
+        };
+        info.role == *role
+            && info.on_call
+            && self.is_present(&info.name)
+            && !self.get::<HandsBusy>(person).0
+            && !self.robots.values().any(is_with)
     }
 
     fn authenticate_person(&self, robot: Entity, role: &RoleId) -> Result<CoPresence, ActionError> {

@@ -73,16 +73,15 @@ impl System for DeclaredActions {
         let mut models = state.resource_mut::<ActionModels>();
         let ActionModels { actions, readings, chance } = &mut *models;
         let Some(action) = actions.get(&goal.action) else { return Ok(GoalResult::default()) };
-        let message = || format!("{} failed at {}", state.robot_id(robot), goal.action);
+        let declared = action.simulate.failures.iter().map(|(reason, share)| (Some(reason), *share));
         let mut drawn = chance.random_range(0.0..1.0);
-        for (reason, share) in &action.simulate.failures {
-            if drawn < *share {
-                return action.failure(reason, &message()).map_or(Ok(GoalResult::default()), Err);
+        for (reason, share) in declared.chain([(None, action.simulate.failure_rate)]) {
+            if drawn < share {
+                let message = format!("{} failed at {}", state.robot_id(robot), goal.action);
+                let error = reason.and_then(|reason| action.failure(reason, &message));
+                return Err(error.unwrap_or_else(|| action_error(ErrorCode::Failed, message)));
             }
             drawn -= share;
-        }
-        if drawn < action.simulate.failure_rate {
-            return Err(action_error(ErrorCode::Failed, message()));
         }
         let results = action.simulate.results.iter().map(|(name, result)| (name.clone(), json!(draw(result, chance))));
         let results = GoalResult(results.collect());
