@@ -61,6 +61,7 @@ pub mod plan;
 pub mod pose;
 pub mod scalar;
 mod schema;
+pub mod timeline;
 pub mod timing;
 pub mod trust;
 pub mod units;

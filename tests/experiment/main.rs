@@ -3,4 +3,5 @@
 mod published;
 #[path = "../support/skip.rs"]
 mod skip;
+mod solomon;
 mod trials;

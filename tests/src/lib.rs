@@ -1,5 +1,6 @@
 //! Test harness for whole fleets.
 
+pub mod allocation;
 pub mod behavior;
 pub mod chaos;
 mod checks;

@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::command::{bench, chaos, check, experiment, png, schema, soak, test};
+use crate::command::{allocate, bench, chaos, check, experiment, png, schema, soak, test};
 use clap::{Parser, Subcommand};
 use consort_nodes::output::exit_code;
 use consort_skills::extensions::Extensions;
@@ -46,6 +46,7 @@ enum Command {
     Soak(soak::Args),
     Test(test::Args),
     Experiment(experiment::Args),
+    Allocate(allocate::Args),
     Bench(bench::Args),
     Check(check::Args),
     Schema(schema::Args),
@@ -66,6 +67,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Soak(args) => soak::run(&args),
             Command::Test(args) => test::run(args, extensions),
             Command::Experiment(args) => experiment::run(&args, extensions),
+            Command::Allocate(args) => allocate::run(&args),
             Command::Bench(args) => bench::run(args),
             Command::Check(args) => check::run(&args, extensions),
             Command::Schema(args) => schema::run(&args),

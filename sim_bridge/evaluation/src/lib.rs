@@ -1,6 +1,7 @@
 //! The evaluation of thesis chapter 4 as values: the design of an experiment and the conclusions
 //! from its results. This module runs no fleets and never blocks.
 
+pub mod allocation;
 pub mod calibration;
 pub mod design;
 pub mod outcome;

@@ -1,5 +1,6 @@
 //! The commands, each in its own file with its flags and a function `run`.
 
+pub(crate) mod allocate;
 pub(crate) mod bench;
 pub(crate) mod chaos;
 pub(crate) mod check;

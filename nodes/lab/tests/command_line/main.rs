@@ -1,5 +1,6 @@
 //! The command line of the laboratory.
 
+mod allocate;
 mod bench;
 mod binary;
 mod chaos;
