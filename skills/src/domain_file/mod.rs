@@ -52,7 +52,7 @@ use consort_protocol::mission::{DomainHash, DomainReference, IhtnNames, RESULTS_
 use consort_text::AllowedNames;
 use content_hash::content_hash;
 use estimate::DeclaredEstimate;
-use reading_problems::{effect_problems, reading_problems};
+use reading_problems::{effect_problems, reading_problems, value_problem};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
@@ -257,9 +257,12 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
     let place = format!("actions.{name}");
     let mut problems = parameter_problems(&place, &action.parameters);
     problems.extend(result_problems(&place, &action.results));
-    for result in action.simulate.results.keys().filter(|result| !action.results.contains_key(*result)) {
-        let known = AllowedNames::suggest_for(result, action.results.keys());
-        problems.push(problem(format!("{place}.simulate.results.{result}"), format!("no such result; {known}")));
+    for (result, simulated) in &action.simulate.results {
+        let wrong = match action.results.get(result) {
+            Some(form) => value_problem("result", form, simulated),
+            None => Some(format!("no such result; {}", AllowedNames::suggest_for(result, action.results.keys()))),
+        };
+        problems.extend(wrong.map(|wrong| problem(format!("{place}.simulate.results.{result}"), wrong)));
     }
     for name in action.results.keys().filter(|name| action.parameters.contains_key(*name)) {
         problems.push(problem(format!("{place}.results.{name}"), "a parameter has the same name"));

@@ -1,6 +1,6 @@
 //! Checks of readings, and of the effects of simulated goals on them.
 
-use super::form::{Addition, ParameterKind, ReadingForm, SimulatedEffect, SimulatedResult};
+use super::form::{Addition, ParameterForm, ParameterKind, ReadingForm, SimulatedEffect, SimulatedResult};
 use super::{DomainProblem, problem, value_problems};
 use crate::actions::READINGS_MAX;
 use consort_protocol::ids::ActionName;
@@ -23,7 +23,7 @@ pub(super) fn reading_problems(readings: &BTreeMap<String, ReadingForm>, number:
             problems.push(problem(&place, "a reading is not `optional`"));
         }
         let simulated = reading.simulate.value.as_ref();
-        let wrong = simulated.and_then(|value| value_problem(reading, value));
+        let wrong = simulated.and_then(|value| value_problem("reading", &reading.value, value));
         problems.extend(wrong.map(|wrong| problem(format!("{place}.simulate.value"), wrong)));
     }
     if number > READINGS_MAX {
@@ -45,7 +45,7 @@ pub(super) fn effect_problems(
                 let known = AllowedNames::suggest_for(name, readings.keys());
                 Some(format!("the domain declares no such reading; {known}"))
             }
-            (Some(reading), SimulatedEffect::Set(value)) => value_problem(reading, value),
+            (Some(reading), SimulatedEffect::Set(value)) => value_problem("reading", &reading.value, value),
             (Some(reading), SimulatedEffect::Add(Addition { add })) => {
                 let is_number = reading.value.nearest(0.0).is_some() && add.is_finite();
                 let kind = reading.value.value_kind();
@@ -58,21 +58,21 @@ pub(super) fn effect_problems(
     wrong.collect()
 }
 
-/// Returns the problem of a value in the simulator that does not fit its reading.
-fn value_problem(reading: &ReadingForm, simulated: &SimulatedResult) -> Option<String> {
-    let kind = reading.value.value_kind();
+/// Returns the problem of a value in the simulator that does not fit its form: that of a reading or of a result.
+pub(super) fn value_problem(what: &str, form: &ParameterForm, simulated: &SimulatedResult) -> Option<String> {
+    let kind = form.value_kind();
     let accepts = |value: &Scalar| kind.accept(value).is_some();
     let wrong = match simulated {
         SimulatedResult::Value(value) => (!accepts(value)).then(|| format!("`{value}`")),
         SimulatedResult::OneOf(values) if values.is_empty() => Some("an empty list".to_owned()),
         SimulatedResult::OneOf(values) => values.iter().find(|value| !accepts(value)).map(|value| format!("`{value}`")),
         SimulatedResult::Range([least, greatest]) => {
-            let fits = |end: &f64| reading.value.nearest(*end).is_some_and(|nearest| is_same(&nearest, *end));
+            let fits = |end: &f64| form.nearest(*end).is_some_and(|nearest| is_same(&nearest, *end));
             let is_range = least <= greatest && fits(least) && fits(greatest);
             (!is_range).then(|| format!("the range [{least}, {greatest}]"))
         }
     };
-    wrong.map(|wrong| format!("{wrong} does not fit the reading; allowed is {kind}"))
+    wrong.map(|wrong| format!("{wrong} does not fit the {what}; allowed is {kind}"))
 }
 
 /// Checks whether a value of a reading is this number.

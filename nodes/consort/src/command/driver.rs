@@ -1,10 +1,11 @@
 //! `consort driver`: checks drivers of robots.
 
+use crate::domains;
 use crate::exit::Failure;
-use crate::extensions::Extensions;
 use crate::{node_runtime, output};
-use consort_driver::DriverProgram;
 use consort_driver::conformance::{self, CASES, Case, CaseReport, SampleGoal, Trial};
+use consort_driver::{DriverEndpoint, DriverSetting};
+use consort_skills::extensions::Extensions;
 use consort_text::{AllowedNames, count};
 
 /// Check drivers of robots
@@ -15,6 +16,7 @@ use consort_text::{AllowedNames, count};
 #[command(after_long_help = "\
 Examples:
   consort driver check --domain examples/vacuum/domain.yaml -- python3 examples/vacuum/driver.py
+  consort driver check --connect unix:driver.sock
   consort driver check --list
 
 The messages are in docs/reference/driver.md.")]
@@ -32,7 +34,10 @@ enum What {
 ///
 /// Starts the driver for each case, as a node does, without a fleet: it sends goals, renewals,
 /// cancels, wrong lines and floods, lets permissions pass, closes streams, and kills the process.
-/// Prints a line for each case: `ok`, or `FAILED` with what the driver did. The goals are those of
+/// With --connect it connects to a driver that listens on a socket for each case, and skips the cases
+/// about the end of a process.
+///
+/// Prints a line for each case: `ok`, `skipped`, or `FAILED` with what the driver did. The goals are those of
 /// the `example` of an offered action in the driver's hello, else a `wait` of 2 s: with a real
 /// robot, it moves.
 #[derive(Debug, clap::Args)]
@@ -42,6 +47,7 @@ Examples:
   consort driver check --domain domain.yaml -- ./driver --port /dev/ttyUSB0
   consort driver check --case cancel_stops_the_goal --case goal_succeeds -- python3 driver.py
   consort driver check --goal '{\"action\": \"wait\", \"parameters\": {\"time\": 2.0}}' -- python3 driver.py
+  consort driver check --domain domain.yaml --connect tcp:127.0.0.1:7700
   consort driver check --json --jobs 4 -- python3 driver.py | jq 'select(.ok | not)'
 
 A minimal driver in pseudocode; every message is a line of JSON:
@@ -71,8 +77,11 @@ struct CheckArgs {
     /// Cases that run at the same time, each with a process of its own: for simulated robots only
     #[arg(long, value_name = "COUNT", default_value_t = 1)]
     jobs: u8,
+    /// The socket on which the driver listens, in place of a program: unix:PATH or tcp:127.0.0.1:PORT
+    #[arg(long, value_name = "SOCKET", conflicts_with = "program")]
+    connect: Option<String>,
     /// The driver's program and its arguments, after `--`
-    #[arg(last = true, required_unless_present = "list", value_name = "PROGRAM")]
+    #[arg(last = true, required_unless_present_any = ["list", "connect"], value_name = "PROGRAM")]
     program: Vec<String>,
 }
 
@@ -92,10 +101,13 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
         return output::line(output::table(&rows));
     }
     let cases = selected(&args.cases)?;
-    let wrong = |problem: consort_driver::ProgramError| Failure::Usage(problem.to_string());
-    let program = DriverProgram::new(args.program).map_err(wrong)?;
-    program.check_exists().map_err(wrong)?;
-    let trial = Trial { program, contract: extensions.driver_contract(), goal: args.goal };
+    let setting = match args.connect {
+        Some(socket) => DriverSetting::Socket(socket),
+        None => DriverSetting::Command(args.program),
+    };
+    let endpoint = DriverEndpoint::try_from(setting).map_err(|problem| Failure::Usage(problem.to_string()))?;
+    endpoint.check_exists().map_err(|problem| Failure::Usage(problem.to_string()))?;
+    let trial = Trial { endpoint, contract: domains::driver_contract(extensions), goal: args.goal };
     let runtime = node_runtime::build_runtime()?;
     let (mut failures, mut written) = (0, Ok(()));
     runtime.block_on(conformance::run(&trial, &cases, usize::from(args.jobs), |report| {
@@ -114,6 +126,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
 fn write_report(report: &CaseReport, as_json: bool) -> Result<(), Failure> {
     match &report.problem {
         _ if as_json => output::json(report),
+        None if report.skipped => output::line(format_args!("skipped {}: it needs a process", report.case)),
         None => output::line(format_args!("ok      {}", report.case)),
         Some(problem) => output::line(format_args!("FAILED  {}: {problem}", report.case)),
     }

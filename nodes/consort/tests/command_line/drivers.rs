@@ -3,6 +3,8 @@
 
 use super::support::{CommandOutput, crate_file, run, test_file};
 use serde_json::Value;
+use std::io::{BufRead as _, BufReader};
+use std::process::{Child, Command, Stdio};
 
 fn example(name: &str) -> String {
     crate_file(&format!("../../examples/vacuum/{name}"))
@@ -36,6 +38,48 @@ fn the_example_driver_passes_every_case() {
     assert_eq!(ran.code, Some(0));
     let text = std::fs::read_to_string(example("driver.py")).expect("an example");
     assert!(text.lines().count() <= 80, "the example stays short");
+}
+
+/// A program that listens on a socket.
+struct Listener(Child);
+
+impl Drop for Listener {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Runs a driver for each connection of a socket, and returns when it listens.
+fn listen(socket: &str, driver: &str) -> Listener {
+    let program = crate_file("tests/data/listen.py");
+    let child = Command::new("python3").args([&program, socket, "python3", driver]).stdout(Stdio::piped()).spawn();
+    let mut child = child.expect("there is a program `python3`");
+    let mut line = String::new();
+    let output = child.stdout.take().expect("it is a pipe");
+    BufReader::new(output).read_line(&mut line).expect("its output is read");
+    assert_eq!(line, "listening\n");
+    Listener(child)
+}
+
+#[test]
+fn a_driver_on_a_socket_passes_every_case_but_those_of_processes() {
+    let (socket, domain) = (test_file("check.sock", ""), example("domain.yaml"));
+    std::fs::remove_file(&socket).expect("the file of this test");
+    let check =
+        || run(&["driver", "check", "--jobs", "4", "--domain", &domain, "--connect", &format!("unix:{socket}")]);
+    let alone = check();
+    assert_eq!(alone.code, Some(1), "{}", alone.err);
+    assert!(alone.out.contains("FAILED  goal_succeeds: no connection to unix:"), "{}", alone.out);
+    let _listener = listen(&socket, &example("driver.py"));
+    let ran = check();
+    let expected = "skipped end_of_input_ends_the_process: it needs a process\n\
+                    skipped end_of_input_during_a_goal_ends_the_process: it needs a process\n\
+                    skipped shutdown_ends_the_process: it needs a process\n";
+    let others: String =
+        ran.out.lines().filter(|line| !line.starts_with("ok ")).map(|line| format!("{line}\n")).collect();
+    assert_eq!((ran.code, others.as_str()), (Some(0), expected), "{}", ran.err);
+    assert!(ran.out.lines().count() >= 30, "{}", ran.out);
 }
 
 #[test]

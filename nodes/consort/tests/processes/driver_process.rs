@@ -70,9 +70,10 @@ fn driver_process(fleet: &Fleet) -> Option<String> {
     let mut pids = pids.map(|entry| entry.file_name().to_string_lossy().into_owned());
     pids.find(|pid| {
         let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-        // `python3` may be a script that starts the interpreter.
-        let program = line.split('\0').next().and_then(|path| path.rsplit('/').next()).unwrap_or_default();
-        program.starts_with("python") && line.contains(&script)
+        // `python3` may be a script that starts the interpreter. A listener names the script later.
+        let mut words = line.split('\0');
+        let program = words.next().and_then(|path| path.rsplit('/').next()).unwrap_or_default();
+        program.starts_with("python") && words.next() == Some(&script)
     })
 }
 
@@ -160,19 +161,9 @@ impl Drop for Server {
 
 /// Starts a program that listens on a Unix socket and runs the driver for each connection.
 fn serve_driver(fleet: &Fleet) -> Server {
-    let program = "import os, signal, socket, sys\n\
-        signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n\
-        server = socket.socket(socket.AF_UNIX)\n\
-        server.bind(os.path.join(sys.argv[1], \"driver.sock\"))\n\
-        server.listen()\n\
-        while True:\n\
-        \x20   connection, _ = server.accept()\n\
-        \x20   if os.fork() == 0:\n\
-        \x20       os.dup2(connection.fileno(), 0), os.dup2(connection.fileno(), 1)\n\
-        \x20       connection.close(), server.close()\n\
-        \x20       os.execvp(\"python3\", [\"python3\", os.path.join(sys.argv[1], \"driver.py\"), \"20\"])\n\
-        \x20   connection.close()\n";
-    let child = Command::new("python3").args(["-c", program]).arg(fleet.path("")).spawn();
+    let listen = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/listen.py");
+    let (socket, driver) = (fleet.path("driver.sock"), fleet.path("driver.py"));
+    let child = Command::new("python3").arg(listen).arg(socket).arg("python3").arg(driver).arg("20").spawn();
     Server(child.expect("there is a program `python3`"))
 }
 

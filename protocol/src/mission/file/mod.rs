@@ -222,7 +222,7 @@ impl MissionTemplate {
             Format::Json => serde_json::from_str(text).map_err(|problem| syntax(problem.to_string()))?,
             Format::Yaml => yaml::parse(text).map_err(syntax)?,
         };
-        Ok(scalars_as_text(value))
+        Ok(scalars_as_text(value, false))
     }
 
     /// Returns the JSON Schema of mission files. Rules beyond the schema, such as the known task
@@ -324,12 +324,27 @@ impl MissionTemplate {
     }
 }
 
-/// Converts scalars to text: mission files contain only texts, and YAML parses a bare `5` as a
-/// number.
-fn scalars_as_text(value: Value) -> Value {
+/// Keys with numbers.
+const NUMBERS: [&str; 4] = ["attempts", "repeat", "patience_s", "after_s"];
+
+/// Keys with maps whose keys and values are free texts.
+const TEXTS: [&str; 4] = ["parameters", "reaches", "acquires", "result"];
+
+/// Converts scalars to text, except those of [`NUMBERS`]: all other values of mission files are texts, and YAML parses a
+/// bare `5` as a number. `is_free` is true within one of [`TEXTS`].
+fn scalars_as_text(value: Value, is_free: bool) -> Value {
     match value {
-        Value::Array(list) => list.into_iter().map(scalars_as_text).collect(),
-        Value::Object(map) => map.into_iter().map(|(key, value)| (key, scalars_as_text(value))).collect(),
+        Value::Array(list) => list.into_iter().map(|value| scalars_as_text(value, is_free)).collect(),
+        Value::Object(map) => {
+            let convert = |(key, value): (String, Value)| {
+                let value = match &*key {
+                    name if !is_free && NUMBERS.contains(&name) => value,
+                    name => scalars_as_text(value, is_free || TEXTS.contains(&name)),
+                };
+                (key, value)
+            };
+            map.into_iter().map(convert).collect()
+        }
         Value::Bool(value) => Value::String(value.to_string()),
         Value::Number(value) => Value::String(value.to_string()),
         Value::Null | Value::String(_) => value,

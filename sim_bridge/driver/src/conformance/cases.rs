@@ -29,11 +29,22 @@ pub struct Case {
     pub(super) run: for<'a> fn(&'a Trial) -> BoxFuture<'a, Result<(), CaseFailure>>,
 }
 
+impl Case {
+    /// Checks whether the case is about the end of a process. It is skipped for a driver that listens on a socket.
+    pub fn needs_process(&self) -> bool {
+        self.name.ends_with("ends_the_process")
+    }
+}
+
 macro_rules! cases {
     ($($name:ident: $what:literal,)*) => {
         /// All cases, in the order of the reference.
         pub const CASES: &[Case] = &[
-            $(Case { name: stringify!($name), what: $what, run: |trial| Box::pin($name(trial)) },)*
+            $(Case {
+                name: stringify!($name),
+                what: $what,
+                run: |trial| Box::pin($name(trial)),
+            },)*
         ];
     };
 }

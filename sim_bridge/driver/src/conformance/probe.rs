@@ -1,7 +1,8 @@
-//! A process of the checked driver, and what it has written so far.
+//! A process of the checked driver, or a connection to it, and what it has written so far.
 
 use super::{CaseFailure, SampleGoal, Trial};
 use crate::contract::Contract;
+use crate::endpoint::{DriverEndpoint, SocketReader, SocketWriter};
 use crate::line::{ReadLine, next_line};
 use crate::messages::{DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION, ResultStatus};
 use crate::program::RunningDriver;
@@ -13,8 +14,8 @@ use std::collections::BTreeMap;
 use std::process::ExitStatus;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, BufReader};
-use tokio::process::ChildStdin;
 use tokio::sync::mpsc::{Receiver, channel};
+use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout, timeout_at};
 
 /// Limit for a hello.
@@ -46,8 +47,11 @@ pub(super) struct Hello {
 
 /// See the [module](self).
 pub(super) struct Probe {
-    running: RunningDriver,
-    stdin: Option<ChildStdin>,
+    /// `None` for a connection.
+    process: Option<RunningDriver>,
+    input: Option<SocketWriter>,
+    /// Readers of the streams. Their end closes a connection.
+    readers: JoinSet<()>,
     lines: Receiver<String>,
     /// Number of lines received.
     pub(super) line_count: usize,
@@ -65,12 +69,29 @@ pub(super) fn failed<T>(what: impl Into<String>) -> Result<T, CaseFailure> {
 impl Probe {
     /// Starts the driver, with its start message.
     pub(super) async fn start(trial: &Trial) -> Result<Probe, CaseFailure> {
-        let spawned = trial.program.spawn();
-        let mut running = spawned.map_err(|problem| CaseFailure(format!("the driver cannot be started: {problem}")))?;
-        let (stdin, stdout, mut stderr) = running.take_streams();
+        let mut readers = JoinSet::new();
+        let (process, input, output) = match &trial.endpoint {
+            DriverEndpoint::Program(program) => {
+                let spawned = program.spawn();
+                let mut running =
+                    spawned.map_err(|problem| CaseFailure(format!("the driver cannot be started: {problem}")))?;
+                let (stdin, stdout, mut stderr) = running.take_streams();
+                readers.spawn(async move {
+                    let mut sink = [0; 4096];
+                    while stderr.read(&mut sink).await.is_ok_and(|read| read > 0) {}
+                });
+                (Some(running), Box::new(stdin) as SocketWriter, Box::new(stdout) as SocketReader)
+            }
+            DriverEndpoint::Socket(socket) => {
+                let connected = socket.connect().await;
+                let (output, input) =
+                    connected.map_err(|problem| CaseFailure(format!("no connection to {socket}: {problem}")))?;
+                (None, input, output)
+            }
+        };
         let (sender, lines) = channel(LINES_MAX);
-        tokio::spawn(async move {
-            let mut reader = BufReader::new(stdout);
+        readers.spawn(async move {
+            let mut reader = BufReader::new(output);
             loop {
                 let line = match next_line(&mut reader).await {
                     ReadLine::End => return,
@@ -82,13 +103,10 @@ impl Probe {
                 }
             }
         });
-        tokio::spawn(async move {
-            let mut sink = [0; 4096];
-            while stderr.read(&mut sink).await.is_ok_and(|read| read > 0) {}
-        });
         let mut probe = Probe {
-            running,
-            stdin: Some(stdin),
+            process,
+            input: Some(input),
+            readers,
             lines,
             line_count: 0,
             first_wrong_line: None,
@@ -126,8 +144,13 @@ impl Probe {
 
     /// Writes bytes to the driver.
     pub(super) async fn write(&mut self, bytes: &[u8]) -> Result<(), CaseFailure> {
-        let Some(stdin) = &mut self.stdin else { return failed("its input is closed") };
-        match timeout(GOAL_LIMIT, stdin.write_all(bytes)).await {
+        let Some(input) = &mut self.input else { return failed("its input is closed") };
+        // A write to a connection may wait in a buffer.
+        let write = async {
+            input.write_all(bytes).await?;
+            input.flush().await
+        };
+        match timeout(GOAL_LIMIT, write).await {
             Ok(Ok(())) => Ok(()),
             Ok(Err(_)) => failed(self.end_text("it does not read its input").await),
             Err(_) => failed("it does not read its input"),
@@ -164,16 +187,22 @@ impl Probe {
 
     /// Closes the input of the driver.
     pub(super) fn close_input(&mut self) {
-        self.stdin = None;
+        self.input = None;
     }
 
-    pub(super) fn kill(&self) {
-        self.running.kill();
+    /// Kills the process, or closes the connection.
+    pub(super) fn kill(&mut self) {
+        self.close_input();
+        match &self.process {
+            Some(running) => running.kill(),
+            None => self.readers.abort_all(),
+        }
     }
 
     /// Waits for the end of the process.
     pub(super) async fn exit(&mut self, limit: Duration) -> Result<ExitStatus, CaseFailure> {
-        match timeout(limit, self.running.wait()).await {
+        let Some(running) = &mut self.process else { return failed("it is no process") };
+        match timeout(limit, running.wait()).await {
             Ok(Ok(status)) => Ok(status),
             Ok(Err(problem)) => failed(format!("the end of the process is unknown: {problem}")),
             Err(_) => failed(format!("the process has not ended within {limit:?}")),
@@ -183,7 +212,7 @@ impl Probe {
     async fn end_text(&mut self, otherwise: &str) -> String {
         match self.exit(Duration::from_millis(500)).await {
             Ok(status) => format!("the process has ended ({status})"),
-            Err(_) => otherwise.to_owned(),
+            Err(_) => otherwise.to_owned(), // also of a connection
         }
     }
 

@@ -193,3 +193,30 @@ fn a_value_of_a_request_is_never_an_expression() {
     let vacuum = mission.elementary().into_iter().find(|(id, _)| id.as_str() == "vacuum_1").unwrap().1;
     assert_eq!(vacuum.conditions, [r#"inspect_1.dust_g > "1.0 || true || '""#]);
 }
+
+/// Numbers of YAML arrive at the coordinator as numbers, and bare scalars in place of texts as texts.
+#[test]
+fn a_request_for_a_yaml_file_is_the_same_mission() {
+    let file = "
+mission: polish
+parameters: { repeat: { kind: number, default: 2 }, room: { kind: place, default: Dock } }
+roles: { r1: { kind: managed }, nurse: { kind: unmanaged }, head: { kind: unmanaged } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - { task: rounds, repeat: 3, do: { task: rest, type: wait, roles: [r1], parameters: { seconds: 5 } }, until: true }
+    - { task: go, type: navigation, roles: [r1], parameters: { to: \"${room}\" }, attempts: 4 }
+    - task: hand_over
+      type: deposit
+      roles: [nurse]
+      parameters: { into_role: r1 }
+      patience_s: 60
+      escalate: { to: head, after_s: 30 }
+";
+    let template = MissionTemplate::parse(file, Format::Yaml).unwrap();
+    let request = MissionTemplate::request(file, Format::Yaml).unwrap();
+    let requested =
+        MissionTemplate::parse(&request.to_string(), Format::Json).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(format!("{requested:?}"), format!("{template:?}"), "{request}");
+}

@@ -10,7 +10,7 @@ use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::ActionName;
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
-use consort_skills::domain_file::{ActionForm, Addition, ReadingForm, SimulatedEffect, SimulatedResult};
+use consort_skills::domain_file::{ActionForm, Addition, ParameterForm, ReadingForm, SimulatedEffect, SimulatedResult};
 use hecs::Entity;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -54,7 +54,8 @@ impl System for DeclaredActions {
         let readings = {
             let mut models = state.resource_mut::<ActionModels>();
             let ActionModels { readings, chance, .. } = &mut *models;
-            let first = readings.iter().map(|(name, form)| (name, reading(form, draw(&form.simulated(), chance))));
+            let first =
+                readings.iter().map(|(name, form)| (name, of_type(&form.value, draw(&form.simulated(), chance))));
             first.filter_map(|(name, value)| Some((name.clone(), value?))).collect()
         };
         state.insert(robot, Readings(readings));
@@ -83,8 +84,11 @@ impl System for DeclaredActions {
             }
             drawn -= share;
         }
-        let results = action.simulate.results.iter().map(|(name, result)| (name.clone(), json!(draw(result, chance))));
-        let results = GoalResult(results.collect());
+        let result = |(name, simulated): (&String, &SimulatedResult)| {
+            let value = action.results.get(name).and_then(|form| of_type(form, draw(simulated, chance)));
+            (name.clone(), json!(value))
+        };
+        let results = GoalResult(action.simulate.results.iter().map(result).collect());
         let current = &mut state.get_mut::<Readings>(robot).0;
         for (name, effect) in &action.simulate.effects {
             let Some(form) = readings.get(name) else { continue };
@@ -94,7 +98,7 @@ impl System for DeclaredActions {
                     current.get(name).and_then(number).map(|now| Scalar::Number(now + add))
                 }
             };
-            if let Some(value) = reading(form, value) {
+            if let Some(value) = of_type(&form.value, value) {
                 current.insert(name.clone(), value);
             }
         }
@@ -111,10 +115,10 @@ fn draw(simulated: &SimulatedResult, chance: &mut ChaCha8Rng) -> Option<Scalar> 
     }
 }
 
-/// Returns a drawn value in the type of a reading, and within its range.
-fn reading(form: &ReadingForm, drawn: Option<Scalar>) -> Option<Scalar> {
+/// Returns a drawn value in the type of a reading or a result, and within its range.
+fn of_type(form: &ParameterForm, drawn: Option<Scalar>) -> Option<Scalar> {
     let drawn = drawn?;
-    number(&drawn).and_then(|number| form.value.nearest(number)).or_else(|| form.value.value_kind().accept(&drawn))
+    number(&drawn).and_then(|number| form.nearest(number)).or_else(|| form.value_kind().accept(&drawn))
 }
 
 fn number(value: &Scalar) -> Option<f64> {

@@ -13,6 +13,9 @@ actions:
   sweep:
     simulate: { duration_s: [1, 1], effects: { bag_g: { add: 20 }, free_g: { add: -20 }, passes: [1, 3], mode: [a, b] } }
   empty_bag: { simulate: { duration_s: [1, 1], effects: { bag_g: 0, lid: true } } }
+  count:
+    results: { passes: { type: integer, minimum: 0 }, share: { type: number } }
+    simulate: { duration_s: [1, 1], results: { passes: [0, 9], share: [0, 1] } }
   spill: { simulate: { duration_s: [1, 1], failure_rate: 1, effects: { bag_g: 7 } } }
 readings:
   bag_g: { type: number, minimum: 0, maximum: 50, simulate: { value: 5 } }
@@ -85,5 +88,17 @@ fn successful_goals_change_the_readings_of_their_robot() {
         let emptied = after(&mut world, 5, "empty_bag");
         assert_eq!((&emptied["bag_g"], &emptied["lid"]), (&Scalar::Number(0.0), &Scalar::Bool(true)));
         assert_eq!(readings(&world, "r2"), other, "the other robot has its own readings");
+    }
+}
+
+/// Whole numbers of a range are results of integers.
+#[test]
+fn results_have_their_declared_types() {
+    for seed in 0..20 {
+        let mut world = world(seed);
+        after(&mut world, 1, "count");
+        let Some(GoalStatus::Succeeded(results)) = world.status(&robot("r1"), GoalId(1)) else { panic!("seed {seed}") };
+        assert!(results.0["passes"].as_i64().is_some_and(|passes| (0..=9).contains(&passes)), "{results:?}");
+        assert!(results.0["share"].is_f64(), "{results:?}");
     }
 }
