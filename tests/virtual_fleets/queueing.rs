@@ -57,6 +57,16 @@ fn three_missions_share_two_carriers_with_a_role_each() {
         assert_eq!(shown, missions.iter().map(ToString::to_string).collect::<Vec<_>>(), "seed {seed}");
         assert_eq!(listed[2]["state"], "pending", "seed {seed}");
         assert_eq!(listed[2]["pending_reason"], "no viable bid for lab_arm, r1", "seed {seed}");
+        // The health names the missions that have the arms and the carriers.
+        let health = fleet.view("health").await;
+        let findings = health["health"]["findings"].as_array().expect("a list");
+        let texts: Vec<&str> = findings.iter().filter_map(|finding| finding["text"].as_str()).collect();
+        for holder in &missions[..2] {
+            let is_named = |text: &&str| {
+                text.starts_with(&format!("{holder} holds ")) && text.ends_with(&format!(", for which {third} waits"))
+            };
+            assert!(texts.iter().any(is_named), "seed {seed}: {texts:?}");
+        }
 
         let mut twice = vec![];
         let mut first_end = None;

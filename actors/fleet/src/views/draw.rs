@@ -2,7 +2,7 @@
 
 use super::Views;
 use super::cluster_status::ClusterStatus;
-use super::health::{HealthInputs, health};
+use super::health::{Blocking, HealthInputs, health};
 use super::mission::{auctions, ended_mission, mission, missions};
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
@@ -317,6 +317,7 @@ impl ViewContext<'_> {
             }
         });
         self.ledger(|ledger| {
+            inputs.blocking = Blocking::of(ledger);
             for entry in ledger.missions() {
                 match (&entry.state, &entry.auction) {
                     (MissionState::NeedsIntervention { cause, .. }, _) => {

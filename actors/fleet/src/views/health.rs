@@ -1,8 +1,11 @@
 //! Health of a fleet: findings with a severity and a text.
 
-use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::auction::{BidVerdict, RefusalReason};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ledger::{Ledger, MissionState, PersonRequestId};
 use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
 use consort_text::count;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Inputs of the health check, as seen by a single node.
 #[derive(Debug, Clone, Default)]
@@ -28,8 +31,64 @@ pub(super) struct HealthInputs {
     pub(super) needs_intervention: Vec<(String, String)>,
     /// Missions that wait for robots, with the reason.
     pub(super) pending: Vec<(String, String)>,
+    /// Missions that hold robots for which others wait.
+    pub(super) blocking: BTreeMap<MissionId, Blocking>,
     /// The missions are known.
     pub(super) knows_missions: bool,
+}
+
+/// A mission holds robots for which other missions wait.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Blocking {
+    /// The robots.
+    pub(super) robots: BTreeSet<RobotId>,
+    /// The missions that wait.
+    pub(super) waiting: BTreeSet<MissionId>,
+    /// Open requests of the mission to people, each with the role of the person.
+    pub(super) requests: Vec<(PersonRequestId, RoleId)>,
+}
+
+impl Blocking {
+    /// Returns the missions that hold robots for which others wait: those that have the only robots for a role.
+    pub(super) fn of(ledger: &Ledger) -> BTreeMap<MissionId, Blocking> {
+        let mut blocking: BTreeMap<MissionId, Blocking> = BTreeMap::new();
+        for entry in ledger.missions().filter(|entry| entry.state == MissionState::Pending) {
+            let Some(auction) = entry.auction.as_ref().filter(|auction| auction.failure.is_some()) else { continue };
+            let offered: BTreeSet<&RoleId> = auction
+                .entries
+                .iter()
+                .filter(|entry| matches!(entry.verdict, BidVerdict::Viable { .. }))
+                .map(|entry| &entry.role)
+                .collect();
+            for refusal in auction.entries.iter().filter(|entry| !offered.contains(&entry.role)) {
+                let BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } = &refusal.verdict else {
+                    continue;
+                };
+                if ledger.mission_state(mission).is_some_and(|state| !state.is_final()) {
+                    let holder = blocking.entry(mission.clone()).or_default();
+                    holder.robots.insert(refusal.robot.clone());
+                    holder.waiting.insert(entry.id.clone());
+                }
+            }
+        }
+        for (mission, request) in ledger.open_person_requests() {
+            if let Some(holder) = blocking.get_mut(&mission.id) {
+                let id = PersonRequestId { mission: mission.id.clone(), number: request.number };
+                holder.requests.push((id, request.role.clone()));
+            }
+        }
+        blocking
+    }
+
+    fn text(&self, mission: &MissionId) -> String {
+        let robots = self.robots.iter().map(RobotId::as_str).collect::<Vec<_>>().join(", ");
+        let waiting = match (self.waiting.first(), self.waiting.len()) {
+            (Some(only), 1) => format!("{only} waits"),
+            (_, more) => format!("{more} missions wait"),
+        };
+        let requests = self.requests.iter().map(|(id, role)| format!("; it waits for the answer of {role} to {id}"));
+        format!("{mission} holds {robots}, for which {waiting}{}", requests.collect::<String>())
+    }
 }
 
 /// Returns the health with all findings, the most severe first. Without a problem, a single finding
@@ -81,6 +140,9 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
     for (robot, role) in &inputs.suspended {
         let text = format!("{robot} is suspended as {role}: its lease expired");
         add(HealthLevel::Warning, "robot", Some(robot.as_str()), text);
+    }
+    for (mission, blocking) in &inputs.blocking {
+        add(HealthLevel::Warning, "mission", Some(mission.as_str()), blocking.text(mission));
     }
     for (mission, reason) in &inputs.pending {
         add(HealthLevel::Warning, "mission", Some(mission), format!("{mission} waits: {reason}"));
@@ -146,6 +208,23 @@ mod tests {
                 (HealthLevel::Error, "no quorum: 1 of 3 voters reachable; lost are b, c".to_owned()),
             ]
         );
+    }
+
+    #[test]
+    fn missions_that_keep_others_waiting_are_named() {
+        let set = |names: &[&str]| names.iter().map(|name| MissionId::new(*name).unwrap()).collect();
+        let robots = BTreeSet::from([RobotId::new("lab-arm").unwrap(), RobotId::new("amber").unwrap()]);
+        let request = PersonRequestId { mission: MissionId::new("m-1").unwrap(), number: 2 };
+        let requests = vec![(request, RoleId::new("nurse").unwrap())];
+        let one = Blocking { robots: robots.clone(), waiting: set(&["m-2"]), requests };
+        let many = Blocking { robots, waiting: set(&["m-2", "m-4", "m-5"]), requests: vec![] };
+        let blocking = [("m-1", one), ("m-3", many)].map(|(id, blocking)| (MissionId::new(id).unwrap(), blocking));
+        let inputs = HealthInputs { blocking: blocking.into(), ..healthy() };
+        let expected = [
+            "m-1 holds amber, lab-arm, for which m-2 waits; it waits for the answer of nurse to m-1.2",
+            "m-3 holds amber, lab-arm, for which 3 missions wait",
+        ];
+        assert_eq!(texts(&inputs), expected.map(|text| (HealthLevel::Warning, text.to_owned())));
     }
 
     #[test]
