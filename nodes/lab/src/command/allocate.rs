@@ -53,7 +53,7 @@ pub(crate) struct Args {
     /// Capacity of each robot [default: that of the file; for CSV unlimited]
     #[arg(long, value_name = "N", value_parser = capacity)]
     capacity: Option<f64>,
-    /// Maximum number of orders to robots, of the policy `consort` [default: 60000 for 25 jobs, 25000 for 100 jobs]
+    /// Maximum number of orders to robots, of the policy `consort` [default: 60000 for 25 jobs, 45000 for 50, 25000 for 100]
     #[arg(long, value_name = "N")]
     orders: Option<usize>,
     /// Seed of the random numbers

@@ -60,7 +60,7 @@ pub struct Allocation {
 
 /// Returns a number of orders with which [`AllocationPolicy::Consort`] finds good routes for so many jobs.
 pub fn usual_orders(jobs: usize) -> usize {
-    (1_500_000 / jobs.max(1)).clamp(25_000, 60_000)
+    (2_250_000 / jobs.max(1)).clamp(25_000, 60_000)
 }
 
 /// Allocates the jobs of an instance. `orders_max` bounds the orders of [`AllocationPolicy::Consort`].

@@ -18,15 +18,15 @@ const RELEASED: f64 = 10.0;
 const STRING_MAX: f64 = 10.0;
 
 /// Probability that a robot is passed over when a job is awarded.
-const BLINK: f64 = 0.01;
+const BLINK: f64 = 0.05;
 
 /// Probability that a string leaves out some jobs in its middle, and that these are one more.
 const SPLIT: f64 = 0.5;
 const SPLIT_LONGER: f64 = 0.99;
 
 /// Temperatures at the beginning and at the end, as shares of the mean distance for a job.
-const HOT: f64 = 0.5;
-const COLD: f64 = 0.005;
+const HOT: f64 = 10.0;
+const COLD: f64 = 0.01;
 
 /// State of a robot, as far as the auctioneer knows.
 #[derive(Debug, Clone)]
