@@ -5,6 +5,7 @@ use crate::support::released;
 use bytes::Bytes;
 use consort_bus::Bus as _;
 use consort_bus::{Delivery, Encoding, ServiceSelection, SharedBus};
+use consort_gossip::down_packet;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
@@ -14,7 +15,7 @@ use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::{Beacon, ClusterEnvelope, Exchange, RecordUpdate, ReportReply, SignalHistory};
 use consort_protocol::trust::NodeRole;
-use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent};
+use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent, slug};
 use serde::Serialize;
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -350,6 +351,43 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
             assert!(known.stamp.incarnation < 100, "seed {seed}: {known:?}");
         }
         assert_eq!(record(&fleet, "gorse", "lab-arm").knowledge, original.knowledge, "seed {seed}");
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.assert_completes(&mission).await;
+    });
+}
+
+/// A robot's key declares no other node down: neither in the name of that node, nor as its own verdict.
+#[test]
+fn the_key_of_a_robot_declares_no_other_node_down() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let sealed = stolen(&fleet, "fern", NodeRole::Robot).await.signing;
+        let nodes = ["aster", "basil", "clove", "gorse", "lab-arm"];
+        let all_know = |fleet: &Fleet| {
+            let knows = |at: &str| nodes.iter().all(|of| known_record(fleet, at, of).is_some());
+            nodes.iter().all(|at| knows(at))
+        };
+        fleet.wait_until("all nodes know each other", SOON, all_know).await;
+        let identity = |of: &str| -> (NodeId, u64) { (slug(of), record(&fleet, "aster", of).stamp.incarnation) };
+        // With the time since when: it changes with every verdict and every suspicion.
+        let statuses = |fleet: &Fleet| nodes.map(|at| nodes.map(|of| fleet.knowledge(at).status(&slug(of))));
+        let before = statuses(&fleet);
+        for _ in 0..20 {
+            for to in nodes {
+                let key = fleet.keys().write(&Key::Swim(slug(to)));
+                for about in nodes.into_iter().filter(|about| *about != to) {
+                    for from in [identity(about), (slug("fern"), 1_000)] {
+                        let packet = down_packet(from, identity(about), identity(to));
+                        let sent = sealed.publish(&key, packet, Encoding::Wire, Delivery::Drop).await;
+                        sent.expect("its key permits packets");
+                    }
+                }
+            }
+            tokio::time::sleep(Duration::from_millis(200)).await; // virtual time
+        }
+        assert_eq!(statuses(&fleet), before, "seed {seed}\n{}", fleet.event_log_text());
+        let malformed = nodes.map(|node| fleet.knowledge(node).counters().malformed);
+        assert!(malformed.iter().all(|count| *count > 0), "seed {seed}: {malformed:?}");
         let mission = fleet.submit("a", ROOM).await;
         fleet.assert_completes(&mission).await;
     });

@@ -59,7 +59,7 @@ pub(super) enum Message {
     /// A node published its record.
     RecordReceived(Sample),
     /// A packet of failure detection.
-    Packet(Bytes),
+    Packet(Sample),
     /// A token appeared or vanished.
     Presence(Presence),
     /// A peer compares digests.
@@ -105,7 +105,7 @@ impl Actor for Gossip {
         let records = bus.subscribe(&keys.any_knowledge()).await?;
         forward(&mut tasks, &myself, records, "records", Message::RecordReceived);
         let packets = bus.subscribe(&keys.write(&Key::Swim(node.clone()))).await?;
-        forward(&mut tasks, &myself, packets, "packets", |sample: Sample| Message::Packet(sample.payload));
+        forward(&mut tasks, &myself, packets, "packets", Message::Packet);
         let queries = bus.serve(&keys.write(&Key::Gossip(node.clone()))).await?;
         forward(&mut tasks, &myself, queries, "queries", Message::RequestReceived);
         let presence = bus.watch(&keys.any_alive_node()).await?;
@@ -148,7 +148,7 @@ impl Actor for Gossip {
         let event = match message {
             Message::ChangeKnowledge(change) => Ok(Event::KnowledgeChanged(change)),
             Message::RecordReceived(sample) => inbox.read_update(&sample),
-            Message::Packet(bytes) => Ok(Event::Packet(bytes)),
+            Message::Packet(sample) => inbox.read_packet(sample),
             Message::Presence(presence) => inbox.read_presence(presence),
             Message::RequestReceived(query) => {
                 let exchange = inbox.read_exchange(&query.payload).map(Event::RequestReceived);

@@ -2,6 +2,8 @@
 
 use super::gossiper::{Event, GossipError};
 use super::shared::SharedKnowledge;
+use super::swim::packet_sender;
+use consort_bus::Author;
 use consort_bus::record_signer::{ProofStatus, SharedRecordSigner};
 use consort_bus::wire_version::WireVersion;
 use consort_bus::{Presence, Sample};
@@ -20,6 +22,9 @@ pub(super) enum MessageError {
     /// A node publishes the record of another node.
     #[error("record of {owner} on key {key:?}")]
     ForeignRecord { owner: NodeId, key: String },
+    /// A node sends a packet in the name of another node.
+    #[error("packet of {sender} by {author}")]
+    ForeignPacket { sender: NodeId, author: Author },
     /// The key of a record update names no node.
     #[error("knowledge on key {0:?}")]
     UnexpectedKey(String),
@@ -83,6 +88,15 @@ impl Inbox {
             (Some(Key::Knowledge(node)), _) => Ok(Event::Published(node, update)),
             _ => Err(MessageError::UnexpectedKey(sample.key.clone())),
         }
+    }
+
+    /// Checks that a packet of failure detection is by its sender.
+    pub(super) fn read_packet(&self, sample: Sample) -> Result<Event, MessageError> {
+        let sender = packet_sender(&sample.payload).map_err(GossipError::from)?;
+        if !sample.author.may_be(sender.as_str()) {
+            return Err(MessageError::ForeignPacket { sender, author: sample.author });
+        }
+        Ok(Event::Packet(sample.payload))
     }
 
     /// Reads the change of a presence token.

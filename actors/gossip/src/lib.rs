@@ -12,6 +12,9 @@
 //! - A record has a single writer, its owner. It reaches every node that is connected to the owner
 //!   by a chain of exchanges, including nodes that never exchange messages with the owner:
 //!   anti-entropy (Demers et al. 1987) forwards records of third nodes.
+//! - A verdict of another node counts only if this node has missed answers of the suspect, too; any other verdict makes
+//!   it query the suspect. In a closed fleet a packet counts only from its author. So the key of a node declares no
+//!   other node down.
 //! - SWIM alone decides which nodes are alive. An appearing token or a received record leads to an
 //!   announcement. A vanishing token leads to a query and, without a reply, to a suspicion that the
 //!   node can refute. So a token accelerates the verdict and never decides it.
@@ -104,3 +107,5 @@ pub use handle::{GossipHandle, GossipStopped};
 pub use harness::{GossipHarness, GossipInput, InputError};
 pub use settings::Settings;
 pub use shared::{GossipCounters, MemberStatus, SharedKnowledge};
+#[cfg(feature = "test-util")]
+pub use swim::down_packet;

@@ -9,6 +9,7 @@ use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
 use consort_bus::{Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
 use consort_fleet::robot_driver::PersonRequestState;
+use consort_gossip::{SharedKnowledge, down_packet};
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
@@ -102,6 +103,8 @@ impl HostileNode {
                 attacks.spawn(Arc::clone(&attacker).answer(queries));
             }
         }
+        let base = fleet.nodes.values().next().map(|node| node.knowledge.clone());
+        attacks.spawn(Arc::clone(&attacker).lie_about_members(base, seed, date_ms));
         let replicas = fleet.nodes.values().filter_map(|node| node.replica.clone()).collect();
         attacks.spawn(attacker.attack(replicas));
         Some(HostileNode { _attacks: attacks })
@@ -166,6 +169,26 @@ impl Attacker {
                 _ => self.flood().await,
             }
             let pause = self.draw(|chance| Duration::from_millis(chance.random_range(20..600)));
+            tokio::time::sleep(pause).await; // virtual time
+        }
+    }
+
+    /// Declares members down, in their own names and in its own, from random numbers of its own.
+    async fn lie_about_members(self: Arc<Self>, known: Option<SharedKnowledge>, seed: u64, date_ms: u64) {
+        let (Some(known), mut chance) = (known, ChaCha8Rng::seed_from_u64(seed ^ 0x11e5)) else { return };
+        let member = |chance: &mut ChaCha8Rng| {
+            let node = self.victims.choose(chance).expect("a fleet has nodes").clone();
+            let incarnation = known.read(|base| base.get(&node).map(|stored| stored.record.stamp.incarnation));
+            (node, incarnation.unwrap_or_default())
+        };
+        loop {
+            let (about, to) = (member(&mut chance), member(&mut chance));
+            let from = if chance.random_bool(0.5) { about.clone() } else { (slug(HOSTILE), date_ms) };
+            if about.0 != to.0 {
+                let key = self.keys.write(&Key::Swim(to.0.clone()));
+                self.publish(&self.signing, &key, down_packet(from, about, to), Bytes::new()).await;
+            }
+            let pause = Duration::from_millis(chance.random_range(50..500));
             tokio::time::sleep(pause).await; // virtual time
         }
     }

@@ -44,7 +44,14 @@ impl Membership {
 
     /// Handles a packet of failure detection.
     pub(super) fn receive_packet(&mut self, bytes: &[u8], context: &mut Context<'_>) -> Result<(), GossipError> {
-        let (from, actions) = self.swim.receive(bytes)?;
+        let (status, now) = (&context.state.status, context.now);
+        let patience = context.core.settings.token_probe_timeout();
+        // This node queries each suspect at once.
+        let agrees = |node: &NodeId| match status.get(node) {
+            Some(MemberStatus::Suspect { since }) => now.since(*since) >= patience,
+            _ => false,
+        };
+        let (from, actions) = self.swim.receive(bytes, agrees)?;
         self.queried.remove(&from);
         self.perform(actions, context);
         Ok(())
@@ -60,7 +67,12 @@ impl Membership {
     /// Handles the disappearance of a presence token: queries the node.
     pub(super) fn token_vanished(&mut self, node: NodeId, context: &mut Context<'_>) -> Result<(), GossipError> {
         self.tokens.remove(&node);
-        if context.state.is_alive(&node) {
+        self.query(node, context)
+    }
+
+    /// Queries a node that is alive for all this node knows, and suspects it if it does not answer.
+    fn query(&mut self, node: NodeId, context: &mut Context<'_>) -> Result<(), GossipError> {
+        if context.state.is_alive(&node) && !self.queried.contains_key(&node) {
             let number = context.core.agenda.number();
             self.queried.insert(node.clone(), number);
             let timer = ScheduledTimer::QueryTimeout(node.clone(), number);
@@ -171,7 +183,7 @@ impl Membership {
         Ok(())
     }
 
-    /// Announces to a few members that this node leaves.
+    /// Announces to all members that this node leaves.
     pub(super) fn leave(&mut self) -> Vec<Action> {
         let send = |action| match action {
             SwimAction::Send(to, bytes) => Some(Action::Send(to, bytes)),
@@ -180,6 +192,7 @@ impl Membership {
             | SwimAction::Down(_)
             | SwimAction::Suspected(_)
             | SwimAction::Cleared(_)
+            | SwimAction::Claimed(_)
             | SwimAction::Rejoined => None,
         };
         self.swim.leave().unwrap_or_default().into_iter().filter_map(send).collect()
@@ -192,7 +205,7 @@ impl Membership {
     }
 
     fn perform(&mut self, actions: Vec<SwimAction>, context: &mut Context<'_>) {
-        let now = context.now;
+        let (now, mut claimed) = (context.now, vec![]);
         for action in actions {
             let own = &context.core.settings.node;
             match action {
@@ -218,11 +231,16 @@ impl Membership {
                     context.set_status(node, MemberStatus::Suspect { since: now });
                 }
                 SwimAction::Cleared(node) => context.set_status(node, MemberStatus::Alive { since: now }),
+                SwimAction::Claimed(node) => claimed.push(node),
                 SwimAction::Rejoined => {
                     tracing::warn!(node = %own, "was declared down by other nodes, and rejoined");
                     context.state.counters.refutations += 1;
                 }
             }
+        }
+        for node in claimed {
+            // A member that cannot be queried is probed later.
+            let _ = self.query(node, context);
         }
     }
 }

@@ -6,7 +6,7 @@
 
 mod packet;
 
-use bytes::{BufMut as _, Bytes};
+use bytes::{Buf as _, BufMut as _, Bytes};
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use foca::{
@@ -53,6 +53,8 @@ pub(super) enum SwimAction {
     Suspected(NodeId),
     /// A node has refuted a suspicion.
     Cleared(NodeId),
+    /// Another node has declared a node down from which this node has missed no answer.
+    Claimed(NodeId),
     /// This node was declared down wrongly, and has rejoined under a new identity.
     Rejoined,
 }
@@ -87,6 +89,53 @@ fn extended(after: Duration, timer: &Timer) -> Duration {
         foca::Timer::ChangeSuspectToDown { member_id, .. } => after * timeout_factor(member_id.rejoins),
         _ => after,
     }
+}
+
+/// Reads a packet: its header, and what its sender says about members.
+fn decode(bytes: &[u8]) -> Result<(Header<SwimId>, Vec<Member<SwimId>>), SwimError> {
+    let (version, mut packet) = bytes.split_first().ok_or(SwimError::EmptyPacket)?;
+    if *version != codec::FIRST_VERSION {
+        return Err(SwimError::UnsupportedVersion(*version));
+    }
+    let header = PacketCodec.decode_header(&mut packet)?;
+    let mut updates = vec![];
+    // A packet without updates may lack their number.
+    if packet.has_remaining() {
+        let number = packet.try_get_u16().map_err(|_| PacketError::Truncated)?;
+        for _ in 0..number {
+            updates.push(PacketCodec.decode_member(&mut packet)?);
+        }
+    }
+    Ok((header, updates))
+}
+
+/// Writes a packet without its version.
+fn encode(header: &Header<SwimId>, updates: &[Member<SwimId>]) -> Result<Vec<u8>, SwimError> {
+    let mut packet = vec![];
+    PacketCodec.encode_header(header, &mut packet)?;
+    if let Ok(number @ 1..) = u16::try_from(updates.len()) {
+        packet.put_u16(number);
+        updates.iter().try_for_each(|update| PacketCodec.encode_member(update, &mut packet))?;
+    }
+    Ok(packet)
+}
+
+/// Returns a packet with the version before it.
+fn with_version(packet: impl AsRef<[u8]>) -> Bytes {
+    [&[codec::FIRST_VERSION], packet.as_ref()].concat().into()
+}
+
+/// Returns the node in whose name a packet is sent.
+pub(super) fn packet_sender(bytes: &[u8]) -> Result<NodeId, SwimError> {
+    decode(bytes).map(|(header, _)| header.src.node)
+}
+
+/// Encodes a packet of `from` that says that `about` is down. Each node is given with its incarnation.
+#[cfg(feature = "test-util")]
+pub fn down_packet(from: (NodeId, u64), about: (NodeId, u64), to: (NodeId, u64)) -> Bytes {
+    let id = |(node, incarnation): (NodeId, u64)| SwimId { node, incarnation, rejoins: 0 };
+    let header = Header { src: id(from), src_incarnation: 0, dst: id(to), message: Message::Gossip };
+    with_version(encode(&header, &[Member::new(id(about), 0, State::Down)]).expect("a small packet"))
 }
 
 pub(super) struct Swim {
@@ -131,19 +180,34 @@ impl Swim {
     }
 
     /// Handles a packet. Returns its sender.
-    pub(super) fn receive(&mut self, bytes: &[u8]) -> Result<(NodeId, Vec<SwimAction>), SwimError> {
-        let (version, packet) = bytes.split_first().ok_or(SwimError::EmptyPacket)?;
-        if *version != codec::FIRST_VERSION {
-            return Err(SwimError::UnsupportedVersion(*version));
-        }
-        let header = PacketCodec.decode_header(packet)?;
+    ///
+    /// A verdict of the sender about another node counts only if `agrees` for that node: if this node has
+    /// missed its answers, too. Any other verdict leads to [`SwimAction::Claimed`].
+    pub(super) fn receive(
+        &mut self,
+        bytes: &[u8],
+        agrees: impl Fn(&NodeId) -> bool,
+    ) -> Result<(NodeId, Vec<SwimAction>), SwimError> {
+        let (header, updates) = decode(bytes)?;
+        let is_verdict = |update: &Member<SwimId>| {
+            let about = update.id();
+            update.state() == State::Down
+                && about.node != header.src.node
+                && about.node != self.foca.identity().node
+                && !agrees(&about.node)
+        };
+        let (claims, others): (Vec<Member<SwimId>>, Vec<Member<SwimId>>) = updates.into_iter().partition(is_verdict);
+        let packet = encode(&header, &others)?;
         self.probe_answered |= match header.message {
             Message::Ack(probe) => probe != QUERY_PROBE,
             Message::ForwardedAck { .. } => true,
             _ => false,
         };
         let from = header.src.node;
-        let actions = self.act(|foca, runtime| foca.handle_data(packet, runtime))?;
+        let mut actions = self.act(|foca, runtime| foca.handle_data(&packet, runtime))?;
+        let is_member = |claim: &Member<SwimId>| self.foca.iter_members().any(|member| member.id() == claim.id());
+        let claimed = claims.into_iter().filter(is_member).map(|claim| SwimAction::Claimed(claim.id().node.clone()));
+        actions.extend(claimed);
         Ok((from, actions))
     }
 
@@ -254,9 +318,20 @@ impl Swim {
         }
     }
 
-    /// Announces to a few members that this node leaves.
+    /// Announces to all members that this node leaves. Only what it says itself counts at once, so each member hears
+    /// it from this node.
     pub(super) fn leave(&mut self) -> Result<Vec<SwimAction>, SwimError> {
-        self.act(|foca, runtime| foca.leave_cluster(runtime))
+        let own = self.foca.identity().clone();
+        let left = [Member::new(own.clone(), 0, State::Down)];
+        let mut actions = vec![];
+        for member in self.foca.iter_members() {
+            let dst = member.id().clone();
+            let (src, to) = (own.clone(), dst.node.clone());
+            let header = Header { src, src_incarnation: 0, dst, message: Message::Gossip };
+            actions.push(SwimAction::Send(to, with_version(encode(&header, &left)?)));
+        }
+        self.collect(&mut actions, |foca, runtime| foca.leave_cluster(runtime))?;
+        Ok(actions)
     }
 
     /// Checks whether a member is still suspected and has not increased its incarnation since.
@@ -309,10 +384,7 @@ impl Swim {
         }
         self.compare_suspects(actions);
         while let Some((to, packet)) = runtime.to_send() {
-            let mut bytes = Vec::with_capacity(packet.len() + 1);
-            bytes.push(codec::FIRST_VERSION);
-            bytes.extend(packet);
-            actions.push(SwimAction::Send(to.node, bytes.into()));
+            actions.push(SwimAction::Send(to.node, with_version(packet)));
         }
         while let Some((after, timer)) = runtime.to_schedule() {
             if let foca::Timer::ChangeSuspectToDown { member_id, .. } = &timer {
@@ -346,11 +418,8 @@ impl Swim {
             // Not a probe of foca, so a missing answer has no effect. Only the sender matters.
             message: Message::Ping(QUERY_PROBE),
         };
-        let mut bytes = vec![codec::FIRST_VERSION];
-        PacketCodec.encode_header(&header, &mut bytes).ok()?;
-        bytes.put_u16(1);
-        PacketCodec.encode_member(suspect, &mut bytes).ok()?;
-        Some(SwimAction::Send(to.node.clone(), bytes.into()))
+        let packet = encode(&header, std::slice::from_ref(suspect)).ok()?;
+        Some(SwimAction::Send(to.node.clone(), with_version(packet)))
     }
 
     /// foca does not report suspicions, so the current suspects are compared with the previous
