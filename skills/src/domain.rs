@@ -2,7 +2,6 @@
 //! skills in [`library`](crate::library) and the [services](shipped_domain) execute these tasks, and
 //! the missions in [`missions`](crate::missions) use them.
 
-use crate::descriptor::DescriptorRegistry;
 use crate::domain_file::{DomainFile, DomainForm};
 use crate::environment::Environment;
 use crate::library::SkillLibrary;
@@ -40,11 +39,6 @@ pub fn standard_library(environment: Environment) -> SkillLibrary {
     let mut library = SkillLibrary::standard(environment);
     shipped_domain().extend_library(&mut library).expect("its names are unique");
     library
-}
-
-/// Returns the estimates of the standard domain.
-pub fn standard_descriptors() -> DescriptorRegistry {
-    shipped_domain().extend_descriptors(DescriptorRegistry::standard())
 }
 
 /// Returns the shipped domain file: services that are declared as data.

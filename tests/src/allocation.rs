@@ -3,7 +3,7 @@
 use crate::slug;
 use bytes::Bytes;
 use consort_bus::{Bus, Encoding, LinkModel, VirtualBus, VirtualNetwork};
-use consort_evaluation::allocation::{Allocation, AllocationPolicy, Bidder, Instance, Market, Order, Prices, allocate};
+use consort_evaluation::allocation::{AllocationPolicy, Bidder, Instance, Market, Order, Prices, allocate};
 use consort_protocol::codec;
 use futures::future::join_all;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub fn allocate_on_bus(instance: &Instance, policy: AllocationPolicy, orders_max
             tokio::spawn(serve(Bidder::new(Arc::clone(&instance)), key(robot), queries));
         }
         let mut market = BusMarket { bus: network.bus(slug("auctioneer")) };
-        let Allocation { routes } = allocate(&instance, policy, &mut market, orders_max, seed).await;
+        let routes = allocate(&instance, policy, &mut market, orders_max, seed).await;
         AllocationRun { routes, messages: network.counters().sent }
     })
 }

@@ -374,6 +374,22 @@ impl Mission {
 
     /// Returns the roles that robots fill, in the order of their names.
     pub fn managed_roles(&self) -> impl Iterator<Item = &RoleId> {
-        self.roles.iter().filter(|(_, role)| role.kind == RoleKind::Managed).map(|(id, _)| id)
+        self.roles_of_kind(RoleKind::Managed)
+    }
+
+    /// Returns the roles that people have, in the order of their names.
+    pub fn unmanaged_roles(&self) -> impl Iterator<Item = &RoleId> {
+        self.roles_of_kind(RoleKind::Unmanaged)
+    }
+
+    fn roles_of_kind(&self, kind: RoleKind) -> impl Iterator<Item = &RoleId> {
+        self.roles.iter().filter(move |(_, role)| role.kind == kind).map(|(id, _)| id)
+    }
+
+    /// Returns the task types of a role.
+    pub fn task_types_of(&self, role: &RoleId) -> BTreeSet<TaskType> {
+        let tasks = self.elementary();
+        let own = tasks.iter().filter(|(_, spec)| spec.roles.contains(role));
+        own.map(|(_, spec)| spec.task_type.clone()).collect()
     }
 }

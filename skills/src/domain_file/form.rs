@@ -257,7 +257,7 @@ pub enum SimulatedEffect {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Addition {
-    /// The number; a negative one is subtracted.
+    /// Number that is added; it may be negative.
     pub add: f64,
 }
 

@@ -23,7 +23,7 @@ pub(super) struct ScenarioSetup {
     pub(super) map: ScenarioMap,
     pub(super) robots: Vec<ScenarioRobot>,
     pub(super) stations: Vec<String>,
-    /// Ensembles of the fleet; none: one of all robots.
+    /// Ensembles of the fleet. If the list is empty, a single ensemble contains all robots.
     pub(super) ensembles: Vec<EnsembleSpec>,
     /// Domain files and skills in addition to the standard domain.
     pub(super) extensions: Extensions,

@@ -3,7 +3,7 @@
 use crate::fleet::nurses_in;
 use crate::{RobotSpec, slug};
 use consort_protocol::ids::{PlaceId, RoleId, TaskType};
-use consort_protocol::mission::{Domain, Mission, MissionErrors, RoleKind};
+use consort_protocol::mission::{Domain, Mission, MissionErrors};
 use consort_skills::workload::Workload;
 use consort_world::map;
 use consort_world::world::PersonSetup;
@@ -102,15 +102,17 @@ impl ChaosFleet {
         let place = |name: &str| CARRIERS.iter().find(|(known, _)| *known == name).map_or("Dock", |(_, place)| place);
         let missions = user_missions(workload).expect("the missions of a workload are checked");
         let of_arm = RobotSpec::arm(ARM, "Laboratory").skills.iter().map(|skill| slug(skill)).collect();
-        let needed: BTreeSet<TaskType> =
-            skills_of_roles(&missions).into_iter().filter(|skills| !skills.is_subset(&of_arm)).flatten().collect();
+        let of_roles =
+            missions.iter().flat_map(|mission| mission.managed_roles().map(|role| mission.task_types_of(role)));
+        let needed: BTreeSet<TaskType> = of_roles.filter(|skills| !skills.is_subset(&of_arm)).flatten().collect();
+        let people: BTreeSet<RoleId> = missions.iter().flat_map(Mission::unmanaged_roles).cloned().collect();
         let carrier = |name: &&str| {
             let carrier = RobotSpec::carrier(name, place(name)).with_skill("wait").with_charge(1.0);
             let known: BTreeSet<String> = carrier.skills.iter().cloned().collect();
             let more = needed.iter().map(TaskType::as_str).filter(|skill| !known.contains(*skill));
             more.fold(carrier, RobotSpec::with_skill)
         };
-        let on_call = roles_of_people(&missions).into_iter().map(|role| PersonSetup {
+        let on_call = people.into_iter().map(|role| PersonSetup {
             endless_samples: true,
             on_call: true,
             ..PersonSetup::new(&format!("{role} on call"), role, slug("Dock"))
@@ -125,24 +127,11 @@ impl ChaosFleet {
 /// The name of a mission, and its problems: a place that the hospital lacks, a task type that no domain declares, or
 /// a parameter without a default that is no place.
 pub fn user_missions(workload: &Workload) -> Result<Vec<Mission>, (String, MissionErrors)> {
+    if workload.own_missions().next().is_none() {
+        return Ok(vec![]); // the map is not needed
+    }
     let map = map::shipped("hospital").expect("the shipped map is sound");
     let places: Vec<PlaceId> = map.topology().places.into_keys().collect();
     let domain: Domain = workload.extensions.domain().with_places(places);
     workload.missions_in(ROOMS[0], &domain)
-}
-
-/// Returns the roles of missions that people have.
-fn roles_of_people(missions: &[Mission]) -> BTreeSet<RoleId> {
-    let roles = missions.iter().flat_map(|mission| &mission.roles);
-    roles.filter(|(_, role)| role.kind == RoleKind::Unmanaged).map(|(role, _)| role.clone()).collect()
-}
-
-/// Returns the skills that each managed role of the missions needs.
-fn skills_of_roles(missions: &[Mission]) -> Vec<BTreeSet<TaskType>> {
-    let of_role = |mission: &Mission, role: &RoleId| {
-        let tasks = mission.elementary();
-        let needed = tasks.iter().filter(|(_, spec)| spec.roles.contains(role));
-        needed.map(|(_, spec)| spec.task_type.clone()).collect()
-    };
-    missions.iter().flat_map(|mission| mission.managed_roles().map(|role| of_role(mission, role))).collect()
 }

@@ -4,7 +4,7 @@ use crate::config::{FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConf
 use consort_driver::DriverSetting;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::{EnsembleId, FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
-use consort_protocol::mission::{Domain, Mission, RoleKind, ValueKind};
+use consort_protocol::mission::{Domain, Mission, ValueKind};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::missions;
 use consort_world::world::{PersonSetup, RobotSetup};
@@ -210,8 +210,7 @@ impl DemoScenario {
     /// the role only those count for whom `counts` is true.
     #[must_use]
     fn with_people(mut self, mission: &Mission, domain: &Domain, counts: fn(&PersonSetup) -> bool) -> DemoScenario {
-        let unmanaged = mission.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged);
-        for (role, _) in unmanaged {
+        for role in mission.unmanaged_roles() {
             if self.world.person.iter().any(|person| person.role == *role && counts(person)) {
                 continue;
             }
@@ -228,10 +227,8 @@ impl DemoScenario {
     /// Adds a robot for each managed role of a mission that no robot has the skills for.
     #[must_use]
     fn with_robots(mut self, mission: &Mission) -> DemoScenario {
-        for (role, _) in mission.roles.iter().filter(|(_, role)| role.kind == RoleKind::Managed) {
-            let tasks = mission.elementary();
-            let needed = tasks.iter().filter(|(_, spec)| spec.roles.contains(role));
-            let skills: BTreeSet<TaskType> = needed.map(|(_, spec)| spec.task_type.clone()).collect();
+        for role in mission.managed_roles() {
+            let skills = mission.task_types_of(role);
             if self.robots.iter().any(|robot| robot.skills.is_superset(&skills)) {
                 continue;
             }

@@ -402,9 +402,7 @@ impl Totals {
             *self.causes.entry(cause.clone()).or_default() += 1;
         }
     }
-}
 
-impl Totals {
     /// Lists the causes of failed missions, the most frequent first.
     fn causes_text(&self) -> String {
         let mut causes: Vec<_> = self.causes.iter().collect();

@@ -12,7 +12,7 @@ pub(super) struct Scope {
     pub(super) conditions: Vec<String>,
     /// Suffix of the names of tasks in the iterations.
     suffix: String,
-    /// Tasks whose names have a suffix, with their names.
+    /// Names with suffix of the tasks in iterations, by their names in the file.
     renamed: BTreeMap<String, String>,
 }
 

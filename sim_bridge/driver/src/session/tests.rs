@@ -46,7 +46,7 @@ fn new() -> DriverSession {
     DriverSession::new("ada".parse().unwrap(), contract, Pose::default(), BatteryShare::FULL)
 }
 
-/// A session with a driver that has said hello at 0.
+/// Returns a session at time 0, after the hello of its driver.
 fn ready(resumes: bool) -> DriverSession {
     let mut session = new();
     assert_eq!(session.tick(&dock(), at(0))[0], SessionAction::Spawn);

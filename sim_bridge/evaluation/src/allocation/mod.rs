@@ -23,4 +23,4 @@ pub use check::{CheckedRoutes, RouteProblem, check_routes};
 pub use instance::{Instance, Site};
 pub use instance_file::{InstanceError, read_instance};
 pub use market::Market;
-pub use policy::{Allocation, AllocationPolicy, allocate, usual_orders};
+pub use policy::{AllocationPolicy, allocate, usual_orders};

@@ -34,7 +34,7 @@ struct Robot {
     promised: Prices,
     /// With the changes since the last settlement; `None` without changes.
     open: Option<Prices>,
-    /// What the robot has not been told yet.
+    /// Settlement that the next order to the robot contains.
     settlement: Settlement,
 }
 
@@ -102,11 +102,11 @@ impl<'a> Reallocation<'a> {
         }
     }
 
-    /// Allocates, and returns the best routes.
-    pub(super) async fn run(mut self, market: &mut impl Market) -> Vec<Vec<usize>> {
+    /// Allocates. In the end the robots have the best routes.
+    pub(super) async fn run(mut self, market: &mut impl Market) {
         let jobs = self.instance.jobs.len();
         if jobs == 0 || self.robots.is_empty() {
-            return self.routes();
+            return;
         }
         self.award_absent(market).await;
         self.settle(Settlement::Keep);
@@ -143,7 +143,19 @@ impl<'a> Reallocation<'a> {
                 self.absent = absent_before;
             }
         }
-        best_routes
+        self.adopt(best_routes, market).await;
+    }
+
+    /// Gives each robot a route: its jobs are released, and those of the route appended.
+    async fn adopt(&mut self, routes: Vec<Vec<usize>>, market: &mut impl Market) {
+        let order = |(robot, award): (&Robot, Vec<usize>)| Order {
+            release: robot.promised.route.clone(),
+            award,
+            append: true,
+            ..Order::none()
+        };
+        let orders: Vec<Order> = self.robots.iter().zip(routes).map(order).collect();
+        self.send(orders.into_iter().enumerate().collect(), market).await;
     }
 
     fn routes(&self) -> Vec<Vec<usize>> {

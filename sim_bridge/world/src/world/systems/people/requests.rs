@@ -36,7 +36,7 @@ pub(super) struct Request {
 
 /// Content of a request.
 pub(super) enum Work {
-    /// Handover of a sample to one of these robots.
+    /// Handover of a sample to any of the robots `into`.
     Handover { into: BTreeSet<Entity> },
     /// Any other task, with its duration in seconds if the request contains it.
     Task { seconds: Option<f64> },
