@@ -64,14 +64,15 @@ fn listen(socket: &str, driver: &str) -> Listener {
 
 #[test]
 fn a_driver_on_a_socket_passes_every_case_but_those_of_processes() {
-    let (socket, domain) = (test_file("check.sock", ""), example("domain.yaml"));
-    std::fs::remove_file(&socket).expect("the file of this test");
+    let (socket, domain) = (concat!(env!("CARGO_TARGET_TMPDIR"), "/check.sock"), example("domain.yaml"));
+    // The socket of an earlier run.
+    let _ = std::fs::remove_file(socket);
     let check =
         || run(&["driver", "check", "--jobs", "4", "--domain", &domain, "--connect", &format!("unix:{socket}")]);
     let alone = check();
     assert_eq!(alone.code, Some(1), "{}", alone.err);
     assert!(alone.out.contains("FAILED  goal_succeeds: no connection to unix:"), "{}", alone.out);
-    let _listener = listen(&socket, &example("driver.py"));
+    let _listener = listen(socket, &example("driver.py"));
     let ran = check();
     let expected = "skipped end_of_input_ends_the_process: it needs a process\n\
                     skipped end_of_input_during_a_goal_ends_the_process: it needs a process\n\
