@@ -5,7 +5,7 @@ use crate::support::released;
 use bytes::Bytes;
 use consort_bus::Bus as _;
 use consort_bus::{Delivery, Encoding, ServiceSelection, SharedBus};
-use consort_gossip::down_packet;
+use consort_gossip::packet_about;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
@@ -356,7 +356,8 @@ fn a_relaying_node_can_neither_change_nor_forge_records() {
     });
 }
 
-/// A robot's key declares no other node down: neither in the name of that node, nor as its own verdict.
+/// A robot's key declares no other node down or restarted: neither in the name of that node, nor as its own
+/// verdict.
 #[test]
 fn the_key_of_a_robot_declares_no_other_node_down() {
     for_each_seed(SEEDS, async |seed| {
@@ -376,10 +377,13 @@ fn the_key_of_a_robot_declares_no_other_node_down() {
             for to in nodes {
                 let key = fleet.keys().write(&Key::Swim(slug(to)));
                 for about in nodes.into_iter().filter(|about| *about != to) {
-                    for from in [identity(about), (slug("fern"), 1_000)] {
-                        let packet = down_packet(from, identity(about), identity(to));
-                        let sent = sealed.publish(&key, packet, Encoding::Wire, Delivery::Drop).await;
-                        sent.expect("its key permits packets");
+                    let (now, later) = (identity(about), (slug(about), identity(about).1 + 1));
+                    for from in [now.clone(), (slug("fern"), 1_000)] {
+                        for (about, is_alive) in [(now.clone(), false), (later.clone(), true)] {
+                            let packet = packet_about(from.clone(), about, is_alive, identity(to));
+                            let sent = sealed.publish(&key, packet, Encoding::Wire, Delivery::Drop).await;
+                            sent.expect("its key permits packets");
+                        }
                     }
                 }
             }

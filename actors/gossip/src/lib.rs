@@ -108,4 +108,4 @@ pub use harness::{GossipHarness, GossipInput, InputError};
 pub use settings::Settings;
 pub use shared::{GossipCounters, MemberStatus, SharedKnowledge};
 #[cfg(feature = "test-util")]
-pub use swim::down_packet;
+pub use swim::packet_about;

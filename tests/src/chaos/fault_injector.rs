@@ -2,6 +2,7 @@
 
 use super::chaos_fleet::{ARM, ChaosFleet, DATE_MS};
 use super::generate::lease_terms;
+use super::mutants::Mutant;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
 use crate::AdjustNode;
 use crate::disk::VirtualDisk;
@@ -51,7 +52,7 @@ struct Parts {
     is_upgraded: bool,
     /// Period in which the date of a node is wrong, and the error in milliseconds.
     wrong_dates: BTreeMap<String, (Period, i64)>,
-    /// Suspensions of machines that the clocks of the nodes do not count, for a mutation check.
+    /// Periods that the clocks of the nodes do not count, for a mutation check.
     uncounted: BTreeMap<String, Period>,
     disks: BTreeMap<String, VirtualDisk>,
     /// Number of disks created so far.
@@ -62,10 +63,10 @@ struct Parts {
 }
 
 impl FaultInjector {
-    /// Creates the injector of a run. A mutation check lets the clocks of nodes not count suspensions.
+    /// Creates the injector of a run. With `mutant` the clocks of nodes may not count some periods.
     pub(super) fn new(
         seed: u64,
-        counts_suspension: bool,
+        mutant: Option<Mutant>,
         composition: &ChaosFleet,
         schedule: &Schedule,
         extensions: Extensions,
@@ -94,7 +95,10 @@ impl FaultInjector {
                 ChaosAction::WrongDate { node, ahead_s, for_ms } => {
                     wrong_dates.insert(node.clone(), (period(*at_ms, *for_ms), ahead_s * 1000));
                 }
-                ChaosAction::Suspend { node, for_ms } if !counts_suspension => {
+                ChaosAction::Suspend { node, for_ms } if mutant == Some(Mutant::SuspensionNotCounted) => {
+                    uncounted.insert(node.clone(), period(*at_ms, *for_ms));
+                }
+                ChaosAction::Block { node, for_ms } if mutant == Some(Mutant::StoppedWithBus) => {
                     uncounted.insert(node.clone(), period(*at_ms, *for_ms));
                 }
                 ChaosAction::Upgrade { .. } => is_upgraded = false,

@@ -9,7 +9,7 @@ use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
 use consort_bus::{Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
 use consort_fleet::robot_driver::PersonRequestState;
-use consort_gossip::{SharedKnowledge, down_packet};
+use consort_gossip::{SharedKnowledge, packet_about};
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
@@ -173,7 +173,7 @@ impl Attacker {
         }
     }
 
-    /// Declares members down, in their own names and in its own, from random numbers of its own.
+    /// Declares members down or restarted, in their own names and in its own, by random numbers of its own.
     async fn lie_about_members(self: Arc<Self>, known: Option<SharedKnowledge>, seed: u64, date_ms: u64) {
         let (Some(known), mut chance) = (known, ChaCha8Rng::seed_from_u64(seed ^ 0x11e5)) else { return };
         let member = |chance: &mut ChaCha8Rng| {
@@ -185,8 +185,10 @@ impl Attacker {
             let (about, to) = (member(&mut chance), member(&mut chance));
             let from = if chance.random_bool(0.5) { about.clone() } else { (slug(HOSTILE), date_ms) };
             if about.0 != to.0 {
+                let is_restarted = chance.random_bool(0.3);
+                let about = if is_restarted { (about.0, about.1 + 1) } else { about };
                 let key = self.keys.write(&Key::Swim(to.0.clone()));
-                self.publish(&self.signing, &key, down_packet(from, about, to), Bytes::new()).await;
+                self.publish(&self.signing, &key, packet_about(from, about, is_restarted, to), Bytes::new()).await;
             }
             let pause = Duration::from_millis(chance.random_range(50..500));
             tokio::time::sleep(pause).await; // virtual time

@@ -67,6 +67,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::under(Mutant::CircularWaitKept, &[FaultKind::CircularWait], 18),
     MutantCheck::under(Mutant::KeptTooLong, &[FaultKind::LeaseEnd], 39),
     MutantCheck::under(Mutant::IdentityKept, &[FaultKind::StaleMajority], 3),
+    MutantCheck::under(Mutant::StoppedWithBus, &[FaultKind::BlockedBus], 15),
 ];
 
 /// Result of a mutation check.

@@ -119,9 +119,7 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 
 async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
-    let counts_suspension = config.mutant != Some(Mutant::SuspensionNotCounted);
-    let injector =
-        FaultInjector::new(config.seed, counts_suspension, &composition, schedule, config.workload.extensions);
+    let injector = FaultInjector::new(config.seed, config.mutant, &composition, schedule, config.workload.extensions);
     let workload = &config.workload;
     let options = NodeOptions {
         world_speed: schedule.world_speed.into(),

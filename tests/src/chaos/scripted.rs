@@ -129,6 +129,25 @@ impl Draw<'_> {
             let node = (*nodes.choose(&mut self.chance).expect("a fleet has nodes")).to_owned();
             self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Block { node, for_ms } });
         }
+        if self.chance.random_bool(0.5) {
+            self.block_driver_server();
+        }
+    }
+
+    /// Blocks the bus of the driver server, and kills the carrier of a request meanwhile: the driver server must
+    /// stop the body in time although it can neither publish nor query.
+    fn block_driver_server(&mut self) {
+        let Some((asked, carrier)) = self.carried_request() else { return };
+        let at_ms = asked + self.chance.random_range(500..6_000);
+        let killed_at = at_ms + self.chance.random_range(100..1_500);
+        let down_ms = self.chance.random_range(AWAY_MS);
+        if killed_at + down_ms >= self.end_ms {
+            return;
+        }
+        let block = ChaosAction::Block { node: WORLD.to_owned(), for_ms: self.chance.random_range(5_000..10_000) };
+        let crash = ChaosAction::Crash { node: carrier, disk: DiskAfterCrash::Kept, for_ms: down_ms };
+        self.steps.push(ScheduledAction { at_ms, action: block });
+        self.steps.push(ScheduledAction { at_ms: killed_at, action: crash });
     }
 
     /// Draws the beginning of a scripted fault. `None` if the run is too short, or if too many disks are

@@ -53,7 +53,7 @@ pub(super) enum SwimAction {
     Suspected(NodeId),
     /// A node has refuted a suspicion.
     Cleared(NodeId),
-    /// Another node has declared a node down from which this node has missed no answer.
+    /// Another node has declared a node down or restarted from which this node has missed no answer.
     Claimed(NodeId),
     /// This node was declared down wrongly, and has rejoined under a new identity.
     Rejoined,
@@ -130,12 +130,13 @@ pub(super) fn packet_sender(bytes: &[u8]) -> Result<NodeId, SwimError> {
     decode(bytes).map(|(header, _)| header.src.node)
 }
 
-/// Encodes a packet of `from` that says that `about` is down. Each node is given with its incarnation.
+/// Encodes a packet of `from` that says whether `about` is alive. Each node is given with its incarnation.
 #[cfg(feature = "test-util")]
-pub fn down_packet(from: (NodeId, u64), about: (NodeId, u64), to: (NodeId, u64)) -> Bytes {
+pub fn packet_about(from: (NodeId, u64), about: (NodeId, u64), is_alive: bool, to: (NodeId, u64)) -> Bytes {
     let id = |(node, incarnation): (NodeId, u64)| SwimId { node, incarnation, rejoins: 0 };
     let header = Header { src: id(from), src_incarnation: 0, dst: id(to), message: Message::Gossip };
-    with_version(encode(&header, &[Member::new(id(about), 0, State::Down)]).expect("a small packet"))
+    let state = if is_alive { State::Alive } else { State::Down };
+    with_version(encode(&header, &[Member::new(id(about), 0, state)]).expect("a small packet"))
 }
 
 pub(super) struct Swim {
@@ -181,22 +182,25 @@ impl Swim {
 
     /// Handles a packet. Returns its sender.
     ///
-    /// A verdict of the sender about another node counts only if `agrees` for that node: if this node has
-    /// missed its answers, too. Any other verdict leads to [`SwimAction::Claimed`].
+    /// What the sender says about the end or the restart of a member counts only if `agrees` for that member:
+    /// if this node has missed its answers, too. Otherwise it leads to [`SwimAction::Claimed`].
     pub(super) fn receive(
         &mut self,
         bytes: &[u8],
         agrees: impl Fn(&NodeId) -> bool,
     ) -> Result<(NodeId, Vec<SwimAction>), SwimError> {
         let (header, updates) = decode(bytes)?;
-        let is_verdict = |update: &Member<SwimId>| {
+        let own = &self.foca.identity().node;
+        let is_claim = |update: &Member<SwimId>| {
             let about = update.id();
-            update.state() == State::Down
-                && about.node != header.src.node
-                && about.node != self.foca.identity().node
+            let restarts =
+                |member: &Member<SwimId>| about.node == member.id().node && about.win_addr_conflict(member.id());
+            about.node != header.src.node
+                && about.node != *own
                 && !agrees(&about.node)
+                && (update.state() == State::Down || self.foca.iter_members().any(restarts))
         };
-        let (claims, others): (Vec<Member<SwimId>>, Vec<Member<SwimId>>) = updates.into_iter().partition(is_verdict);
+        let (claims, others): (Vec<Member<SwimId>>, Vec<Member<SwimId>>) = updates.into_iter().partition(is_claim);
         let packet = encode(&header, &others)?;
         self.probe_answered |= match header.message {
             Message::Ack(probe) => probe != QUERY_PROBE,
@@ -205,8 +209,12 @@ impl Swim {
         };
         let from = header.src.node;
         let mut actions = self.act(|foca, runtime| foca.handle_data(&packet, runtime))?;
-        let is_member = |claim: &Member<SwimId>| self.foca.iter_members().any(|member| member.id() == claim.id());
-        let claimed = claims.into_iter().filter(is_member).map(|claim| SwimAction::Claimed(claim.id().node.clone()));
+        let concerns_member = |claim: &Member<SwimId>| {
+            let (about, mut members) = (claim.id(), self.foca.iter_members().map(Member::id));
+            members.any(|member| member.node == about.node && !member.win_addr_conflict(about))
+        };
+        let claimed =
+            claims.into_iter().filter(concerns_member).map(|claim| SwimAction::Claimed(claim.id().node.clone()));
         actions.extend(claimed);
         Ok((from, actions))
     }

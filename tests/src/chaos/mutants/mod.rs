@@ -6,7 +6,7 @@
 //!
 //! - by the log store (`log_store.rs`): `skip-fsync`, `double-vote`, `identity-kept`;
 //! - by settings (`injection.rs`): `early-release`, `two-removed`, `grace-too-small`, `outcomes-forgotten`;
-//! - by the clock (`fault_injector.rs`): `suspension-not-counted`;
+//! - by the clock (`fault_injector.rs`): `suspension-not-counted`, `stopped-with-bus`;
 //! - below the signatures of a node (`refusals.rs`): `refusals-unsigned`;
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
 
@@ -83,11 +83,13 @@ pub enum Mutant {
     KeptTooLong,
     /// An empty store that replaces a damaged one keeps its Raft id.
     IdentityKept,
+    /// A node notices no end of a lease or command while it waits for its bus.
+    StoppedWithBus,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 26] = [
+    pub const ALL: [Mutant; 27] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -114,6 +116,7 @@ impl Mutant {
         Mutant::CircularWaitKept,
         Mutant::KeptTooLong,
         Mutant::IdentityKept,
+        Mutant::StoppedWithBus,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -153,6 +156,7 @@ impl Mutant {
             Mutant::CircularWaitKept => "circular-wait-kept",
             Mutant::KeptTooLong => "kept-too-long",
             Mutant::IdentityKept => "identity-kept",
+            Mutant::StoppedWithBus => "stopped-with-bus",
         }
     }
 }
