@@ -397,6 +397,35 @@ fn the_key_of_a_robot_declares_no_other_node_down() {
     });
 }
 
+/// A node that was out of reach is a member again when it returns, whatever incarnation a robot's key has
+/// stated in its name meanwhile.
+#[test]
+fn the_key_of_a_robot_keeps_no_other_node_out() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let sealed = stolen(&fleet, "fern", NodeRole::Robot).await.signing;
+        let others = ["aster", "basil", "gorse", "lab-arm"];
+        let all_hold =
+            |fleet: &Fleet, is_alive| others.iter().all(|at| fleet.knowledge(at).is_alive(&slug("clove")) == is_alive);
+        fleet.wait_until("clove is a member", SOON, |fleet| all_hold(fleet, true)).await;
+        let identity = |of: &str| -> (NodeId, u64) { (slug(of), record(&fleet, "aster", of).stamp.incarnation) };
+        let (clove, identities) = (identity("clove"), others.map(identity));
+        fleet.network.isolate(slug("clove"));
+        fleet.wait_until("clove is down", SOON, |fleet| all_hold(fleet, false)).await;
+        for ahead in [1, 1_000, u64::MAX / 2] {
+            for to in &identities {
+                let (key, about) = (fleet.keys().write(&Key::Swim(to.0.clone())), (clove.0.clone(), clove.1 + ahead));
+                let packet = packet_about((slug("fern"), 1_000), about, true, to.clone());
+                let sent = sealed.publish(&key, packet, Encoding::Wire, Delivery::Drop).await;
+                sent.expect("its key permits packets");
+            }
+        }
+        tokio::time::sleep(Duration::from_millis(500)).await; // virtual time
+        fleet.network.heal();
+        fleet.wait_until("clove is a member again", SOON, |fleet| all_hold(fleet, true)).await;
+    });
+}
+
 /// Attacks the roles of other robots and people in a mission: ends their steps and sends their
 /// signals, under their award and under later ones. Returns the number of accepted reports.
 async fn take_part_in(fleet: &Fleet, bus: &SharedBus, mission: &MissionId) -> usize {

@@ -7,6 +7,7 @@ use crate::settings::Settings;
 use crate::shared::MemberStatus;
 use crate::swim::{Suspicion, Swim, SwimAction, Timer};
 use consort_protocol::ids::NodeId;
+use consort_protocol::knowledge::RecordStamp;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
@@ -51,8 +52,18 @@ impl Membership {
             Some(MemberStatus::Suspect { since }) => now.since(*since) >= patience,
             _ => false,
         };
-        let (from, actions) = self.swim.receive(bytes, agrees)?;
+        let base = &context.state.base;
+        let incarnation = |node: &NodeId| base.get(node).map(|stored| stored.record.stamp.incarnation);
+        let (from, actions) = self.swim.receive(bytes, agrees, incarnation)?;
         self.queried.remove(&from);
+        self.perform(actions, context);
+        Ok(())
+    }
+
+    /// Handles a new or renewed record of another node.
+    pub(super) fn confirm(&mut self, owner: &NodeId, context: &mut Context<'_>) -> Result<(), GossipError> {
+        let Some(stored) = context.state.base.get(owner) else { return Ok(()) };
+        let actions = self.swim.confirm(owner, stored.record.stamp.incarnation)?;
         self.perform(actions, context);
         Ok(())
     }
@@ -237,6 +248,13 @@ impl Membership {
                     context.state.counters.refutations += 1;
                 }
             }
+        }
+        let own = context.core.records.own().stamp;
+        if self.swim.incarnation() > own.incarnation {
+            // The record confirms the new incarnation to other nodes.
+            let stamp = RecordStamp { incarnation: self.swim.incarnation(), version: 0 };
+            context.core.records.overtake(stamp, context.state, context.now);
+            context.publish();
         }
         for node in claimed {
             // A member that cannot be queried is probed later.

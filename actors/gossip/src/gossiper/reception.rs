@@ -29,7 +29,8 @@ pub(super) fn receive_update(
             let refresh = Refresh { owner: &owner, stamp, since, proof };
             match context.core.records.receive_refresh(refresh, context.state, context.now) {
                 MergeOutcome::Own(stamp) => overtake(stamp, membership, context)?,
-                MergeOutcome::Missing | MergeOutcome::Stale | MergeOutcome::Renewed | MergeOutcome::Changed => {}
+                MergeOutcome::Renewed | MergeOutcome::Changed => membership.confirm(&owner, context)?,
+                MergeOutcome::Missing | MergeOutcome::Stale => {}
             }
         }
     }
@@ -70,6 +71,7 @@ fn receive_record(record: Record, membership: &mut Membership, context: &mut Con
             return Ok(false);
         }
     }
+    membership.confirm(&owner, context)?;
     membership.schedule_announcement(owner, context);
     Ok(true)
 }

@@ -53,7 +53,8 @@ pub(super) enum SwimAction {
     Suspected(NodeId),
     /// A node has refuted a suspicion.
     Cleared(NodeId),
-    /// Another node has declared a node down or restarted from which this node has missed no answer.
+    /// Another node has declared a member down from which this node has missed no answer, or has stated an
+    /// incarnation of it that the member has not confirmed.
     Claimed(NodeId),
     /// This node was declared down wrongly, and has rejoined under a new identity.
     Rejoined,
@@ -141,6 +142,10 @@ pub fn packet_about(from: (NodeId, u64), about: (NodeId, u64), is_alive: bool, t
 
 pub(super) struct Swim {
     foca: Foca<SwimId, PacketCodec, ChaCha8Rng, NoCustomBroadcast>,
+    /// Latest incarnation under which each node has sent.
+    confirmed: BTreeMap<NodeId, u64>,
+    /// What others have said about nodes that are not members here, until the record of the node arrives.
+    unconfirmed: BTreeMap<NodeId, Member<SwimId>>,
     /// Members suspected now.
     suspects: BTreeSet<NodeId>,
     /// Answers to this node's recent probes: a bit each, the latest lowest.
@@ -165,11 +170,16 @@ const PROBES_MAX: u32 = 6;
 /// Maximum deferral of a verdict by an unhealthy node, in suspicion timeouts.
 const DEFERRALS_MAX: u32 = 7;
 
+/// Maximum number of nodes that others have announced before the record of the node arrives.
+const UNCONFIRMED_MAX: usize = 1024;
+
 impl Swim {
     pub(super) fn new(node: NodeId, incarnation: u64, config: foca::Config, rng: ChaCha8Rng) -> Swim {
         let (probe_period, deferral_max) = (config.probe_period, config.suspect_to_down_after * DEFERRALS_MAX);
         Swim {
             foca: Foca::new(SwimId { node, incarnation, rejoins: 0 }, config, rng, PacketCodec),
+            confirmed: BTreeMap::new(),
+            unconfirmed: BTreeMap::new(),
             suspects: BTreeSet::new(),
             probe_answers: u8::MAX,
             probe_answered: true,
@@ -182,41 +192,74 @@ impl Swim {
 
     /// Handles a packet. Returns its sender.
     ///
-    /// What the sender says about the end or the restart of a member counts only if `agrees` for that member:
-    /// if this node has missed its answers, too. Otherwise it leads to [`SwimAction::Claimed`].
+    /// What the sender says about another node counts only in part, since a stolen key may sign the packet:
+    ///
+    /// - that the node is down, only if `agrees` for it: if this node has missed its answers, too;
+    /// - an incarnation, only if it is at most that `incarnation` of the node's record or of its own packets.
+    ///
+    /// Otherwise it leads to [`SwimAction::Claimed`].
     pub(super) fn receive(
         &mut self,
         bytes: &[u8],
         agrees: impl Fn(&NodeId) -> bool,
+        incarnation: impl Fn(&NodeId) -> Option<u64>,
     ) -> Result<(NodeId, Vec<SwimAction>), SwimError> {
         let (header, updates) = decode(bytes)?;
-        let own = &self.foca.identity().node;
-        let is_claim = |update: &Member<SwimId>| {
+        let from = header.src.node.clone();
+        let last = self.confirmed.entry(from.clone()).or_default();
+        *last = header.src.incarnation.max(*last);
+        let mut believed = vec![];
+        let mut actions = vec![];
+        for update in updates {
             let about = update.id();
-            let restarts =
-                |member: &Member<SwimId>| about.node == member.id().node && about.win_addr_conflict(member.id());
-            about.node != header.src.node
-                && about.node != *own
-                && !agrees(&about.node)
-                && (update.state() == State::Down || self.foca.iter_members().any(restarts))
-        };
-        let (claims, others): (Vec<Member<SwimId>>, Vec<Member<SwimId>>) = updates.into_iter().partition(is_claim);
-        let packet = encode(&header, &others)?;
+            if about.node == from || about.node == self.foca.identity().node {
+                believed.push(update);
+                continue;
+            }
+            let latest = self.confirmed.get(&about.node).copied().max(incarnation(&about.node));
+            let is_confirmed = latest.is_some_and(|latest| about.incarnation <= latest);
+            if is_confirmed && (update.state() != State::Down || agrees(&about.node)) {
+                believed.push(update);
+                continue;
+            }
+            let is_present =
+                |member: &Member<SwimId>| member.id().node == about.node && !member.id().win_addr_conflict(about);
+            if self.foca.iter_members().any(is_present) {
+                actions.push(SwimAction::Claimed(about.node.clone()));
+            } else if !is_confirmed
+                && (self.unconfirmed.len() < UNCONFIRMED_MAX || self.unconfirmed.contains_key(&about.node))
+            {
+                self.unconfirmed.insert(about.node.clone(), update);
+            }
+        }
+        let packet = encode(&header, &believed)?;
         self.probe_answered |= match header.message {
             Message::Ack(probe) => probe != QUERY_PROBE,
             Message::ForwardedAck { .. } => true,
             _ => false,
         };
-        let from = header.src.node;
-        let mut actions = self.act(|foca, runtime| foca.handle_data(&packet, runtime))?;
-        let concerns_member = |claim: &Member<SwimId>| {
-            let (about, mut members) = (claim.id(), self.foca.iter_members().map(Member::id));
-            members.any(|member| member.node == about.node && !member.win_addr_conflict(about))
-        };
-        let claimed =
-            claims.into_iter().filter(concerns_member).map(|claim| SwimAction::Claimed(claim.id().node.clone()));
-        actions.extend(claimed);
+        self.collect(&mut actions, |foca, runtime| foca.handle_data(&packet, runtime))?;
         Ok((from, actions))
+    }
+
+    /// Handles the arrival of a node's record with this incarnation: what others have said about the node may
+    /// be confirmed now.
+    pub(super) fn confirm(&mut self, node: &NodeId, incarnation: u64) -> Result<Vec<SwimAction>, SwimError> {
+        match self.unconfirmed.remove(node) {
+            Some(update) if update.state() != State::Down && update.id().incarnation <= incarnation => {
+                self.act(|foca, runtime| foca.apply_many(std::iter::once(update), true, runtime))
+            }
+            Some(update) if update.id().incarnation > incarnation => {
+                self.unconfirmed.insert(node.clone(), update);
+                Ok(vec![])
+            }
+            Some(_) | None => Ok(vec![]),
+        }
+    }
+
+    /// Returns the incarnation of this node, which grows when it rejoins.
+    pub(super) fn incarnation(&self) -> u64 {
+        self.foca.identity().incarnation
     }
 
     /// Handles a due timer. An error is expected after the process was frozen for a while; foca
@@ -319,8 +362,8 @@ impl Swim {
     /// Adopts a later incarnation of this node that another node has stored.
     pub(super) fn adopt_incarnation(&mut self, incarnation: u64) -> Result<Vec<SwimAction>, SwimError> {
         let own = self.foca.identity();
-        let next = SwimId { incarnation, ..own.clone() };
-        match next.renew() {
+        let stored = SwimId { incarnation, ..own.clone() };
+        match stored.renew() {
             Some(next) if next.win_addr_conflict(own) => self.act(|foca, runtime| foca.change_identity(next, runtime)),
             _ => Ok(vec![]),
         }
@@ -329,17 +372,20 @@ impl Swim {
     /// Announces to all members that this node leaves. Only what it says itself counts at once, so each member hears
     /// it from this node.
     pub(super) fn leave(&mut self) -> Result<Vec<SwimAction>, SwimError> {
-        let own = self.foca.identity().clone();
-        let left = [Member::new(own.clone(), 0, State::Down)];
-        let mut actions = vec![];
-        for member in self.foca.iter_members() {
-            let dst = member.id().clone();
-            let (src, to) = (own.clone(), dst.node.clone());
-            let header = Header { src, src_incarnation: 0, dst, message: Message::Gossip };
-            actions.push(SwimAction::Send(to, with_version(encode(&header, &left)?)));
-        }
+        let mut actions = self.tell_members(&[Member::new(self.foca.identity().clone(), 0, State::Down)])?;
         self.collect(&mut actions, |foca, runtime| foca.leave_cluster(runtime))?;
         Ok(actions)
+    }
+
+    /// Sends these updates to all members, under the identity of this node.
+    fn tell_members(&self, updates: &[Member<SwimId>]) -> Result<Vec<SwimAction>, SwimError> {
+        let tell = |member: &Member<SwimId>| {
+            let (src, dst) = (self.foca.identity().clone(), member.id().clone());
+            let to = dst.node.clone();
+            let header = Header { src, src_incarnation: 0, dst, message: Message::Gossip };
+            Ok(SwimAction::Send(to, with_version(encode(&header, updates)?)))
+        };
+        self.foca.iter_members().map(tell).collect()
     }
 
     /// Checks whether a member is still suspected and has not increased its incarnation since.
@@ -391,6 +437,10 @@ impl Swim {
             }
         }
         self.compare_suspects(actions);
+        if actions.contains(&SwimAction::Rejoined) {
+            // Others believe a new identity only from this node, or after its record.
+            actions.extend(self.tell_members(&[])?);
+        }
         while let Some((to, packet)) = runtime.to_send() {
             actions.push(SwimAction::Send(to.node, with_version(packet)));
         }

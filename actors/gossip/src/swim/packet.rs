@@ -10,14 +10,22 @@ use foca::{Codec, Header, Member, Message, State};
 
 /// Identity of a node for the failure detector: an address with a single live incarnation at a
 /// time.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub(crate) struct SwimId {
     pub(super) node: NodeId,
-    /// Incarnation: identifies the start of the node.
+    /// Incarnation of the node: that of its record. A start and a rejoin each create a later one.
     pub(super) incarnation: u64,
-    /// Number of rejoins after a wrong down verdict.
+    /// Number of rejoins after a wrong down verdict; no part of the identity.
     pub(super) rejoins: u32,
 }
+
+impl PartialEq for SwimId {
+    fn eq(&self, other: &SwimId) -> bool {
+        (&self.node, self.incarnation) == (&other.node, other.incarnation)
+    }
+}
+
+impl Eq for SwimId {}
 
 impl SwimId {
     /// Returns the lowest identity of a node, sufficient to announce to a node known only by name.
@@ -34,8 +42,8 @@ impl foca::Identity for SwimId {
     type Addr = NodeId;
 
     fn renew(&self) -> Option<SwimId> {
-        let returns = self.rejoins.checked_add(1)?;
-        Some(SwimId { rejoins: returns, ..self.clone() })
+        let incarnation = self.incarnation.checked_add(1)?;
+        Some(SwimId { incarnation, rejoins: self.rejoins.saturating_add(1), ..self.clone() })
     }
 
     fn addr(&self) -> NodeId {
@@ -43,7 +51,7 @@ impl foca::Identity for SwimId {
     }
 
     fn win_addr_conflict(&self, other: &SwimId) -> bool {
-        (self.incarnation, self.rejoins) > (other.incarnation, other.rejoins)
+        self.incarnation > other.incarnation
     }
 }
 
@@ -243,12 +251,12 @@ mod tests {
     }
 
     #[test]
-    fn later_incarnations_and_rejoins_win_conflicts() {
+    fn later_incarnations_win_conflicts_and_a_rejoin_creates_one() {
         use foca::Identity;
         let first = id("ada");
         let back = first.renew().unwrap();
-        let restarted = SwimId { incarnation: first.incarnation + 1, rejoins: 0, node: first.node.clone() };
-        assert!(back.win_addr_conflict(&first) && restarted.win_addr_conflict(&back));
-        assert!(!first.win_addr_conflict(&back) && !back.win_addr_conflict(&restarted));
+        assert!(back.win_addr_conflict(&first) && !first.win_addr_conflict(&back));
+        let same = SwimId { rejoins: first.rejoins + 1, ..first.clone() };
+        assert!(same == first && !same.win_addr_conflict(&first));
     }
 }
