@@ -161,6 +161,15 @@ fn the_view_of_a_robot_contains_its_readings() {
             assert_eq!(view["node"], "gorse", "seed {seed}");
             check_type::<RobotView>(&key, &view);
         }
+        // A key expression for robots shows the readings of all of them; a wider one queries no other node.
+        for (expression, expected) in [("robot/*", &readings), ("**", &Value::Null)] {
+            let views = fleet.view(expression).await;
+            for robot in ["fern", "gorse"] {
+                let view = &views[&format!("robot/{robot}")];
+                let is_own = view["seen_by"] == robot;
+                assert!(view["readings"] == *expected || is_own, "seed {seed}: {expression}: {view}");
+            }
+        }
         let record = fleet.knowledge_of("aster", &slug("gorse")).expect("a record");
         let record = serde_json::to_string(&record).expect("JSON");
         assert!(!record.contains("bag_g"), "seed {seed}: {record}");

@@ -7,6 +7,7 @@ use crate::node_runtime::{build_runtime, describe_links, rust_log, start_log};
 use crate::output::{self, Progress, note};
 use crate::trust;
 use crate::wiring::link_trust;
+use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
 use consort_bus::zenoh_bus::Mode;
@@ -235,6 +236,17 @@ impl Client {
     /// See [`api`](Self::api).
     pub(crate) async fn query_view(&mut self, key: &Key) -> Result<Value, Failure> {
         self.query(key, String::new(), QueryTarget::Nearest).await
+    }
+
+    /// Queries the views that match a key expression, once. Returns those that arrive: the nearest node
+    /// replies with all that it has.
+    pub(crate) async fn query_views(&self, key_expr: &str) -> Vec<Value> {
+        let Ok(mut replies) = self.bus.query_nearest(key_expr, Bytes::new(), ONE_QUERY).await else { return vec![] };
+        let mut views = vec![];
+        while let Some(reply) = replies.recv().await {
+            views.extend(reply.payload.ok().and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()));
+        }
+        views
     }
 
     /// Sends a node a request that it executes at most once, and waits for its reply.

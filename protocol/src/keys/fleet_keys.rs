@@ -95,6 +95,11 @@ impl Keys {
         format!("{}/view/**", self.prefix)
     }
 
+    /// Returns the key expression for the views of all robots.
+    pub fn any_robot_view(&self) -> String {
+        format!("{}/view/robot/*", self.prefix)
+    }
+
     /// Returns the key expression for all views of a single node.
     pub fn any_seen(&self, node: &NodeId) -> String {
         format!("{}/seen/{node}/**", self.prefix)

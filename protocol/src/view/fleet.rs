@@ -142,8 +142,8 @@ pub struct RobotView {
     #[serde(default)]
     pub at_ms: u64,
     /// Latest readings that the robot's driver has published, by name. Null if the robot's node does not
-    /// reply to the replying node, if its driver has not reported, and in the reply to a key expression
-    /// for several robots.
+    /// reply to the replying node, if its driver has not reported, and for a robot of another node in the
+    /// reply to a key expression that covers other views too, as `view/**`.
     #[serde(default)]
     pub readings: Option<BTreeMap<String, Scalar>>,
 }

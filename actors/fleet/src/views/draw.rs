@@ -35,8 +35,8 @@ pub(super) struct ViewContext<'a> {
     pub(super) status: ClusterStatus,
     /// A majority has confirmed this node's copy of the ledger for this request.
     pub(super) linearizable: bool,
-    /// Readings of the robot of another node, from that node.
-    pub(super) received_readings: Option<(NodeId, BTreeMap<String, Scalar>)>,
+    /// Readings of the robots of other nodes, from these nodes.
+    pub(super) received_readings: BTreeMap<NodeId, BTreeMap<String, Scalar>>,
     pub(super) now: NodeTime,
 }
 
@@ -218,8 +218,7 @@ impl ViewContext<'_> {
         if *node == self.views.node {
             return self.views.driver.get()?.readings();
         }
-        let (_, readings) = self.received_readings.as_ref().filter(|(of, _)| of == node)?;
-        Some(readings.clone())
+        self.received_readings.get(node).cloned()
     }
 
     /// Returns a single node. The caller passes the statuses, because the knowledge is locked while

@@ -5,7 +5,7 @@
 //!  client ── get view/** ──▶ the nearest node ── from its knowledge, its copy of the ledger, its map
 //!                               │
 //!                               ├─ seen/{voter}/** ───▶ a voter of the ledger, if it has no copy itself
-//!                               ├─ seen/{robot}/robot/{robot} ─▶ the robot's node, for the robot's readings
+//!                               ├─ seen/{robot}/robot/{robot} ─▶ the node of each requested robot, for its readings
 //!                               └─ wire/world ────────▶ the driver server
 //! ```
 //!
@@ -197,15 +197,37 @@ impl ViewService {
         if let Key::ViewMission(mission) = key { Some(mission) } else { None }
     }
 
-    /// Returns the other node whose robot is requested by name, if that node is alive.
-    fn other_robot(&self, requested: &keyexpr) -> Option<NodeId> {
-        let Some(Key::ViewRobot(robot)) = self.views.keys.read(requested.as_str()) else { return None };
-        let node = NodeId::from(robot);
-        (node != self.views.node && self.views.knowledge.is_alive(&node)).then_some(node)
+    /// Returns the other nodes whose robots are requested, if they are alive. A key expression that covers
+    /// other views too requests no robot, so `view/**` stays a query to a single node.
+    fn requested_robots(&self, requested: &keyexpr) -> Vec<NodeId> {
+        let any_robot = self.views.keys.any_robot_view();
+        if !keyexpr::new(any_robot.as_str()).is_ok_and(|robots| robots.includes(requested)) {
+            return vec![];
+        }
+        let robots = self.views.knowledge.read(|base| {
+            let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
+            robots.map(|(node, _)| node.clone()).collect::<Vec<_>>()
+        });
+        let is_asked = |node: &NodeId| {
+            *node != self.views.node
+                && self.is_requested(requested, &Key::ViewRobot(RobotId::from(node.clone())))
+                && self.views.knowledge.is_alive(node)
+        };
+        robots.into_iter().filter(is_asked).collect()
+    }
+
+    /// Returns the readings of the robots of other nodes that reply. The nodes are queried at once.
+    async fn readings_from(&self, nodes: Vec<NodeId>) -> BTreeMap<NodeId, BTreeMap<String, Scalar>> {
+        let mut queries = JoinSet::new();
+        for node in nodes {
+            let service = self.clone();
+            queries.spawn(async move { service.readings_of(node).await });
+        }
+        queries.join_all().await.into_iter().flatten().collect()
     }
 
     /// Returns the readings of the robot of another node.
-    async fn readings_from(&self, node: NodeId) -> Option<(NodeId, BTreeMap<String, Scalar>)> {
+    async fn readings_of(&self, node: NodeId) -> Option<(NodeId, BTreeMap<String, Scalar>)> {
         let view = Key::ViewRobot(RobotId::from(node.clone()));
         let key = self.views.keys.write(&Key::Seen(node.clone(), Box::new(view)));
         let mut replies = self.views.bus.query(&key, Bytes::new(), READINGS_TIMEOUT).await.ok()?;
@@ -235,13 +257,11 @@ impl ViewService {
         own_views.into_iter().map(|(key, value)| (seen(&key), value)).collect()
     }
 
-    /// Returns the requested views. A voter, the robot's node and the driver server contribute what this node lacks.
+    /// Returns the requested views. A voter, the robots' nodes and the driver server contribute what this node lacks.
     async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
         let wanted = |key: &Key| self.is_requested(requested, key);
         let mut context = self.context().await;
-        if let Some(node) = self.other_robot(requested) {
-            context.received_readings = self.readings_from(node).await;
-        }
+        context.received_readings = self.readings_from(self.requested_robots(requested)).await;
         let named = self.named_mission(requested);
         let mut views = context.draw(&wanted, named.as_ref());
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
@@ -334,7 +354,7 @@ impl ViewService {
             views: &self.views,
             status: self.status(coordinator_status, now),
             linearizable: false,
-            received_readings: None,
+            received_readings: BTreeMap::new(),
             now,
         }
     }

@@ -1,16 +1,20 @@
-//! `consort fleet`: shows the nodes of a fleet and its coordinator.
+//! `consort fleet`: shows the nodes of a fleet, the readings of its robots, and its coordinator.
 
 use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
 use crate::output;
+use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
-use consort_protocol::view::{CoordinatorView, FleetView, NodeStatus, NodeView, WithProvenance};
+use consort_protocol::scalar::Scalar;
+use consort_protocol::view::{CoordinatorView, FleetView, NodeStatus, NodeView, RobotView, WithProvenance};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use std::collections::BTreeMap;
 
-/// Show the nodes of a fleet and its coordinator
+/// Show the nodes of a fleet, the readings of its robots, and its coordinator
 ///
-/// The data comes from the nearest node; each row has the age of its last contact.
+/// The data comes from the nearest node; each row has the age of its last contact. The nearest node
+/// queries the nodes of the robots for the readings.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -27,7 +31,12 @@ pub struct Args {
 struct FleetStatus<Fleet = FleetView, Coordinator = WithProvenance<CoordinatorView>> {
     fleet: Fleet,
     coordinator: Coordinator,
+    /// Readings of the robots that have any.
+    readings: FleetReadings,
 }
+
+/// Readings by robot's node and name.
+type FleetReadings = BTreeMap<NodeId, BTreeMap<String, Scalar>>;
 
 /// Runs the command.
 ///
@@ -37,13 +46,21 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let look = async |client: &mut Client| {
         let fleet = client.query_view(&Key::ViewFleet).await?;
         let coordinator = client.query_view(&Key::ViewCoordinator).await?;
-        Ok(output::to_value(&FleetStatus::<Value, Value> { fleet, coordinator }))
+        let robots = client.query_views(&client.keys().any_robot_view()).await;
+        Ok(output::to_value(&FleetStatus::<Value, Value> { fleet, coordinator, readings: readings(robots) }))
     };
     args.ask.print(look, format_fleet)
 }
 
-fn format_fleet(FleetStatus { fleet, coordinator }: &FleetStatus) -> String {
-    let heads = [
+/// Returns the readings in views of robots.
+fn readings(robots: Vec<Value>) -> FleetReadings {
+    let views = robots.into_iter().filter_map(|view| RobotView::deserialize(view).ok());
+    let readings = views.filter_map(|view| Some((view.node.node, view.readings?)));
+    readings.filter(|(_, readings)| !readings.is_empty()).collect()
+}
+
+fn format_fleet(FleetStatus { fleet, coordinator, readings }: &FleetStatus) -> String {
+    let mut heads = vec![
         "NODE",
         "ALIVE",
         "VOTES",
@@ -56,9 +73,23 @@ fn format_fleet(FleetStatus { fleet, coordinator }: &FleetStatus) -> String {
         "SKILLS",
         "ATTRIBUTES",
     ];
-    let rows = fleet.nodes.iter().map(|node| row(node, fleet, &coordinator.content));
-    let rows: Vec<Vec<String>> = std::iter::once(heads.map(str::to_owned).to_vec()).chain(rows).collect();
+    if !readings.is_empty() {
+        heads.push("READINGS");
+    }
+    let rows = fleet.nodes.iter().map(|node| {
+        let mut cells = row(node, fleet, &coordinator.content);
+        if !readings.is_empty() {
+            cells.push(readings.get(&node.node).map_or_else(|| "-".to_owned(), format_readings));
+        }
+        cells
+    });
+    let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
     format!("{}\n{}", format_coordinator(coordinator), output::table(&rows))
+}
+
+/// Formats readings: `dust_g 12.5, door open`.
+fn format_readings(readings: &BTreeMap<String, Scalar>) -> String {
+    readings.iter().map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join(", ")
 }
 
 fn format_coordinator(WithProvenance { provenance, content: view }: &WithProvenance<CoordinatorView>) -> String {

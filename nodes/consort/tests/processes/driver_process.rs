@@ -120,7 +120,7 @@ fn a_driver_in_python_performs_a_mission_and_survives_its_death() {
 }
 
 /// The bag contains 2 g after the first room and 6 g after the second: the tree empties it above 5 g. Clients
-/// see the reading.
+/// see the reading, and so does an operator of the fleet.
 #[test]
 fn a_condition_on_a_reading_decides_what_the_robot_does() {
     let mut fleet = start("cleaning-6");
@@ -133,6 +133,7 @@ fn a_condition_on_a_reading_decides_what_the_robot_does() {
         view["readings"]["bag_g"].as_f64()
     };
     until("the bag contains more than 5 g", LONG, || bag_g().filter(|bag| *bag > 5.0));
+    assert_the_fleet_command_shows_the_reading(&mut fleet);
     until("the bag was emptied", LONG, || bag_g().filter(|bag| *bag <= 5.0));
     let ended = waiting.end(LONG).expect(0);
     assert!(ended.stdout.contains("clean-rooms-1 completed\n"), "{}", ended.stdout);
@@ -147,6 +148,19 @@ fn a_condition_on_a_reading_decides_what_the_robot_does() {
     assert!(!log.contains("readings: values."), "{log}");
     drop(client);
     fleet.stop();
+}
+
+/// Asserts that `consort fleet` shows the reading of the robot, as text and as JSON.
+fn assert_the_fleet_command_shows_the_reading(fleet: &mut Fleet) {
+    let shown = fleet.run(&["fleet", "--json"], "cleaner").expect(0).json();
+    let readings = shown["readings"].as_object().expect("an object");
+    assert_eq!(readings.keys().collect::<Vec<_>>(), ["cleaner"], "{shown}");
+    assert!(readings["cleaner"]["bag_g"].is_number(), "{shown}");
+    let text = fleet.run(&["fleet"], "cleaner").expect(0).stdout;
+    let lines: Vec<&str> = text.lines().collect();
+    let robot = lines.last().expect("a row for the robot");
+    let reading = robot.rsplit("  ").next().and_then(|cell| cell.trim().strip_prefix("bag_g "));
+    assert!(lines[1].ends_with("READINGS") && reading.is_some_and(|grams| grams.parse::<f64>().is_ok()), "{text}");
 }
 
 /// Ends the process on drop.
