@@ -8,6 +8,7 @@ use crate::schema::inline_schema;
 use schemars::json_schema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::iter::Sum;
 use std::ops::{Add, AddAssign, Sub};
 use std::time::Duration;
 
@@ -49,6 +50,9 @@ macro_rules! quantities {
                 self.0
             }
         }
+
+        // The number is finite, so equality is reflexive.
+        impl Eq for $name {}
 
         inline_schema!($name, json_schema!($schema));
 
@@ -92,6 +96,13 @@ quantities! {
     /// Charge of a battery, as a share of a full battery.
     BatteryShare, "", "a battery share", "a number from 0 (empty) to 1 (full)", |v| (0.0..=1.0).contains(&v),
         { "type": "number", "minimum": 0, "maximum": 1 };
+    /// Energy used, in full batteries. May exceed 1: it is the sum over several robots, or an estimate of
+    /// what no battery has.
+    Energy, "", "an energy", "a finite number of full batteries, 0 or more", |v| v >= 0.0,
+        { "type": "number", "minimum": 0 };
+    /// Bound on the energy of a mission, in full batteries.
+    EnergyLimit, "", "a bound on energy", "a finite number of full batteries above 0", |v| v > 0.0,
+        { "type": "number", "exclusiveMinimum": 0 };
     /// Discharge rate of a working robot, in shares of a full battery per second of world time.
     SharePerSecond, " /s", "a discharge rate", "a finite share per second, 0 or more", |v| v >= 0.0,
         { "type": "number", "minimum": 0 };
@@ -139,6 +150,44 @@ impl BatteryShare {
     /// Formats as a percentage: `63.5 %`.
     pub fn percent(self) -> String {
         format!("{:.1} %", self.0 * 100.0)
+    }
+}
+
+impl Energy {
+    /// No energy.
+    pub const ZERO: Energy = Energy(0.0);
+
+    /// Largest energy of an estimate: sums of such energies are finite.
+    const ESTIMATE_MAX: f64 = 1e9;
+
+    /// Returns the energy of an estimate by another node, which may be any number.
+    pub fn of_share(share: f64) -> Energy {
+        Energy(if share.is_nan() { Self::ESTIMATE_MAX } else { share.clamp(0.0, Self::ESTIMATE_MAX) })
+    }
+}
+
+impl Default for Energy {
+    fn default() -> Energy {
+        Energy::ZERO
+    }
+}
+
+impl Add for Energy {
+    type Output = Energy;
+    fn add(self, other: Energy) -> Energy {
+        Energy(self.0 + other.0)
+    }
+}
+
+impl AddAssign for Energy {
+    fn add_assign(&mut self, other: Energy) {
+        self.0 += other.0;
+    }
+}
+
+impl Sum for Energy {
+    fn sum<I: Iterator<Item = Energy>>(energies: I) -> Energy {
+        energies.fold(Energy::ZERO, Add::add)
     }
 }
 

@@ -102,6 +102,7 @@ impl Scene {
             &self.call,
             responses,
             &AuctionContext {
+                energy: None,
                 invitation: expected,
                 unavailable: &taken,
                 excluded: &excluded,

@@ -11,6 +11,7 @@ mod deadlines;
 mod decommission;
 mod decommission_of_robots;
 mod determinism;
+mod energy_bounds;
 mod fencing;
 mod found_by_chaos;
 mod interventions;

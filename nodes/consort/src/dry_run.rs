@@ -5,12 +5,14 @@ use crate::inputs::WorkerEntry;
 use crate::wiring::SkillResources;
 use consort_fleet::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
-    AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, Invitation, RoleReply, clear_auction,
+    AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, EnergyBudget, Invitation, RoleReply,
+    clear_auction,
 };
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::mission::{Mission, Role};
 use consort_protocol::plan::Division;
+use consort_protocol::units::Energy;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -74,6 +76,7 @@ pub(crate) fn simulate_auction(
         unavailable: &unavailable,
         excluded: &excluded,
         limits,
+        energy: mission.energy_max.map(|limit| EnergyBudget { limit, used: Energy::ZERO }),
         window_ms: 0,
         at_ms: 0,
     };

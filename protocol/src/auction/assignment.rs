@@ -1,11 +1,12 @@
 //! Optimal assignment of robots to roles (Kuhn 1955, Munkres 1957).
 //!
-//! The assignment minimises the sum of the bids' times, in whole microseconds. Ties are resolved by
-//! the smallest sum of the robots' ranks (in the order of their names). Remaining ties are resolved
-//! by the solver. It receives roles and robots in the order of their names, so the result is
-//! deterministic.
+//! The assignment minimises the sum of costs, in whole millionths: the bids' times, or the energy. Ties
+//! are resolved by the smallest sum of the robots' ranks (in the order of their names). Remaining ties
+//! are resolved by the solver. It receives roles and robots in the order of their names, so the result
+//! is deterministic.
 
 use super::bid::Bid;
+use super::energy_exceeded::EnergyExceeded;
 use crate::ids::{RobotId, RoleId};
 use pathfinding::matrix::Matrix;
 use pathfinding::prelude::kuhn_munkres_min;
@@ -30,6 +31,9 @@ pub enum AssignmentError {
         /// Robots with a viable bid for any of the roles.
         robots: Vec<RobotId>,
     },
+    /// Every assignment exceeds the bound on the mission's energy.
+    #[error(transparent)]
+    EnergyExceeded(EnergyExceeded),
     /// An allocator other than the optimal assignment found no robot for some role.
     #[error("no robot is left for a role")]
     NoRobotLeft,
@@ -49,16 +53,40 @@ pub fn optimal_assignment<B: Borrow<Bid>>(
     roles: &BTreeSet<RoleId>,
     bids: &[B],
 ) -> Result<BTreeMap<RoleId, usize>, AssignmentError> {
-    let bids: Vec<&Bid> = bids.iter().map(Borrow::borrow).collect();
+    let offers: Vec<Offer<'_>> = bids
+        .iter()
+        .map(Borrow::borrow)
+        .map(|bid: &Bid| Offer { role: &bid.role, robot: &bid.robot, cost: bid.time.get() })
+        .collect();
+    cheapest_assignment(roles, &offers)
+}
+
+/// A robot that can take a role, at a cost of 0 or more.
+#[derive(Clone, Copy)]
+pub(super) struct Offer<'a> {
+    pub(super) role: &'a RoleId,
+    pub(super) robot: &'a RobotId,
+    pub(super) cost: f64,
+}
+
+/// Selects an offer for each role with the smallest sum of costs, by index into `offers`. Offers for
+/// roles that are not open are ignored. Of several offers of a robot for the same role the first counts.
+///
+/// # Errors
+/// [`AssignmentError`] if not every role can be filled by a different robot.
+pub(super) fn cheapest_assignment(
+    roles: &BTreeSet<RoleId>,
+    offers: &[Offer<'_>],
+) -> Result<BTreeMap<RoleId, usize>, AssignmentError> {
     let robots: BTreeSet<&RobotId> =
-        bids.iter().filter(|bid| roles.contains(&bid.role)).map(|bid| &bid.robot).collect();
+        offers.iter().filter(|offer| roles.contains(offer.role)).map(|offer| offer.robot).collect();
     let columns: BTreeMap<&RobotId, usize> = robots.iter().enumerate().map(|(rank, robot)| (*robot, rank)).collect();
     let rows: BTreeMap<&RoleId, usize> = roles.iter().enumerate().map(|(row, role)| (role, row)).collect();
 
     let mut costs_by_pair: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-    for (index, bid) in bids.iter().enumerate() {
-        if let Some(&row) = rows.get(&bid.role) {
-            costs_by_pair.entry((row, columns[&bid.robot])).or_insert(index);
+    for (index, offer) in offers.iter().enumerate() {
+        if let Some(&row) = rows.get(offer.role) {
+            costs_by_pair.entry((row, columns[offer.robot])).or_insert(index);
         }
     }
     let bid_for: BTreeSet<usize> = costs_by_pair.keys().map(|(row, _)| *row).collect();
@@ -77,11 +105,11 @@ pub fn optimal_assignment<B: Borrow<Bid>>(
         return Ok(BTreeMap::new());
     }
 
-    // The sum of ranks weighs less than 1 microsecond, and no feasible assignment costs as much as
+    // The sum of ranks weighs less than a millionth, and no feasible assignment costs as much as
     // an impossible pair.
-    let microsecond = i128::try_from(robots.len() * roles.len() + 1).expect("the sizes of a fleet fit 128 bits");
+    let millionth = i128::try_from(robots.len() * roles.len() + 1).expect("the sizes of a fleet fit 128 bits");
     let cost = |index: usize, column: usize| {
-        (bids[index].time.get() * 1e6).round() as i128 * microsecond
+        (offers[index].cost * 1e6).round() as i128 * millionth
             + i128::try_from(column).expect("the sizes of a fleet fit 128 bits")
     };
     let largest_cost = costs_by_pair.iter().map(|((_, column), index)| cost(*index, *column)).max().unwrap_or(0);

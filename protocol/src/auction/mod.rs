@@ -8,6 +8,8 @@ mod allocator;
 mod assignment;
 mod bid;
 mod clearing;
+mod energy;
+mod energy_exceeded;
 mod explain;
 mod invitation;
 mod record;
@@ -18,6 +20,8 @@ pub use bid::{
     AuctionId, Bid, BidLimits, BidPart, BidRefusal, BidResponse, CallForBids, RefusalReason, RoleReply, ViabilityError,
 };
 pub use clearing::{AuctionContext, AuctionOutcome, clear_auction, clear_auction_with};
+pub use energy::EnergyBudget;
+pub use energy_exceeded::EnergyExceeded;
 pub use explain::{BidCost, Explanation, RobotExplanation, RobotOutcome, RoleExplanation, explain};
 pub use invitation::Invitation;
 pub use record::{AuctionEntry, AuctionRecord, BidVerdict};

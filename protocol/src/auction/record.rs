@@ -4,7 +4,7 @@ use super::bid::{AuctionId, BidPart, RefusalReason, ViabilityError};
 use crate::bounds::{TEXT_BYTES_MAX, limit_text};
 use crate::codec::{self, encoded_size};
 use crate::ids::{RobotId, RoleId};
-use crate::units::Seconds;
+use crate::units::{Energy, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -38,8 +38,18 @@ impl AuctionRecord {
     /// and must fit a message.
     pub(crate) const BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
 
+    /// Returns the estimated energy of a robot's bid for a role; none without a bid.
+    pub(crate) fn energy_of(&self, role: &RoleId, robot: &RobotId) -> Energy {
+        let entry = self.entries.iter().find(|entry| entry.role == *role && entry.robot == *robot);
+        match entry.map(|entry| &entry.verdict) {
+            Some(BidVerdict::Viable { energy, .. } | BidVerdict::Unviable { energy, .. }) => Energy::of_share(*energy),
+            Some(BidVerdict::Refused { .. }) | None => Energy::ZERO,
+        }
+    }
+
     /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:
-    /// refusals before bids, since people look for robots that could do the work.
+    /// refusals before bids, since people look for robots that could do the work, and these before the
+    /// chosen bids, which the award needs.
     pub(crate) fn limit(&mut self) {
         if let Some(failure) = &mut self.failure {
             limit_text(failure, TEXT_BYTES_MAX);
@@ -56,7 +66,10 @@ impl AuctionRecord {
         // The numbers before the entries may grow to their full width.
         let mut room = Self::BYTES_MAX.saturating_sub(encoded_size(self).saturating_add(8));
         let count = entries.len();
-        entries.sort_by_key(|entry| matches!(entry.verdict, BidVerdict::Refused { .. }));
+        entries.sort_by_key(|entry| {
+            let is_chosen = self.chosen.get(&entry.role) == Some(&entry.robot);
+            (!is_chosen, matches!(entry.verdict, BidVerdict::Refused { .. }))
+        });
         entries.truncate(Self::ENTRIES_MAX);
         entries.retain(|entry| {
             let left = room.checked_sub(encoded_size(entry));

@@ -3,7 +3,7 @@
 use super::branch::Branch;
 use super::person_request::PersonRequestEntry;
 use super::submission::{Priority, Submission};
-use crate::auction::{AuctionId, AuctionRecord, CallForBids};
+use crate::auction::{AuctionId, AuctionRecord, CallForBids, EnergyBudget};
 use crate::cause::CauseClass;
 use crate::codec;
 use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
@@ -11,6 +11,7 @@ use crate::lease::{Epoch, RoleHolder};
 use crate::mission::{LostItem, Mission, OUTCOMES_BYTES_MAX, RoleKind, TaskOutcome, TaskOutcomes};
 use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use crate::scalar::Scalar;
+use crate::units::{Energy, EnergyLimit};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
@@ -58,6 +59,8 @@ pub struct MissionEntry {
     pub releases: Vec<RoleRelease>,
     /// Total number of releases.
     pub release_count: u32,
+    /// Estimated energy of the awards that robots had confirmed and that have been released.
+    pub(super) energy_of_released: Energy,
     /// Outcomes of tasks. The first outcome of a task is kept: others may have acted on it.
     pub outcomes: TaskOutcomes,
     /// Open requests to people and some closed requests, oldest first.
@@ -206,6 +209,8 @@ pub struct RoleAssignment {
     /// Incarnation of the robot's node that confirmed the award. A later incarnation has lost the
     /// plan, unless it reports that it restored the plan from a checkpoint.
     pub incarnation: Option<u64>,
+    /// Energy that its bid has estimated.
+    pub energy: Energy,
 }
 
 impl MissionEntry {
@@ -334,6 +339,31 @@ impl MissionEntry {
         (Reverse(self.submission.priority), self.number)
     }
 
+    /// Returns the estimated energy of all awards of the mission. An award that its robot never confirmed
+    /// counts only while it is in force: the robot has not started.
+    pub fn estimated_energy(&self) -> Energy {
+        let of_holders = self.roles.values().filter_map(|role| Some(role.holder.as_ref()?.energy));
+        self.energy_of_released + of_holders.sum::<Energy>()
+    }
+
+    /// Returns the bound on the energy of the mission.
+    pub fn energy_max(&self) -> Option<EnergyLimit> {
+        self.submission.mission.energy_max
+    }
+
+    /// Returns the bound on the energy of the mission, with the estimate for the awards so far.
+    pub fn energy_budget(&self) -> Option<EnergyBudget> {
+        Some(EnergyBudget { limit: self.energy_max()?, used: self.estimated_energy() })
+    }
+
+    /// Counts the energy of a role whose holder is about to be removed.
+    pub(super) fn keep_energy_of(&mut self, role: &RoleId) {
+        let Some(role) = self.roles.get(role) else { return };
+        if let (RolePhase::Active | RolePhase::Ended, Some(holder)) = (role.phase, &role.holder) {
+            self.energy_of_released += holder.energy;
+        }
+    }
+
     /// Returns the robots that failed at a role of this mission, with the causes. They are not
     /// invited again for this role.
     pub fn excluded(&self, role: &RoleId) -> BTreeMap<RobotId, String> {
@@ -361,6 +391,9 @@ impl MissionEntry {
         let others = self.held_roles().filter(|(id, ..)| **id != from);
         self.former_holders =
             others.map(|(.., holder)| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch }).collect();
+        for role in self.roles.keys().cloned().collect::<Vec<_>>() {
+            self.keep_energy_of(&role);
+        }
         self.roles = RoleEntry::all_open(&filled.mission);
         self.submission.recovery = Some(filled);
         self.branch = Branch::Recovery;

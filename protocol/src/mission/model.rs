@@ -6,6 +6,7 @@ use super::domain_reference::{DomainReference, OtherDomain};
 use super::outcome::{TaskOutcome, TaskOutcomes};
 use crate::ids::{EnsembleId, ItemId, RoleId, TaskId, TaskType};
 use crate::scalar::Scalar;
+use crate::units::EnergyLimit;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,6 +26,9 @@ pub struct Mission {
     /// those of the first 2, and so on. Empty: members of any ensemble.
     #[serde(default)]
     pub ensembles: Vec<EnsembleId>,
+    /// Bound on the estimated energy of all its robots together, over all awards; `None` for no bound.
+    #[serde(default)]
+    pub energy_max: Option<EnergyLimit>,
     /// Tasks of the tree: parents before children, siblings in the order of the file.
     pub tasks: Vec<TaskNode>,
     /// Results of the mission, by name: expressions over the results of its tasks.

@@ -7,6 +7,7 @@ use crate::ledger::{Branch, HeldItem, MissionState, Priority, RolePhase, RoleRel
 use crate::mission::{RoleKind, TaskNode, TaskOrder};
 use crate::plan::StepIndex;
 use crate::scalar::Scalar;
+use crate::units::{Energy, EnergyLimit};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -115,6 +116,8 @@ pub struct RequestTerms {
     pub priority: Priority,
     /// Deadline in milliseconds since 1970; null if there is none.
     pub deadline_at_ms: Option<u64>,
+    /// Bound on the energy of all its robots together, in full batteries; null if there is none.
+    pub energy_max: Option<EnergyLimit>,
     /// Time of submission in milliseconds since 1970.
     pub submitted_at_ms: u64,
     /// Person or client that asked for the mission.
@@ -134,6 +137,8 @@ pub struct MissionProgress {
     pub done: usize,
     /// Number of steps.
     pub steps: usize,
+    /// Estimated energy of its awards, in full batteries, with those that were released.
+    pub energy: Energy,
 }
 
 /// A mission with the plans and the progress of its roles. A mission that ended long ago has only

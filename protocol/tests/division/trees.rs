@@ -57,7 +57,14 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
         _ => RoleKind::Managed,
     };
     let roles = used.iter().map(|number| (role(*number), Role::of(kind(number)))).collect();
-    Mission { name: TaskId::new("trial").unwrap(), roles, ensembles: vec![], tasks, results: Default::default() }
+    Mission {
+        name: TaskId::new("trial").unwrap(),
+        roles,
+        ensembles: vec![],
+        energy_max: None,
+        tasks,
+        results: Default::default(),
+    }
 }
 
 /// Returns the roles of each elementary task.

@@ -12,7 +12,7 @@ use consort_protocol::plan::{Alternative, LocalPlan, Signal, SignalKind, Step, S
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::trust::Fingerprint;
-use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
+use consort_protocol::units::{BatteryShare, EnergyLimit, MetresPerSecond, Seconds, SharePerSecond};
 use consort_protocol::versions::VersionRange;
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
@@ -139,8 +139,18 @@ pub(crate) fn mission() -> impl Strategy<Value = Mission> {
     let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
     let role = (kind, on_loss, option::of(text()));
     let role = role.prop_map(|(kind, on_loss, eligible)| Role { kind, on_loss, eligible });
-    (name(), btree_map(name(), role, 0..4), vec(name(), 0..3), vec(node, 0..6), btree_map(text(), text(), 0..2))
-        .prop_map(|(name, roles, ensembles, tasks, results)| Mission { name, roles, ensembles, tasks, results })
+    let energy_max = option::of((0.01..9.0).prop_map(|limit| EnergyLimit::new(limit).expect("a bound on energy")));
+    let results = btree_map(text(), text(), 0..2);
+    (name(), btree_map(name(), role, 0..4), vec(name(), 0..3), energy_max, vec(node, 0..6), results).prop_map(
+        |(name, roles, ensembles, energy_max, tasks, results)| Mission {
+            name,
+            roles,
+            ensembles,
+            energy_max,
+            tasks,
+            results,
+        },
+    )
 }
 
 pub(crate) fn availability() -> impl Strategy<Value = Availability> {

@@ -93,6 +93,7 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
     let robots = BTreeSet::from([tender.robot.clone()]);
     let (limits, invitation) = (BidLimits::default(), Invitation { robots, preferred: vec![] });
     let circumstances = AuctionContext {
+        energy: None,
         invitation: &invitation,
         unavailable: &BTreeMap::new(),
         excluded: &BTreeMap::new(),

@@ -156,14 +156,15 @@ impl Auctions {
     /// once, and not for ever.
     fn outcome(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
         let CollectedBids { call, invitation, responses } = bids;
-        let (unavailable, failed, released) = context.read_ledger(|ledger| {
+        let (unavailable, failed, released, energy) = context.read_ledger(|ledger| {
             let entry = ledger.mission(&call.auction.mission);
             let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {
                 let of_role = |role| entry.map(|entry| robots(entry, role)).unwrap_or_default();
                 call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
             };
             let unavailable = unavailable_robots(ledger, &self.rounds, &call.auction.mission);
-            (unavailable, of_roles(&MissionEntry::excluded), of_roles(&MissionEntry::former_robots))
+            let energy = entry.and_then(MissionEntry::energy_budget);
+            (unavailable, of_roles(&MissionEntry::excluded), of_roles(&MissionEntry::former_robots), energy)
         });
         let settings = &context.settings.auctions;
         let clear = |excluded| {
@@ -172,6 +173,7 @@ impl Auctions {
                 unavailable: &unavailable,
                 excluded,
                 limits: &settings.limits,
+                energy,
                 window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
                 at_ms: context.settings.parts.clock.wall_ms(),
             };
@@ -183,11 +185,12 @@ impl Auctions {
 
     /// Proposes the award, or defers the mission and backs off.
     fn record(&mut self, mission: &MissionId, outcome: AuctionOutcome, context: &mut SessionContext) {
-        let AuctionOutcome { holders, record, unfillable } = outcome;
+        let AuctionOutcome { holders, record, unfillable, energy_exceeded } = outcome;
         context.publish_event(EventKind::Closed { mission: mission.clone(), record: record.clone() });
         let Some(round) = self.rounds.get_mut(mission) else { return };
         round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
         let (branch, auction, mission) = (round.branch, record.auction.clone(), mission.clone());
+        let mut failure = None;
         let command = match holders {
             Some(holders) => {
                 round.phase = RoundPhase::Proposing(holders.clone());
@@ -200,11 +203,14 @@ impl Auctions {
                     let known = ledger.mission(&mission).and_then(|entry| entry.auction.as_ref());
                     known.is_none_or(|known| differs(known, &record))
                 });
-                if round.hopeless_rounds >= HOPELESS_ROUNDS {
-                    let cause = no_robot_left(&unfillable, &record.entries);
-                    context.fail_mission(mission.clone(), cause, Some(branch));
-                }
-                if !has_changed {
+                let hopeless = round.hopeless_rounds >= HOPELESS_ROUNDS;
+                let cause = energy_exceeded.map(|excess| excess.to_string());
+                let cause = cause.or_else(|| hopeless.then(|| no_robot_left(&unfillable, &record.entries)));
+                failure = cause.map(|cause| {
+                    let places = context.places_of(&mission);
+                    Command::Fail { mission: mission.clone(), cause, branch: Some(branch), places }
+                });
+                if !has_changed && failure.is_none() {
                     return;
                 }
                 Command::Defer { mission, branch, auction: record }
@@ -215,6 +221,13 @@ impl Auctions {
             // If the coordinator stops, the next coordinator finds the award in the ledger or
             // repeats the auction.
             let outcome = replica.propose(command, AWARD_TIMEOUT).await;
+            // The record explains the failure, so it comes first. A later round repeats a failure that was
+            // not committed.
+            if let Some(failure) = failure
+                && let Err(problem) = replica.propose(failure, AWARD_TIMEOUT).await
+            {
+                debug!(%problem, "the failure of a mission was not committed");
+            }
             CoordinatorMessage::AuctionRecorded { auction, outcome }
         });
     }

@@ -11,7 +11,7 @@ use consort_protocol::auction::{Explanation, explain};
 use consort_protocol::ids::{EnsembleId, MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::ledger::{MissionState, RoleRelease};
-use consort_protocol::view::{EnsembleView, EnsemblesView, MissionView, WithProvenance};
+use consort_protocol::view::{EnsembleView, EnsemblesView, MissionBrief, MissionView, WithProvenance};
 use consort_text::count;
 use serde::Deserialize;
 use serde_json::Value;
@@ -110,7 +110,8 @@ impl ViewService {
         let asked: BTreeSet<NodeId> = entries.map(|entry| NodeId::from(entry.robot.clone())).collect();
         let MissionView { brief, releases, ensembles, .. } = view;
         let not_asked = self.not_asked(&asked, &ensembles).await;
-        let text = text(mission, &brief.status.detail, explanation.as_ref(), &not_asked, &releases);
+        let mut text = text(mission, &brief.status.detail, explanation.as_ref(), &not_asked, &releases);
+        text.extend(energy_text(&brief));
         let content =
             ExplainReply { mission: brief.mission, state: brief.status.state, explanation, not_asked, releases, text };
         Ok(json(WithProvenance { provenance, content }))
@@ -158,6 +159,15 @@ fn release_text(release: &RoleRelease) -> String {
     let RoleRelease { role, robot, cause, .. } = release;
     let again = if release.excludes_robot() { ", and it is not asked for it again" } else { "" };
     format!("{role} was taken from {robot}: {cause}{again}")
+}
+
+/// Returns the energy of a mission that has a bound on it.
+fn energy_text(brief: &MissionBrief) -> Option<String> {
+    let limit = brief.terms.energy_max?;
+    Some(format!(
+        "its awards are estimated at {:.3} of a full battery; energy_max is {limit:.3}",
+        brief.progress.energy
+    ))
 }
 
 /// Returns the explanation as text, with 1 entry per line.

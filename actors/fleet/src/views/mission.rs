@@ -75,10 +75,17 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
             parameters: entry.submission.parameters.clone(),
             priority: entry.submission.priority,
             deadline_at_ms: entry.submission.deadline_ms,
+            energy_max: entry.energy_max(),
             submitted_at_ms: entry.submission.at_ms,
             by: entry.submission.by.clone(),
         },
-        progress: MissionProgress { holders: entry.holders(), items: items(entry), done, steps },
+        progress: MissionProgress {
+            holders: entry.holders(),
+            items: items(entry),
+            done,
+            steps,
+            energy: entry.estimated_energy(),
+        },
         result: entry.results(),
     }
 }

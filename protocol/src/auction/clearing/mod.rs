@@ -3,10 +3,12 @@
 use super::allocator::{Allocator, AllocatorInput, OptimalAssignment};
 use super::assignment::AssignmentError;
 use super::bid::{Bid, BidLimits, BidPart, BidResponse, CallForBids, RefusalReason, RoleReply};
+use super::energy::{EnergyBudget, EnergyOffer};
+use super::energy_exceeded::EnergyExceeded;
 use super::invitation::Invitation;
 use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
 use crate::ids::{EnsembleId, RobotId, RoleId};
-use crate::units::Seconds;
+use crate::units::{Energy, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Outcome of an auction.
@@ -18,6 +20,8 @@ pub struct AuctionOutcome {
     pub record: AuctionRecord,
     /// Roles that at least 1 robot has failed at and all others refuse permanently.
     pub unfillable: BTreeSet<RoleId>,
+    /// Set if the mission exceeds its bound on energy, whichever of the robots get the roles.
+    pub energy_exceeded: Option<EnergyExceeded>,
 }
 
 /// Inputs of the clearing in addition to the replies.
@@ -33,6 +37,8 @@ pub struct AuctionContext<'a> {
     pub excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
     /// Limits for bids.
     pub limits: &'a BidLimits,
+    /// Bound on the energy of the mission; `None` for no bound.
+    pub energy: Option<EnergyBudget>,
     /// Time waited for replies, in milliseconds.
     pub window_ms: u64,
     /// Time to write into the record, in milliseconds.
@@ -83,16 +89,18 @@ fn clear_among(
 ) -> AuctionOutcome {
     let mut entries = evaluate_all(call, replies, context, preference);
     let unfillable = unfillable_roles(call, &entries, context);
-    let (holders, failure) = match allocate_roles(allocator, call, replies, &entries, context.limits) {
+    let (holders, problem) = match allocate_roles(allocator, call, replies, &entries, context) {
         Ok(holders) => (Some(holders), None),
-        Err(problem) => (None, Some(problem.to_string())),
+        Err(problem) => (None, Some(problem)),
     };
+    let energy_exceeded = problem.as_ref().and_then(|_| inevitable_excess(call, &entries, context.energy?));
+    let failure = energy_exceeded.as_ref().map(ToString::to_string).or(problem.map(|problem| problem.to_string()));
     let chosen = holders.clone().unwrap_or_default();
     keep_parts(&mut entries, &chosen, |role, robot| bid_of(replies, role, robot).map_or(&[], |bid| &bid.parts));
     let mut record =
         AuctionRecord { auction: call.auction.clone(), at_ms: context.at_ms, entries, omitted: 0, chosen, failure };
     record.limit();
-    AuctionOutcome { holders, record, unfillable }
+    AuctionOutcome { holders, record, unfillable, energy_exceeded }
 }
 
 /// Reply of each robot for each role; the first reply counts.
@@ -152,24 +160,48 @@ fn evaluate_all(
 /// Returns the roles of the call that at least 1 robot has failed at and all others refuse
 /// permanently.
 fn unfillable_roles(call: &CallForBids, entries: &[AuctionEntry], context: &AuctionContext<'_>) -> BTreeSet<RoleId> {
-    let is_permanent = |entry: &AuctionEntry| match &entry.verdict {
+    let failed_at = context.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
+    let called = failed_at.filter(|role| call.roles.contains_key(*role));
+    called
+        .filter(|role| entries.iter().filter(|entry| entry.role == **role).all(|entry| is_out(call, entry)))
+        .cloned()
+        .collect()
+}
+
+/// Checks whether the robot cannot get the role any more, whatever it does meanwhile.
+fn is_out(call: &CallForBids, entry: &AuctionEntry) -> bool {
+    match &entry.verdict {
         // A robot that holds a role of this same mission will not be free before the mission ends.
         BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } => *mission == call.auction.mission,
         BidVerdict::Refused { reason } => reason.is_permanent(),
         BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => false,
-    };
-    let failed_at = context.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
-    let called = failed_at.filter(|role| call.roles.contains_key(*role));
-    called.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(is_permanent)).cloned().collect()
+    }
 }
 
-/// Assigns the roles with the allocator, among the robots that the verdicts permit.
+/// Returns the excess over the bound if even the assignment with the least energy exceeds it, among
+/// all robots that can still get the roles. The energy of a robot that may bid later is unknown, and
+/// counts as none.
+fn inevitable_excess(call: &CallForBids, entries: &[AuctionEntry], budget: EnergyBudget) -> Option<EnergyExceeded> {
+    let offers = entries.iter().filter(|entry| !is_out(call, entry)).map(|entry| EnergyOffer {
+        role: &entry.role,
+        robot: &entry.robot,
+        energy: match entry.verdict {
+            BidVerdict::Viable { energy, .. } | BidVerdict::Unviable { energy, .. } => Energy::of_share(energy),
+            BidVerdict::Refused { .. } => Energy::ZERO,
+        },
+    });
+    let roles = call.roles.keys().cloned().collect();
+    budget.least(&roles, &offers.collect::<Vec<_>>()).ok()?.err()
+}
+
+/// Assigns the roles with the allocator, among the robots that the verdicts permit, within the bound on
+/// energy.
 fn allocate_roles(
     allocator: &dyn Allocator,
     call: &CallForBids,
     replies: &Replies<'_>,
     entries: &[AuctionEntry],
-    limits: &BidLimits,
+    context: &AuctionContext<'_>,
 ) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
     let mut open: BTreeMap<RoleId, BTreeSet<RobotId>> =
         call.roles.keys().map(|role| (role.clone(), BTreeSet::new())).collect();
@@ -183,7 +215,13 @@ fn allocate_roles(
         .filter(|((role, robot), _)| open.get(*role).is_some_and(|robots| robots.contains(*robot)))
         .filter_map(|(_, reply)| if let RoleReply::Bid(bid) = reply { Some(bid) } else { None })
         .collect();
-    allocator.allocate(&AllocatorInput { call, candidates: &open, bids: &bids, viable: &viable, limits })
+    let limits = context.limits;
+    let holders =
+        allocator.allocate(&AllocatorInput { call, candidates: &open, bids: &bids, viable: &viable, limits })?;
+    match context.energy {
+        Some(budget) => budget.restrict(holders, &viable),
+        None => Ok(holders),
+    }
 }
 
 /// Adds the parts of bids to the record while there is room: first those of winners, then by time,

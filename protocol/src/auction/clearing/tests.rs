@@ -4,7 +4,7 @@ use crate::codec;
 use crate::ids::{EnsembleId, MissionId, PlaceId};
 use crate::ledger::{Branch, Command};
 use crate::plan::LocalPlan;
-use crate::units::BatteryShare;
+use crate::units::{BatteryShare, EnergyLimit};
 
 fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()
@@ -35,15 +35,19 @@ fn context<'a>(
     excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
 ) -> AuctionContext<'a> {
     static LIMITS: std::sync::LazyLock<BidLimits> = std::sync::LazyLock::new(BidLimits::default);
-    AuctionContext { invitation, unavailable: taken, excluded, limits: &LIMITS, window_ms: 200, at_ms: 0 }
+    AuctionContext { invitation, unavailable: taken, excluded, limits: &LIMITS, energy: None, window_ms: 200, at_ms: 0 }
 }
 
 fn bids(name: &str, time: f64, remaining: f64) -> BidResponse {
+    bids_with_energy(name, time, remaining, 0.1)
+}
+
+fn bids_with_energy(name: &str, time: f64, remaining: f64, energy: f64) -> BidResponse {
     let bid = Bid {
         robot: robot(name),
         role: role(),
         time: Seconds::new(time).unwrap(),
-        energy: 0.1,
+        energy,
         remaining,
         useful_charge: BatteryShare::new(0.08).unwrap(),
         from: PlaceId::new("dock").unwrap(),
@@ -177,6 +181,67 @@ fn a_role_is_unfillable_when_one_robot_failed_and_the_others_refuse() {
         BidResponse { robot: robot("bob"), auction: call().auction, replies: vec![RoleReply::Refusal(refusal)] };
     let outcome = clear_auction(&call(), &[bids("ada", 1.0, 0.5), refuses], &context);
     assert_eq!((outcome.holders, outcome.unfillable), (None, [role()].into()));
+}
+
+fn budget(limit: f64, used: f64) -> Option<EnergyBudget> {
+    let (limit, used) = (EnergyLimit::new(limit).unwrap(), Energy::new(used).unwrap());
+    Some(EnergyBudget { limit, used })
+}
+
+#[test]
+fn the_fastest_robot_within_the_bound_on_energy_gets_the_role() {
+    let expected = invited(&["ada", "bob"]);
+    let (unavailable, responses) =
+        (BTreeMap::new(), [bids_with_energy("ada", 5.0, 0.4, 0.5), bids_with_energy("bob", 9.0, 0.4, 0.25)]);
+    for (energy, winner) in [
+        (None, Some("ada")),
+        (budget(0.5, 0.0), Some("ada")),
+        (budget(0.5, 0.125), Some("bob")),
+        (budget(0.375, 0.125), Some("bob")),
+        (budget(0.25, 0.125), None),
+    ] {
+        let context = AuctionContext { energy, ..context(&expected, &unavailable, &NO_EXCLUDED) };
+        let outcome = clear_auction(&call(), &responses, &context);
+        assert_eq!(outcome.holders, winner.map(|winner| BTreeMap::from([(role(), robot(winner))])), "{energy:?}");
+        assert_eq!(outcome.energy_exceeded.is_some(), winner.is_none(), "{energy:?}");
+        assert_eq!(outcome.record.failure, outcome.energy_exceeded.map(|excess| excess.to_string()));
+    }
+}
+
+#[test]
+fn a_bound_on_energy_is_hopeless_only_without_other_robots() {
+    let (busy, only) = (invited(&["ada", "bob"]), invited(&["ada"]));
+    let unavailable = BTreeMap::new();
+    let ada = || bids_with_energy("ada", 5.0, 0.4, 0.5);
+    let excess = |invitation, responses: &[BidResponse]| {
+        let energy = budget(0.3, 0.05);
+        let context = AuctionContext { energy, ..context(invitation, &unavailable, &NO_EXCLUDED) };
+        let outcome = clear_auction(&call(), responses, &context);
+        assert_eq!(outcome.holders, None);
+        (outcome.energy_exceeded.is_some(), outcome.record.failure.unwrap())
+    };
+    let problem = "the mission would exceed its bound on energy, energy_max 0.300: the open roles need at least 0.500 of a \
+         full battery (ada as r1), and earlier awards were estimated at 0.050";
+    assert_eq!(excess(&only, &[ada()]), (true, problem.to_owned()));
+    assert_eq!(excess(&busy, &[ada()]), (false, problem.to_owned()), "bob may still reply");
+    let charging = bids_with_energy("bob", 9.0, 0.01, 0.1);
+    assert_eq!(excess(&busy, &[ada(), charging]), (false, problem.to_owned()), "bob may be charged");
+    let lacks = RefusalReason::MissingSkills { skills: vec![] };
+    let refusal = RoleReply::Refusal(BidRefusal { robot: robot("bob"), role: role(), reason: lacks });
+    let refuses = BidResponse { robot: robot("bob"), auction: call().auction, replies: vec![refusal] };
+    assert_eq!(excess(&busy, &[ada(), refuses]), (true, problem.to_owned()));
+    // Without any robot, the bound is not the reason.
+    assert_eq!(excess(&Invitation::default(), &[]), (false, "no viable bid for r1".to_owned()));
+}
+
+#[test]
+fn the_chosen_bid_stays_in_a_record_of_many_bids() {
+    let names: Vec<String> = (100..500).map(|number| format!("robot-{number}")).collect();
+    let mut responses: Vec<BidResponse> = names.iter().map(|name| bids(name, 9.0, 0.5)).collect();
+    responses.push(bids_with_energy("zoe", 1.0, 0.5, 0.25));
+    let outcome = clear_auction(&call(), &responses, &context(&Invitation::default(), &BTreeMap::new(), &NO_EXCLUDED));
+    assert!(outcome.record.omitted > 0);
+    assert_eq!(outcome.record.energy_of(&role(), &robot("zoe")), Energy::new(0.25).unwrap());
 }
 
 #[test]

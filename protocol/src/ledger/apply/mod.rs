@@ -12,6 +12,7 @@ use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::{RoleKind, TaskOutcomes};
 use crate::plan::StepIndex;
+use crate::units::Energy;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -221,6 +222,7 @@ impl Ledger {
             former_holders: vec![],
             releases: vec![],
             release_count: 0,
+            energy_of_released: Energy::ZERO,
             outcomes: BTreeMap::new(),
             person_requests: vec![],
         };
@@ -263,7 +265,8 @@ impl Ledger {
         entry.former_holders.clear();
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
-                role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None });
+                let energy = auction.energy_of(&id, &robot);
+                role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None, energy });
                 role.phase = RolePhase::Awarded;
                 role.ended.clear();
             }

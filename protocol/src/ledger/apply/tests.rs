@@ -27,6 +27,7 @@ fn submission(request: &str) -> Box<Submission> {
         name: TaskId::new("unload").unwrap(),
         roles: BTreeMap::from([(role("lab_arm"), managed.clone()), (role("r1"), managed)]),
         ensembles: vec![],
+        energy_max: None,
         tasks: vec![
             TaskNode { id: TaskId::new("root").unwrap(), body: TaskBody::Abstract(method) },
             TaskNode { id: task.clone(), body: TaskBody::Elementary(spec.clone()) },

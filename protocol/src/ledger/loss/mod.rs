@@ -95,6 +95,7 @@ impl Ledger {
             let cause = format!("its roles were given up {} times: {causes}", confirmed_releases.len());
             return self.end(mission, MissionState::Failed { cause }, &places, undone);
         }
+        self.active_mission(mission)?.keep_energy_of(role_id);
         let role = self.held_role(mission, role_id, epoch)?;
         role.holder = None;
         role.phase = RolePhase::Open;

@@ -3,6 +3,7 @@
 use crate::ids::{EnsembleId, RoleId, TaskId, TaskType};
 use crate::mission::domain::{NumberRange, ValueKind};
 use crate::mission::model::{ATTEMPTS_MAX, Escalation, OnLoss, PATIENCE_MAX_S, RoleKind, TaskOrder};
+use crate::units::EnergyLimit;
 use schemars::JsonSchema;
 use serde::de::{Deserializer, Error as _, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Serialize};
@@ -90,6 +91,11 @@ pub(super) struct MissionFile {
     #[serde(default)]
     #[schemars(with = "Vec<EnsembleId>")]
     pub(super) ensembles: Vec<String>,
+    /// Bound on the energy of all its robots together, in full batteries, such as `0.4`. It is compared with
+    /// estimates: those of the bids, and those of its earlier awards. If every assignment of its roles
+    /// would exceed the bound, the mission fails at once. Default: no bound.
+    #[serde(default)]
+    pub(super) energy_max: Option<EnergyLimit>,
     /// Tasks of the mission.
     pub(super) root: TaskFile,
     /// Branch executed instead if a robot is lost that has, or may have, an item. Its tasks have

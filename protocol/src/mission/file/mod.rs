@@ -32,6 +32,9 @@
 //! [`ensemble`](crate::ensemble) for the variables), and a mission the ensembles whose robots it
 //! prefers: `ensembles: [icu, hospital]`.
 //!
+//! `energy_max: 0.4` is a bound on the energy of all its robots together, in full batteries. The estimates
+//! of the bids count, and those of earlier awards of the mission.
+//!
 //! A role may set `on_loss: restart`: if its holder is lost after other roles have acted on its
 //! work, and has no item, another robot restarts the role from its first step. Without it such a
 //! mission fails.
@@ -273,6 +276,7 @@ impl MissionTemplate {
             name: self.name.clone(),
             roles: builder.roles(&self.file.roles),
             ensembles: builder.ensembles(&self.file.ensembles),
+            energy_max: self.file.energy_max,
             tasks: builder.tasks(&self.file.root, "root"),
             results: BTreeMap::new(),
         };
@@ -325,7 +329,7 @@ impl MissionTemplate {
 }
 
 /// Keys with numbers.
-const NUMBERS: [&str; 4] = ["attempts", "repeat", "patience_s", "after_s"];
+const NUMBERS: [&str; 5] = ["attempts", "energy_max", "repeat", "patience_s", "after_s"];
 
 /// Keys with maps whose keys and values are free texts.
 const TEXTS: [&str; 4] = ["parameters", "reaches", "acquires", "result"];

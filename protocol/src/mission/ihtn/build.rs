@@ -87,8 +87,14 @@ impl<'a> Builder<'a> {
                 }
             }
         }
-        let mut mission =
-            Mission { name: self.options.name.clone(), roles, ensembles: vec![], tasks, results: BTreeMap::new() };
+        let mut mission = Mission {
+            name: self.options.name.clone(),
+            roles,
+            ensembles: vec![],
+            energy_max: None,
+            tasks,
+            results: BTreeMap::new(),
+        };
         mission.set_domains(self.domain);
         self.check_people(&mission);
         self.check_parameters(&mission);

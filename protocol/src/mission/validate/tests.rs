@@ -26,6 +26,7 @@ fn mission(roles: &[(&str, RoleKind)], tasks: Vec<TaskNode>) -> Mission {
         name: TaskId::new("trial").unwrap(),
         roles: roles.iter().map(|(name, kind)| (role(name), Role::of(*kind))).collect(),
         ensembles: vec![],
+        energy_max: None,
         tasks,
         results: Default::default(),
     }

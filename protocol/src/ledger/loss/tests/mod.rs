@@ -1,9 +1,10 @@
+mod energy;
 mod recovery_branch;
 
 use super::super::branch::Branch;
 use super::super::submission::{RecoveryBranch, Submission};
 use super::*;
-use crate::auction::{AuctionId, AuctionRecord};
+use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidVerdict};
 use crate::cause::CauseClass;
 use crate::ids::RequestId;
 use crate::lease::RoleHolder;
@@ -12,6 +13,7 @@ use crate::ledger::HistoryLimits;
 use crate::mission::test_data::{FETCH_SAMPLE, domain};
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::{StepIndex, divide_and_check};
+use crate::units::Seconds;
 
 fn role(name: &str) -> RoleId {
     RoleId::new(name).unwrap()
@@ -92,6 +94,23 @@ impl Log {
         self.apply(Command::Award { mission, branch, holders, auction })
     }
 
+    /// Awards open roles to robots whose bids have estimated this energy.
+    fn award_with_energy(&mut self, holders: &[(&str, &str, f64)]) -> Epoch {
+        let (mission, branch, record) = (self.2.clone(), self.entry().branch, self.record());
+        let entry = |(of, who, energy): &(&str, &str, f64)| AuctionEntry {
+            role: role(of),
+            robot: robot(who),
+            verdict: BidVerdict::Viable { time: Seconds::ZERO, energy: *energy, remaining: 0.5 },
+            parts: vec![],
+        };
+        let auction = AuctionRecord { entries: holders.iter().map(entry).collect(), ..record };
+        let holders = holders.iter().map(|(of, who, _)| (role(of), robot(who))).collect();
+        match self.apply(Command::Award { mission, branch, holders, auction }) {
+            CommandOutcome::Awarded { epoch } => epoch,
+            other => panic!("{other:?}"),
+        }
+    }
+
     fn record(&self) -> AuctionRecord {
         let mission = self.2.clone();
         let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
@@ -100,14 +119,24 @@ impl Log {
 
     fn hold(&mut self, holders: &[(&str, &str)]) -> Epoch {
         let CommandOutcome::Awarded { epoch } = self.award(holders) else { panic!("not awarded") };
-        for (name, _) in holders {
+        self.confirm(&holders.iter().map(|(name, _)| *name).collect::<Vec<_>>(), epoch);
+        epoch
+    }
+
+    /// Confirms awarded roles.
+    fn confirm(&mut self, names: &[&str], epoch: Epoch) {
+        for name in names {
             let (mission, role) = (self.2.clone(), role(name));
             assert_eq!(
                 self.apply(Command::Accept { mission, role, epoch, incarnation: 1, from_checkpoint: false }),
                 CommandOutcome::Done
             );
         }
-        epoch
+    }
+
+    /// Returns the estimated energy of all awards.
+    fn energy(&self) -> f64 {
+        self.entry().estimated_energy().get()
     }
 
     fn ended(&mut self, who: &str, epoch: Epoch, steps: std::ops::Range<StepIndex>) {

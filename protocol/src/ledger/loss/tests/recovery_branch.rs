@@ -47,6 +47,18 @@ fn a_mission_continues_with_its_recovery_branch() {
 }
 
 #[test]
+fn the_recovery_branch_counts_the_energy_of_the_main_branch() {
+    let mut log = Log::of(&with_recovery());
+    let first = log.award_with_energy(&[("r1", "amber", 0.25), ("lab_arm", "arm", 0.5)]);
+    log.confirm(&["r1", "lab_arm"], first);
+    log.ended("r1", first, 0..8);
+    log.lose("r1", first, false);
+    assert_eq!((log.entry().branch, log.energy()), (Branch::Recovery, 0.75));
+    log.award_with_energy(&[("helper", "birch", 0.125)]);
+    assert_eq!(log.energy(), 0.875);
+}
+
+#[test]
 fn a_robot_lost_in_the_recovery_branch_without_an_item_is_replaced() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);

@@ -1,11 +1,13 @@
-//! Ensembles of missions, and conditions on the robots of their roles.
+//! Ensembles of missions, bounds on their energy, and conditions on the robots of their roles.
 
 use super::*;
 use crate::ids::EnsembleId;
+use crate::units::EnergyLimit;
 
 const VISIT: &str = r#"
 mission: visit
 ensembles: [icu, hospital]
+energy_max: 0.4
 parameters:
   section: { kind: text, default: icu }
   charge: { kind: number, default: 0.3 }
@@ -36,11 +38,33 @@ fn both_branches_have_the_policies_of_the_mission() {
     let given = given(&[("section", "a \"b\"")]);
     let (mission, recovery) = template.instantiate_with_recovery(&given, &domain()).unwrap();
     for branch in [mission, recovery.unwrap()] {
+        assert_eq!(branch.energy_max.map(EnergyLimit::get), Some(0.4));
         assert_eq!(branch.ensembles.iter().map(EnsembleId::as_str).collect::<Vec<_>>(), ["icu", "hospital"]);
         let condition = branch.roles.values().next().unwrap().eligible.as_deref();
         assert_eq!(condition, Some(r#"robot.attributes.section == "a \"b\"" && robot.battery > 0.3"#));
     }
     assert_eq!(problems(VISIT), [""; 0]);
+}
+
+#[test]
+fn a_bound_on_energy_is_a_number_above_0() {
+    let with = |bound: &str| {
+        let text = VISIT.replace("energy_max: 0.4", bound);
+        let template = MissionTemplate::parse(&text, Format::Yaml).map_err(|problem| problem.to_string())?;
+        let (mission, _) = template.instantiate_with_recovery(&given(&[]), &domain()).unwrap();
+        Ok::<_, String>(mission.energy_max.map(EnergyLimit::get))
+    };
+    assert_eq!(with(""), Ok(None));
+    assert_eq!(with("energy_max: 2"), Ok(Some(2.0)));
+    for bound in ["0", "0.0", "-0.1", ".nan", ".inf", "much", "[0.4]"] {
+        let found = with(&format!("energy_max: {bound}"));
+        assert!(found.as_ref().is_err_and(|problem| problem.contains("energy_max")), "{bound}: {found:?}");
+    }
+    let zero = with("energy_max: 0").unwrap_err();
+    assert!(
+        zero.contains("0 is not a bound on energy: allowed is a finite number of full batteries above 0"),
+        "{zero}"
+    );
 }
 
 #[test]
