@@ -86,6 +86,18 @@ pub(crate) struct NodeOptions {
     pub(crate) world_speed: f64,
     /// Domain files and skills in addition to the standard domain.
     pub(crate) extensions: Extensions,
+    /// Ensembles of the hospital.
+    pub(crate) ensembles: Vec<EnsembleSpec>,
+}
+
+/// Domain and ensembles of a hospital.
+pub struct DomainSetup {
+    /// Actions, readings and tasks of its robots in addition to the standard domain.
+    pub domain: DomainFile,
+    /// Its ensembles.
+    pub ensembles: Vec<EnsembleSpec>,
+    /// Nodes have certificates and sign their messages.
+    pub closed: bool,
 }
 
 impl Default for NodeOptions {
@@ -98,6 +110,7 @@ impl Default for NodeOptions {
             date_ms: 0,
             world_speed: 10.0,
             extensions: Extensions::default(),
+            ensembles: vec![logistics(&["operate_drawer", "pick_up"])],
         }
     }
 }
@@ -171,6 +184,20 @@ impl Fleet {
         Fleet::hospital_with(seed, members, stations, vec![], options).await
     }
 
+    /// Starts the same hospital with this domain and these ensembles.
+    pub async fn hospital_of_domain_setup(
+        seed: u64,
+        members: Vec<RobotSpec>,
+        stations: &[&str],
+        setup: DomainSetup,
+    ) -> Fleet {
+        let DomainSetup { domain, ensembles, closed } = setup;
+        let extensions = Extensions::default().with_domain("domain.yaml", domain);
+        let signatures = closed.then_some(Signatures::Ed25519);
+        let options = NodeOptions { extensions, signatures, ensembles, ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, vec![], options).await
+    }
+
     /// Starts the hospital, open or closed.
     pub(crate) async fn hospital_with(
         seed: u64,
@@ -190,7 +217,7 @@ impl Fleet {
         setup = people.into_iter().fold(setup, WorldSetup::person);
         let world = SharedWorld::new(World::new(setup).expect("a valid world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
-        let ensembles = vec![logistics(&["operate_drawer", "pick_up"])];
+        let ensembles = options.ensembles.clone();
         let speed = options.world_speed;
         Fleet::from_setup(FleetSetup { seed, members, stations, world, speed, ensembles, options }).await
     }

@@ -4,10 +4,12 @@ use crate::slug;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::library::SkillLibrary;
 use consort_world::map::Map;
 use consort_world::world::RobotSetup;
+use std::collections::BTreeMap;
 
 /// Setup of a robot.
 #[derive(Debug, Clone)]
@@ -80,6 +82,12 @@ impl RobotSpec {
     pub fn with_skill(mut self, skill: &str) -> RobotSpec {
         self.skills.push(skill.to_owned());
         self
+    }
+
+    /// Sets its only attribute.
+    pub fn with_attribute(self, name: &str, value: &str) -> RobotSpec {
+        let attributes = BTreeMap::from([(name.to_owned(), Scalar::Text(value.to_owned()))]);
+        RobotSpec { attributes: Attributes::try_from(attributes).expect("a valid attribute"), ..self }
     }
 
     /// Sets a function that changes the skill library.

@@ -12,6 +12,7 @@ mod decommission;
 mod decommission_of_robots;
 mod determinism;
 mod energy_bounds;
+mod exchange;
 mod fencing;
 mod found_by_chaos;
 mod interventions;

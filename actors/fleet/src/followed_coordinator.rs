@@ -5,10 +5,14 @@
 //! majority follows can answer a report or a query for missions. A node that fails to answer loses
 //! its precedence, whatever term its beacons contain.
 
+use consort_bus::clock::Clock;
+use consort_bus::{Sample, Stream};
+use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::message::Beacon;
 use consort_protocol::units::NodeTime;
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Number of consecutive queries without an answer by a coordinator after which beacons of other
@@ -20,6 +24,17 @@ const DISTRUSTED_FOR: Duration = Duration::from_secs(30);
 
 /// Time without a beacon of the followed node after which a beacon of any term is followed.
 const SILENCE_MAX: Duration = Duration::from_secs(10);
+
+/// The coordinator that tasks of a node follow, by its beacons.
+pub(crate) type LastBeacon = Arc<Mutex<FollowedCoordinator>>;
+
+/// Stores the latest beacon.
+pub(crate) async fn follow_beacons(mut beacons: Stream<Sample>, latest_beacon: LastBeacon, clock: Clock) {
+    while let Some(sample) = beacons.recv().await {
+        let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { continue };
+        latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).receive(beacon, clock.now());
+    }
+}
 
 /// The followed coordinator.
 #[derive(Debug, Default)]

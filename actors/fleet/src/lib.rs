@@ -9,6 +9,7 @@
 mod api_help;
 pub mod autopilot;
 pub mod coordinator;
+mod ensemble_exchange;
 pub mod events;
 mod followed_coordinator;
 #[cfg(feature = "test-util")]

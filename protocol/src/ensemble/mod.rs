@@ -11,6 +11,8 @@
 //! | `member`, `coordinator` | also `may_vote`, `stationary`, `mains_powered`, `robot` (true for a robot's node), `free`, `estimator` |
 //! | `ensemble` | `name`, `skills`: the skills that the ensemble's missions need |
 //!
+//! An ensemble may also list values that its members [exchange](KnowledgeExchange).
+//!
 //! All conditions of a list must hold. A condition on an attribute that a robot lacks does not hold. The
 //! evaluated membership is local and has an age: it depends on the records that the evaluating node has
 //! received.
@@ -18,12 +20,14 @@
 mod condition;
 mod eligibility;
 mod ensembles;
+mod exchange;
 mod facts;
 mod spec;
 
 pub use condition::ConditionError;
 pub use eligibility::{Eligibility, Ineligibility};
 pub use ensembles::Ensembles;
+pub use exchange::{ExchangeAction, ExchangedValue, ExchangedValueError, KnowledgeExchange, MemberValues};
 pub use spec::EnsembleSpec;
 
 use self::condition::{Condition, EvaluationError, Variables, context_of};

@@ -1,5 +1,6 @@
 //! Declaration of ensembles.
 
+use super::exchange::ExchangedValue;
 use crate::ids::{EnsembleId, TaskType};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,6 +24,10 @@ pub struct EnsembleSpec {
     /// Maximum age of knowledge, in milliseconds. Raised: nodes remain members for longer after
     /// contact was lost.
     pub stale_after_ms: u64,
+    /// Values that its members send each other and no other node, as `attributes.section` or
+    /// `readings.dust_g`. Default: none.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub exchange: BTreeSet<ExchangedValue>,
 }
 
 impl EnsembleSpec {
@@ -35,6 +40,7 @@ impl EnsembleSpec {
             membership: vec!["member.robot".to_owned(), "member.skills.exists(s, s in ensemble.skills)".to_owned()],
             coordinator: vec![],
             stale_after_ms: 10_000,
+            exchange: BTreeSet::new(),
         }
     }
 }

@@ -83,6 +83,8 @@ words! {
         Work = "work",
         /// Signals of missions, and queries for them.
         Signal = "signal",
+        /// Values that members of ensembles exchange.
+        Ensemble = "ensemble",
         /// Views and requests of people.
         People = "people",
         /// All other messages.
@@ -125,6 +127,7 @@ impl KeyKind {
                 ("driver", _) => KeyKind::DriverCommand,
                 ("bid" | "award" | "report", _) => KeyKind::Work,
                 ("signal" | "signal_history", _) => KeyKind::Signal,
+                ("ensemble", _) => KeyKind::Ensemble,
                 ("people" | "world", _) => KeyKind::People,
                 _ => KeyKind::Other,
             },

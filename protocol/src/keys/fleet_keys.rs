@@ -2,7 +2,7 @@
 
 use super::call::DriverCall;
 use super::key::{Key, read};
-use crate::ids::{FleetId, NodeId};
+use crate::ids::{EnsembleId, FleetId, NodeId};
 
 /// Formats and parses the keys of a fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -32,12 +32,14 @@ impl Keys {
         read(self.strip_fleet(text)?)
     }
 
-    /// Checks whether messages on this key or key expression concern missions and are wrapped in a
+    /// Checks whether messages on this key or key expression concern missions or ensembles and are wrapped in a
     /// [`ClusterEnvelope`](crate::message::ClusterEnvelope).
     pub fn is_cluster_scoped(&self, text: &str) -> bool {
         let below = text.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix("/wire/"));
         let kind = below.map(|rest| rest.split('/').next().unwrap_or(rest));
-        kind.is_some_and(|kind| ["beacon", "bid", "award", "report", "signal", "signal_history"].contains(&kind))
+        kind.is_some_and(|kind| {
+            ["beacon", "bid", "award", "report", "signal", "signal_history", "ensemble"].contains(&kind)
+        })
     }
 
     /// Returns the part of a key or key expression below the fleet's prefix: `wire/bid/*`.
@@ -68,6 +70,11 @@ impl Keys {
     /// Returns the key expression for the signals of all missions to all roles.
     pub fn any_signal(&self) -> String {
         format!("{}/wire/signal/*/*", self.prefix)
+    }
+
+    /// Returns the key expression for the values that the members of an ensemble publish.
+    pub fn any_of_ensemble(&self, ensemble: &EnsembleId) -> String {
+        format!("{}/wire/ensemble/{ensemble}/*", self.prefix)
     }
 
     /// Returns the key expression for the commands to all robots, which a driver server serves.

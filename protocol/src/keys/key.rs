@@ -1,7 +1,7 @@
 //! Keys as values, formatted and parsed without the fleet's prefix.
 
 use super::call::{ApiCall, DriverCall, PeopleCall, RaftCall};
-use crate::ids::{MissionId, NodeId, RobotId, RoleId};
+use crate::ids::{EnsembleId, MissionId, NodeId, RobotId, RoleId};
 use crate::trust::Fingerprint;
 use std::fmt;
 
@@ -41,6 +41,8 @@ pub enum Key {
     /// `wire/signal_history/{mission}/{role}`: a waiting role queries the signals that the role has
     /// sent.
     SignalHistory(MissionId, RoleId),
+    /// `wire/ensemble/{ensemble}/{robot}`: a robot publishes values for the members of an ensemble.
+    Ensemble(EnsembleId, RobotId),
     /// `wire/driver/{robot}/{call}`: a robot's node and its driver server.
     Driver(RobotId, DriverCall),
     /// `wire/people/{call}`: tasks of people in unmanaged roles.
@@ -64,6 +66,8 @@ pub enum Key {
     ViewAuctions,
     /// `view/ensembles`.
     ViewEnsembles,
+    /// `view/ensemble/{ensemble}`.
+    ViewEnsemble(EnsembleId),
     /// `view/map`.
     ViewMap,
     /// `view/health`.
@@ -106,6 +110,7 @@ impl fmt::Display for Key {
             Key::Clock(node) => write!(f, "wire/clock/{node}"),
             Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
             Key::SignalHistory(mission, role) => write!(f, "wire/signal_history/{mission}/{role}"),
+            Key::Ensemble(ensemble, robot) => write!(f, "wire/ensemble/{ensemble}/{robot}"),
             Key::Driver(robot, call) => write!(f, "wire/driver/{robot}/{}", call.as_str()),
             Key::People(call) => write!(f, "wire/people/{}", call.as_str()),
             Key::ViewFleet => f.write_str("view/fleet"),
@@ -117,6 +122,7 @@ impl fmt::Display for Key {
             Key::ViewAuctions => f.write_str("view/auctions"),
             Key::World => f.write_str("wire/world"),
             Key::ViewEnsembles => f.write_str("view/ensembles"),
+            Key::ViewEnsemble(ensemble) => write!(f, "view/ensemble/{ensemble}"),
             Key::ViewMap => f.write_str("view/map"),
             Key::ViewHealth => f.write_str("view/health"),
             Key::ViewWorld => f.write_str("view/world"),
@@ -155,6 +161,7 @@ pub(super) fn read(text: &str) -> Option<Key> {
         ["wire", "clock", node] => Key::Clock(node.parse().ok()?),
         ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "signal_history", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),
+        ["wire", "ensemble", ensemble, robot] => Key::Ensemble(ensemble.parse().ok()?, robot.parse().ok()?),
         ["wire", "driver", robot, call] => Key::Driver(robot.parse().ok()?, DriverCall::parse(call)?),
         ["wire", "people", call] => Key::People(PeopleCall::parse(call)?),
         ["wire", "world"] => Key::World,
@@ -177,6 +184,7 @@ fn read_view(segments: &[&str]) -> Option<Key> {
         ["fleet"] => Key::ViewFleet,
         ["robot", robot] => Key::ViewRobot(robot.parse().ok()?),
         ["ensembles"] => Key::ViewEnsembles,
+        ["ensemble", ensemble] => Key::ViewEnsemble(ensemble.parse().ok()?),
         ["coordinator"] => Key::ViewCoordinator,
         ["missions"] => Key::ViewMissions,
         ["requests"] => Key::ViewRequests,

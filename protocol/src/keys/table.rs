@@ -72,6 +72,7 @@ table! {
     Key::ViewFleet => "view/fleet", "any node" Answers JSON, "the nodes, each with the age of its record, and the ensembles";
     Key::ViewRobot(_) => "view/robot/{robot}", "any node" Answers JSON, "a robot: place, battery, skills, readings, and the role that it holds";
     Key::ViewEnsembles => "view/ensembles", "any node" Answers JSON, "the members of each ensemble, and the reason for each node that is not a member";
+    Key::ViewEnsemble(_) => "view/ensemble/{ensemble}", "any node" Answers JSON, "the values that the members of an ensemble exchange, if it lists any";
     Key::ViewCoordinator => "view/coordinator", "any node" Answers JSON, "the coordinator, its term and start time; voters and learners";
     Key::ViewMissions => "view/missions", "any node" Answers JSON, "all missions, in brief";
     Key::ViewRequests => "view/requests", "any node" Answers JSON, "the requests to people, open ones first";
@@ -113,6 +114,7 @@ table! {
     Key::Clock(_) => "wire/clock/{node}", "nodes that may vote" Answers WIRE, "the time of day of the node, for the coordinator";
     Key::Signal(..) => "wire/signal/{mission}/{role}", "robots, and the coordinator for people" Publishes WIRE, "a signal of the mission's plan for this role";
     Key::SignalHistory(..) => "wire/signal_history/{mission}/{role}", "the robot that holds the role" Answers WIRE, "the signals that the role has sent";
+    Key::Ensemble(..) => "wire/ensemble/{ensemble}/{robot}", "the robot" Publishes WIRE, "values of the robot for the members of the ensemble";
     Key::Driver(_, DriverCall::Command) => "wire/driver/{robot}/command", "the driver server" Answers WIRE, "goals for a robot";
     Key::Driver(_, DriverCall::State) => "wire/driver/{robot}/state", "the driver server" Publishes WIRE, "telemetry, and the state of goals";
     Key::People(PeopleCall::Ask) => "wire/people/ask", "the host of simulated people" Answers WIRE, "asks a person to do something, or dismisses one";

@@ -29,6 +29,8 @@ pub(super) fn all() -> Vec<Key> {
         Key::ViewMission(mission.clone()),
         Key::ViewAuctions,
         Key::ViewEnsembles,
+        Key::ViewEnsemble("icu".parse().unwrap()),
+        Key::Ensemble("icu".parse().unwrap(), robot.clone()),
         Key::ViewMap,
         Key::ViewHealth,
         Key::ViewWorld,
@@ -85,7 +87,9 @@ fn all_keys_are_formatted_differently() {
 #[test]
 fn keys_about_missions_are_cluster_scoped() {
     let keys = Keys::new(&FleetId::new("ward").unwrap());
-    for text in [keys.any_bid(), keys.any_signal(), keys.write(&Key::Beacon)] {
+    for text in
+        [keys.any_bid(), keys.any_signal(), keys.any_of_ensemble(&"icu".parse().unwrap()), keys.write(&Key::Beacon)]
+    {
         assert!(keys.is_cluster_scoped(&text), "{text}");
     }
     let warden = "consort/warden/wire/beacon".to_owned();

@@ -12,6 +12,7 @@
 //! | `wire/clock/{node}` | query | coordinator → voter | empty | `u64`: milliseconds since 1970 |
 //! | `wire/signal/{mission}/{role}` | publish | role → role | [`SignalHistory`] | – |
 //! | `wire/signal_history/{mission}/{role}` | query | waiting role → role | empty | [`SignalHistory`] |
+//! | `wire/ensemble/{ensemble}/{robot}` | publish | robot → members of the ensemble | [`MemberValues`](crate::ensemble::MemberValues) | – |
 //!
 //! From `wire/beacon` on, the payload of publications and queries is wrapped in a
 //! [`ClusterEnvelope`].

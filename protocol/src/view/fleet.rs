@@ -1,8 +1,8 @@
 //! Views of nodes, robots and ensembles.
 
 use super::readable;
-use crate::ensemble::Membership;
-use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RoleId, TaskType};
+use crate::ensemble::{ExchangedValue, Membership};
+use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskType};
 use crate::knowledge::RobotKnowledge;
 use crate::scalar::Scalar;
 use schemars::JsonSchema;
@@ -156,6 +156,30 @@ pub struct EnsemblesView {
     pub ensembles: Vec<EnsembleView>,
 }
 
+/// Values that the members of an ensemble exchange, as received by a member.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct EnsembleKnowledgeView {
+    /// Name of the ensemble.
+    pub ensemble: EnsembleId,
+    /// The member that has received the values.
+    pub member: NodeId,
+    /// Latest values of each member that has sent any.
+    #[serde(default)]
+    pub robots: BTreeMap<RobotId, MemberKnowledge>,
+}
+
+/// Values of a member of an ensemble.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct MemberKnowledge {
+    /// Age of the values in milliseconds, since their arrival.
+    pub age_ms: u64,
+    /// Attributes of the robot that the ensemble lists.
+    pub attributes: BTreeMap<String, Scalar>,
+    /// Readings of its driver that the ensemble lists.
+    pub readings: BTreeMap<String, Scalar>,
+}
+
 /// An ensemble: its conditions, and its members as evaluated by the node that replies.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct EnsembleView {
@@ -170,6 +194,9 @@ pub struct EnsembleView {
     /// Maximum age of knowledge, in milliseconds.
     #[serde(default)]
     pub stale_after_ms: u64,
+    /// Values that its members exchange.
+    #[serde(default)]
+    pub exchange: BTreeSet<ExchangedValue>,
     /// Every known node, with its membership.
     #[serde(default, deserialize_with = "readable")]
     pub nodes: Vec<EnsembleMember>,

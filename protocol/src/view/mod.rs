@@ -10,6 +10,7 @@
 //! | `view/fleet` | [`FleetView`] |
 //! | `view/robot/{robot}` | [`RobotView`] |
 //! | `view/ensembles` | [`EnsemblesView`] |
+//! | `view/ensemble/{ensemble}` | [`EnsembleKnowledgeView`] |
 //! | `view/coordinator` | [`CoordinatorView`] |
 //! | `view/missions` | [`MissionsView`] |
 //! | `view/requests` | [`RequestsView`] |
@@ -32,8 +33,8 @@ mod provenance;
 pub use auction::{AuctionView, AuctionsView};
 pub use coordinator::{AutopilotView, CoordinatorView, VoterChange};
 pub use fleet::{
-    Contact, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HeldRole, NodeStatus, NodeTraits, NodeView,
-    PublishedRecord, RobotView,
+    Contact, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HeldRole, MemberKnowledge,
+    NodeStatus, NodeTraits, NodeView, PublishedRecord, RobotView,
 };
 pub use health::{HealthFinding, HealthLevel, HealthView};
 pub use map::{DoorView, LaneView, LevelView, LiftView, MapBounds, MapView, PlaceView, WallView};
@@ -69,6 +70,7 @@ pub const PUBLISHED_VIEWS: &[PublishedView] = &[
     PublishedView { name: "fleet", schema: schema_of::<WithProvenance<FleetView>> },
     PublishedView { name: "robot", schema: schema_of::<RobotView> },
     PublishedView { name: "ensembles", schema: schema_of::<WithProvenance<EnsemblesView>> },
+    PublishedView { name: "ensemble", schema: schema_of::<WithProvenance<EnsembleKnowledgeView>> },
     PublishedView { name: "coordinator", schema: schema_of::<WithProvenance<CoordinatorView>> },
     PublishedView { name: "missions", schema: schema_of::<WithProvenance<MissionsView>> },
     PublishedView { name: "requests", schema: schema_of::<WithProvenance<RequestsView>> },

@@ -8,6 +8,7 @@ use consort_protocol::auction::{BidRefusal, BidResponse, CallForBids, RoleReply}
 use consort_protocol::codec::{
     CodecError, MESSAGE_BYTES_MAX, VersionedMessage, decode, decode_any_version, encode, encode_for_version,
 };
+use consort_protocol::ensemble::MemberValues;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::knowledge::{Digest, DigestScope, Record};
 use consort_protocol::lease::Epoch;
@@ -104,10 +105,11 @@ proptest! {
     #[test]
     fn messages_of_roles_and_coordinators_survive(
         mission in name::<MissionId>(), epoch in epoch(), signals in btree_set(signal(), 0..4), node in name::<NodeId>(),
-        term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4)
+        term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), values in btree_map(text(), scalar(), 0..4)
     ) {
         assert_round_trip(&ClusterEnvelope { cluster: Some(ClusterId(term)), payload: vec![1, 2, 3] })?;
         assert_round_trip(&SignalHistory { mission: mission.clone(), epoch, signals: signals.clone() })?;
+        assert_round_trip(&MemberValues { attributes: values.clone(), readings: values })?;
         assert_round_trip(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)), wire: (term % 3 == 0).then_some(2) })?;
         let founder = BootstrapRequest { mobile: term % 2 == 0, on_battery: term % 3 == 0, node: node.clone() };
         assert_round_trip(&BootstrapReply::Refused { reason: founder.node.to_string() })?;
@@ -133,6 +135,7 @@ proptest! {
         assert_harmless::<CommandOutcome>(&bytes);
         assert_harmless::<Ledger>(&bytes);
         assert_harmless::<SignalHistory>(&bytes);
+        assert_harmless::<MemberValues>(&bytes);
         assert_harmless::<Beacon>(&bytes);
         assert_harmless::<BootstrapRequest>(&bytes);
         assert_harmless::<BootstrapReply>(&bytes);

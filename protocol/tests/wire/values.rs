@@ -91,7 +91,7 @@ pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
     )
 }
 
-fn scalar() -> impl Strategy<Value = Scalar> {
+pub(crate) fn scalar() -> impl Strategy<Value = Scalar> {
     prop_oneof![
         any::<bool>().prop_map(Scalar::Bool),
         any::<i64>().prop_map(Scalar::Integer),

@@ -8,6 +8,7 @@ use consort_protocol::auction::{
     AuctionContext, BidLimits, BidResponse, CallForBids, Invitation, RoleReply, clear_auction, explain,
 };
 use consort_protocol::codec::{self, MESSAGE_BYTES_MAX, VersionedMessage};
+use consort_protocol::ensemble::MemberValues;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::RaftCall;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, Submission};
@@ -60,6 +61,7 @@ pub(super) fn wire(bytes: &[u8]) -> bool {
         Submission,
         Ledger,
         SignalHistory,
+        MemberValues,
         Beacon,
         BootstrapRequest,
         BootstrapReply,

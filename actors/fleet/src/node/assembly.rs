@@ -5,6 +5,7 @@ use super::root::NodeMessage;
 use super::settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use crate::autopilot::{AutopilotSettings, Bootstrap, Decommission, DecommissionReport};
 use crate::coordinator::{AuctionSettings, Coordinator, CoordinatorMessage, CoordinatorSettings, NodeParts};
+use crate::ensemble_exchange::{EnsembleExchange, SharedExchanges};
 use crate::events::EventPublisher;
 use crate::observe::SharedObserver;
 use crate::robot::{
@@ -23,7 +24,7 @@ use consort_protocol::api::ErrorReply;
 use consort_protocol::codec::VersionedMessage;
 use consort_protocol::ids::{ClusterId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::knowledge::Knowledge;
+use consort_protocol::knowledge::{Attributes, Knowledge};
 use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::{BootstrapRequest, Exchange};
 use consort_protocol::timing::TimingParameters;
@@ -93,6 +94,7 @@ pub(super) async fn start_parts(
     let membership = ClusterMembership::default();
     // Only consensus and gossip cross the border of a cluster, because they detect other clusters.
     let bus = Arc::new(ClusterBus::new(bus, keys.clone(), membership.clone()));
+    let exchanges = SharedExchanges::of(&fleet.ensembles, &node);
     let mut assembly = Assembly {
         root: root.clone(),
         times: fleet.timing.parameters(),
@@ -107,6 +109,7 @@ pub(super) async fn start_parts(
         membership,
         wire_version,
         driver: Arc::default(),
+        exchanges,
         tasks: Tasks::default(),
     };
     assembly.publish_cluster();
@@ -129,6 +132,8 @@ pub(super) async fn start_parts(
     if let Some(server) = settings.driver_server {
         assembly.start_driver_server(server, rng.next_u64()).await?;
     }
+    let attributes = settings.robot.as_ref().map(|part| part.worker.attributes.clone());
+    assembly.start_exchange(attributes).await?;
     let robot = match settings.robot {
         Some(part) => Some(assembly.start_robot(part, incarnation, store.checkpoints).await?),
         None => None,
@@ -174,6 +179,8 @@ struct Assembly {
     wire_version: WireVersion,
     /// The driver of the node's robot, once it is connected.
     driver: Arc<OnceLock<RobotDriver>>,
+    /// Values that the members of ensembles exchange.
+    exchanges: SharedExchanges,
     tasks: Tasks,
 }
 
@@ -335,10 +342,27 @@ impl Assembly {
             membership: self.membership.clone(),
             ensembles: Arc::clone(&self.fleet.ensembles),
             driver: Arc::clone(&self.driver),
+            exchanges: self.exchanges.clone(),
             map: self.fleet.map.clone(),
             beacon_interval: self.times.beacon_interval,
         };
         Ok(views.serve(&mut self.tasks).await?)
+    }
+
+    /// Starts to exchange knowledge with the other members of ensembles.
+    async fn start_exchange(&mut self, attributes: Option<Attributes>) -> Result<(), NodeError> {
+        let exchange = EnsembleExchange {
+            node: self.node.clone(),
+            keys: self.keys.clone(),
+            bus: self.bus.clone(),
+            clock: self.clock,
+            knowledge: self.knowledge(),
+            ensembles: Arc::clone(&self.fleet.ensembles),
+            attributes,
+            driver: Arc::clone(&self.driver),
+            exchanges: self.exchanges.clone(),
+        };
+        Ok(exchange.start(&mut self.tasks).await?)
     }
 
     /// Starts the driver server.

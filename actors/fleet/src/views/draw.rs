@@ -6,8 +6,8 @@ use super::health::{Blocking, HealthInputs, health};
 use super::mission::{auctions, ended_mission, mission, missions};
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
-use consort_protocol::ensemble::{Ensemble, Membership};
-use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
+use consort_protocol::ensemble::{Ensemble, KnowledgeExchange, MemberValues, Membership};
+use consort_protocol::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
 use consort_protocol::lease::Epoch;
@@ -15,9 +15,9 @@ use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{
-    Contact, CoordinatorView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, LedgerCopy,
-    NodeStatus, NodeTraits, NodeView, PersonRequestView, Provenance, PublishedRecord, RequestsView, RobotView,
-    WithProvenance,
+    Contact, CoordinatorView, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView,
+    HealthView, HeldRole, LedgerCopy, MemberKnowledge, NodeStatus, NodeTraits, NodeView, PersonRequestView, Provenance,
+    PublishedRecord, RequestsView, RobotView, WithProvenance,
 };
 use consort_raft::Replica;
 use serde::Serialize;
@@ -64,8 +64,25 @@ impl ViewContext<'_> {
             let wanted = keys.filter(|(key, ..)| wanted(key));
             wanted.map(|(key, node, stored)| (key, self.robot(node, stored, &statuses))).collect::<Vec<_>>()
         }));
+        views.extend(self.exchanged(wanted));
         views.extend(self.ledger_views(wanted, named));
         views
+    }
+
+    /// Returns the values that the members of ensembles exchange, of the ensembles that this node
+    /// belongs to.
+    fn exchanged(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+        let exchanges = self.views.exchanges.lock();
+        let keys = exchanges.iter().map(|(name, exchange)| (Key::ViewEnsemble(name.clone()), name, exchange));
+        let view = |(key, name, exchange): (Key, &EnsembleId, &KnowledgeExchange)| {
+            let member = |(robot, (MemberValues { attributes, readings }, age))| {
+                (robot, MemberKnowledge { age_ms: millis(age), attributes, readings })
+            };
+            let robots = exchange.latest(self.now)?.into_iter().map(member).collect();
+            let content = EnsembleKnowledgeView { ensemble: name.clone(), member: self.views.node.clone(), robots };
+            Some((key, self.with_provenance(content)))
+        };
+        keys.filter(|(key, ..)| wanted(key)).filter_map(view).collect()
     }
 
     /// Returns the views of the ledger, if this node has a copy.
@@ -195,6 +212,7 @@ impl ViewContext<'_> {
             membership: spec.membership.clone(),
             skills: spec.skills.clone(),
             stale_after_ms: spec.stale_after_ms,
+            exchange: spec.exchange.clone(),
             nodes,
             members,
             not_members,

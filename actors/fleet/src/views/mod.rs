@@ -6,6 +6,7 @@
 //!                               │
 //!                               ├─ seen/{voter}/** ───▶ a voter of the ledger, if it has no copy itself
 //!                               ├─ seen/{robot}/robot/{robot} ─▶ the node of each requested robot, for its readings
+//!                               ├─ seen/{member}/ensemble/{ensemble} ─▶ a member, for the values that members exchange
 //!                               └─ wire/world ────────▶ the driver server
 //! ```
 //!
@@ -28,7 +29,8 @@ mod mission;
 
 use crate::api_help::call_help;
 use crate::coordinator::{CoordinatorMessage, CoordinatorStatus};
-use crate::followed_coordinator::FollowedCoordinator;
+use crate::ensemble_exchange::SharedExchanges;
+use crate::followed_coordinator::{LastBeacon, follow_beacons};
 use crate::robot_driver::RobotDriver;
 use api::unknown_mission;
 use bytes::Bytes;
@@ -37,15 +39,13 @@ use consort_bus::clock::Clock;
 use consort_bus::cluster_membership::ClusterMembership;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
-use consort_bus::{BusError, Query, Sample, SharedBus, Stream};
+use consort_bus::{BusError, Query, SharedBus, Stream};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{ErrorReply, ReadOptions};
-use consort_protocol::codec;
 use consort_protocol::ensemble::Ensembles;
-use consort_protocol::ids::{MissionId, NodeId, RobotId};
+use consort_protocol::ids::{EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
-use consort_protocol::message::Beacon;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{MapView, RobotView};
@@ -54,7 +54,7 @@ use draw::{ViewContext, json, millis};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
@@ -72,6 +72,12 @@ const WORLD_TIMEOUT: Duration = Duration::from_millis(400);
 
 /// Timeout for the node of a robot to return the robot's readings.
 const READINGS_TIMEOUT: Duration = Duration::from_millis(400);
+
+/// Timeout for a member of an ensemble to return the values that members exchange.
+const MEMBER_TIMEOUT: Duration = Duration::from_millis(400);
+
+/// Maximum number of members that are queried in sequence.
+const MEMBERS_QUERIED_MAX: usize = 3;
 
 /// Timeout for this node's own coordinator to return its status.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(100);
@@ -98,14 +104,13 @@ pub(crate) struct Views {
     pub(crate) ensembles: Arc<Ensembles>,
     /// The driver of the node's robot, once it is connected.
     pub(crate) driver: Arc<OnceLock<RobotDriver>>,
+    /// Values that the members of ensembles exchange.
+    pub(crate) exchanges: SharedExchanges,
     /// The fleet's map, to be served.
     pub(crate) map: Option<Arc<MapView>>,
     /// Interval of a coordinator's beacons.
     pub(crate) beacon_interval: Duration,
 }
-
-/// The coordinator, by its beacons.
-type LastBeacon = Arc<Mutex<FollowedCoordinator>>;
 
 impl Views {
     /// Serves views and read-only requests for as long as `tasks` lives.
@@ -141,14 +146,6 @@ enum Service {
     Request(ApiCall),
     /// Help on requests.
     Help,
-}
-
-/// Stores the latest beacon.
-async fn follow_beacons(mut beacons: Stream<Sample>, latest_beacon: LastBeacon, clock: Clock) {
-    while let Some(sample) = beacons.recv().await {
-        let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { continue };
-        latest_beacon.lock().unwrap_or_else(PoisonError::into_inner).receive(beacon, clock.now());
-    }
 }
 
 /// Server of queries.
@@ -293,6 +290,17 @@ impl ViewService {
                 }
             }
         }
+        if let Some(Key::ViewEnsemble(name)) = self.views.keys.read(requested.as_str())
+            && views.is_empty()
+        {
+            let view = match self.query_member(&name, &context).await {
+                Some(view) => view,
+                None => context.with_provenance(ErrorReply::rejected(format!(
+                    "no values are exchanged in {name}: it lists none, or no member replies"
+                ))),
+            };
+            views.push((Key::ViewEnsemble(name), view));
+        }
         if wanted(&Key::ViewWorld)
             && let Some(world) = self.world().await
         {
@@ -326,6 +334,23 @@ impl ViewService {
             let is_shown = |key: &Key| is_of_ledger(key) && (only_health || *key != Key::ViewHealth);
             if views.iter().any(|(key, _)| is_shown(key)) {
                 return Some(views);
+            }
+        }
+        None
+    }
+
+    /// Returns the values that the members of an ensemble exchange, from a member.
+    async fn query_member(&self, name: &EnsembleId, context: &ViewContext<'_>) -> Option<Value> {
+        let Views { keys, bus, knowledge, node, ensembles, clock, .. } = &*self.views;
+        let ensemble = ensembles.get(name).filter(|ensemble| !ensemble.spec().exchange.is_empty())?;
+        let coordinator = context.status.coordinator.as_ref().unwrap_or(node);
+        let members = knowledge.read(|base| ensemble.members(coordinator, base, clock.now()));
+        for member in members.into_iter().filter(|member| knowledge.is_alive(member)).take(MEMBERS_QUERIED_MAX) {
+            let key = keys.write(&Key::Seen(member, Box::new(Key::ViewEnsemble(name.clone()))));
+            let Ok(mut replies) = bus.query(&key, Bytes::new(), MEMBER_TIMEOUT).await else { continue };
+            let view = replies.recv().await.and_then(|reply| serde_json::from_slice(&reply.payload.ok()?).ok());
+            if view.is_some() {
+                return view;
             }
         }
         None

@@ -16,6 +16,7 @@
 //! | `wire/clock/{node}` | – | voters | that node, if a voter |
 //! | `wire/signal/{mission}/{role}` | robots and voters | – | – |
 //! | `wire/signal_history/{mission}/{role}` | – | any node | robots |
+//! | `wire/ensemble/{ensemble}/{robot}` | that robot | – | – |
 //! | `wire/driver/{robot}/command` | – | that robot | hosts that serve it |
 //! | `wire/driver/{robot}/state` | hosts that serve it | – | – |
 //! | `wire/people/ask` | – | voters | hosts |
@@ -199,6 +200,7 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
         (&["wire", "report" | "clock", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
         (&["wire", "signal_history", _, _] | &["wire", "world"], Query) => unnamed(true),
         (&["wire", "signal", _, _], Publish) => unnamed(node.is(Robot) || node.is(Voter)),
+        (&["wire", "ensemble", _, name], Publish) => unnamed(node.is(Robot) && node.is_named(name)),
         (&["wire", "signal_history", _, _], Reply) => unnamed(node.is(Robot)),
         (&["wire", "driver", name, "command"], Query) => unnamed(node.is(Robot) && node.is_named(name)),
         (&["wire", "driver", name, "command"], Reply) | (&["wire", "driver", name, "state"], Publish) => {

@@ -23,7 +23,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 33] = [
+const TABLE: [(&str, [&str; 3]); 34] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
@@ -39,6 +39,7 @@ const TABLE: [(&str, [&str; 3]); 33] = [
     ("wire/report/ada", ["", "rR", "v"]),
     ("wire/signal/lab-1/r1", ["rvRV", "", ""]),
     ("wire/signal_history/lab-1/r1", ["", ANY, "rR"]),
+    ("wire/ensemble/icu/ada", ["r", "", ""]),
     ("wire/driver/ada/command", ["", "r", "h"]),
     ("wire/driver/ada/state", ["h", "", ""]),
     ("wire/people/ask", ["", "vV", "hH"]),

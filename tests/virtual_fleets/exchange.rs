@@ -1,0 +1,137 @@
+//! Exchange of knowledge between the members of an ensemble.
+
+use consort_bus::Bus as _;
+use consort_protocol::ensemble::EnsembleSpec;
+use consort_protocol::keys::{ApiCall, KeyKind};
+use consort_skills::domain_file::DomainFile;
+use consort_tests::{DomainSetup, Fleet, RobotSpec, for_each_seed, slug};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+const SEEDS: [u64; 2] = [941, 942];
+const SOON: Duration = Duration::from_secs(60);
+const DOMAIN: &str = r#"{
+    "domain": "cleaning",
+    "readings": {
+        "bag_g": { "type": "number", "simulate": { "value": 2 } },
+        "lid": { "type": "bool", "simulate": { "value": true } }
+    }
+}"#;
+
+/// Starts a fleet with an ensemble of these robots, which exchange an attribute and a reading.
+async fn fleet(seed: u64, robots: Vec<RobotSpec>, condition: &str, closed: bool) -> Fleet {
+    let form = serde_json::from_str(DOMAIN).expect("a domain");
+    let domain = DomainFile::check(form, &BTreeMap::new(), &[]).expect("a valid domain");
+    let value = |text: &str| text.to_owned().try_into().expect("an exchanged value");
+    let icu = EnsembleSpec {
+        membership: vec!["member.robot".to_owned(), condition.to_owned()],
+        exchange: ["attributes.section", "readings.bag_g"].map(value).into(),
+        ..EnsembleSpec::with_any_skill_of(slug("icu"), BTreeSet::new())
+    };
+    let hospital = EnsembleSpec {
+        membership: vec!["member.robot".to_owned()],
+        ..EnsembleSpec::with_any_skill_of(slug("hospital"), BTreeSet::new())
+    };
+    let setup = DomainSetup { domain, ensembles: vec![icu, hospital], closed };
+    let mut fleet = Fleet::hospital_of_domain_setup(seed, robots, &["aster"], setup).await;
+    fleet.wait_for_coordinator().await;
+    fleet
+}
+
+fn robot(name: &str, place: &str, section: &str) -> RobotSpec {
+    RobotSpec::carrier(name, place).with_attribute("section", section)
+}
+
+/// Queries the values that the members exchange, under `view` or `seen/{node}`.
+async fn exchanged(fleet: &Fleet, from: &str) -> Option<Value> {
+    let key = format!("consort/ward/{from}/ensemble/icu");
+    let mut replies = fleet.client.query(&key, vec![].into(), Duration::from_secs(1)).await.expect("a virtual bus");
+    serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()
+}
+
+/// Waits until a node has the values of these robots.
+async fn wait_for_values(fleet: &Fleet, from: &str, robots: &[&str]) -> Value {
+    let all = async |fleet: &Fleet| {
+        let view = exchanged(fleet, from).await?;
+        let known: Vec<&String> = view["robots"].as_object()?.keys().collect();
+        (known == robots).then_some(view)
+    };
+    fleet.poll_until(&format!("values of {robots:?} at {from}"), SOON, all).await
+}
+
+/// Returns the number of messages of the exchange that a node has received.
+fn received(fleet: &Fleet, node: &str) -> u64 {
+    let traffic = fleet.network.traffic(&slug(node));
+    traffic.iter().find(|(kind, _)| *kind == KeyKind::Ensemble).map_or(0, |(_, traffic)| traffic.messages_received)
+}
+
+async fn drive(fleet: &mut Fleet, robot: &str, to: &str) {
+    let condition = format!("robot.name == \"{robot}\"");
+    let mission = json!({
+        "mission": "drive", "roles": { "r1": { "kind": "managed", "eligible": condition } },
+        "root": { "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": to },
+            "reaches": { "location": to } },
+    });
+    let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
+    let mission = slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")));
+    fleet.assert_completes(&mission).await;
+}
+
+#[test]
+fn members_receive_the_listed_values_and_others_nothing() {
+    for (seed, closed) in [(SEEDS[0], false), (SEEDS[1], true)] {
+        for_each_seed([seed], async |seed| {
+            let robots =
+                vec![robot("amber", "Dock", "icu"), robot("birch", "Dock", "icu"), robot("cedar", "Dock", "er")];
+            let fleet = fleet(seed, robots, "member.attributes.section == 'icu'", closed).await;
+            let of_both = async |fleet: &Fleet| {
+                let view = exchanged(fleet, "seen/amber").await?;
+                let is_read = |robot| view["robots"][robot]["readings"]["bag_g"].is_number();
+                (is_read("amber") && is_read("birch")).then_some(view)
+            };
+            let view = fleet.poll_until("readings of both members", SOON, of_both).await;
+            let (attributes, readings) = (json!({ "section": "icu" }), json!({ "bag_g": 2.0 }));
+            for robot in ["amber", "birch"] {
+                let values = &view["robots"][robot];
+                assert_eq!(
+                    (&values["attributes"], &values["readings"]),
+                    (&attributes, &readings),
+                    "seed {seed}: {view}"
+                );
+                assert!(values["age_ms"].as_u64().is_some_and(|age| age < 6_000), "seed {seed}: {view}");
+            }
+            let before = received(&fleet, "birch");
+            tokio::time::sleep(Duration::from_secs(30)).await;
+            let after = received(&fleet, "birch") - before;
+            assert!((4..=8).contains(&after), "seed {seed}: {after} messages in 30 s without a change");
+            for other in ["cedar", "lab-arm", "aster", "world"] {
+                assert_eq!(received(&fleet, other), 0, "seed {seed}: {other}");
+                assert_eq!(exchanged(&fleet, &format!("seen/{other}")).await, None, "seed {seed}: {other}");
+            }
+            // Any node passes on the view of a member.
+            let view = exchanged(&fleet, "view").await.expect("a reply");
+            assert!(["amber", "birch"].map(Value::from).contains(&view["member"]), "seed {seed}: {view}");
+        });
+    }
+}
+
+#[test]
+fn a_robot_receives_values_only_while_it_is_a_member() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![robot("amber", "IC Room 6", "icu"), robot("birch", "Dock", "er")];
+        let mut fleet = fleet(seed, robots, "member.place == 'IC Room 6'", false).await;
+        wait_for_values(&fleet, "seen/amber", &["amber"]).await;
+        assert_eq!((exchanged(&fleet, "seen/birch").await, received(&fleet, "birch")), (None, 0), "seed {seed}");
+        drive(&mut fleet, "birch", "IC Room 6").await;
+        wait_for_values(&fleet, "seen/birch", &["amber", "birch"]).await;
+        wait_for_values(&fleet, "seen/amber", &["amber", "birch"]).await;
+        drive(&mut fleet, "birch", "Dock").await;
+        let left = async |fleet: &Fleet| exchanged(fleet, "seen/birch").await.is_none().then_some(());
+        fleet.poll_until("the end of its membership", SOON, left).await;
+        wait_for_values(&fleet, "seen/amber", &["amber"]).await;
+        let before = received(&fleet, "birch");
+        tokio::time::sleep(Duration::from_secs(20)).await;
+        assert_eq!(received(&fleet, "birch"), before, "seed {seed}: it has no subscription");
+    });
+}
