@@ -311,7 +311,7 @@ fn to_ros_status(status: Status) -> GoalStatus {
         Status::Unknown => GoalStatus::Unknown,
         Status::Executing => GoalStatus::Executing,
         Status::Canceling => GoalStatus::Canceling,
-        Status::Succeeded => GoalStatus::succeeded(),
+        Status::Succeeded => GoalStatus::Succeeded,
         Status::Canceled => GoalStatus::Canceled,
         Status::Aborted => GoalStatus::Aborted,
     }

@@ -111,7 +111,7 @@ fn cancel_requests_and_statuses_are_lists_of_goals() {
     let canceling = CancelGoalServiceResponse { return_code: 0, goals_canceling: vec![info(1, 2)] };
     assert_bytes(&canceling, &format!("00 01 00 00 00 00 00 00 01 00 00 00 {id} 01 00 00 00 02 00 00 00"));
     let status = |sec, nanosec, status| GoalStatusInfo { goal_info: info(sec, nanosec), status };
-    let statuses = [status(1, 2, GoalStatus::Executing), status(3, 4, GoalStatus::succeeded())];
+    let statuses = [status(1, 2, GoalStatus::Executing), status(3, 4, GoalStatus::Succeeded)];
     assert_bytes(
         &StatusMessage { status_list: statuses.into() },
         &format!("00 01 00 00 02 00 00 00 {id} 01 00 00 00 02 00 00 00 02 {id} 00 00 00 03 00 00 00 04 00 00 00 04"),

@@ -117,7 +117,7 @@ async fn a_later_goal_replaces_an_earlier_goal() {
     let second = send(&client, to_place("Crossing")).await;
     let (status, outcome) = ended(first).await;
     assert_eq!((status, outcome.error_msg.as_str()), (GoalStatus::Aborted, "another goal has replaced it"));
-    assert_eq!(ended(second).await, (GoalStatus::succeeded(), NavigateResult::default()));
+    assert_eq!(ended(second).await, (GoalStatus::Succeeded, NavigateResult::default()));
     assert_eq!(place(&offered, "ada").0, "Crossing");
 }
 
