@@ -4,10 +4,10 @@ use consort_nodes::cli;
 use consort_protocol::mission::{TaskSchema, TaskSpec, ValueKind};
 use consort_protocol::{ids::TaskType, units::Seconds};
 use consort_skills::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
-use consort_skills::{actions::Goal, bt, environment::Environment, extensions::Extensions, skill};
+use consort_skills::{actions, bt, environment::Environment, extensions::Extensions, skill};
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="look_around">
-  <Repeat num_cycles="4"><Sequence><Turn degrees="90"/><Wait seconds="{pause}"/></Sequence></Repeat>
+  <Repeat num_cycles="4"><Sequence><Turn degrees="90"/><wait time="{pause}"/></Sequence></Repeat>
 </BehaviorTree></root>"#;
 
 struct Price(TaskType);
@@ -21,7 +21,7 @@ impl SkillDescriptor for Price {
     fn estimate(&self, task: &TaskSpec, robot: &EstimateContext, _: &Environment) -> Result<Estimate, EstimateError> {
         let pause = task.parameters.get("pause").and_then(|text| text.parse::<f64>().ok());
         let time = pause.and_then(|pause| Seconds::new(4.0 * (1.0 + pause)).ok());
-        let lacks = EstimateError::MissingParameter { task_type: self.0.clone(), parameter: "pause" };
+        let lacks = EstimateError::MissingParameter { task_type: self.0.clone(), parameter: "pause".to_owned() };
         Ok(Estimate::of_duration(time.ok_or(lacks)?, robot, robot.place.clone()))
     }
 }
@@ -41,7 +41,7 @@ pub(crate) const EXTENSIONS: Extensions = Extensions {
         let ports = [bt::PortSpec::input("degrees", bt::PortType::Number)];
         library.extend(|leaves| {
             skill::GoalLeaf::register(leaves, "Turn", ports, |_: &skill::TaskContext, leaf| {
-                Ok(Goal::Spin { angle_rad: leaf.read::<f64>("degrees")?.to_radians() })
+                Ok(actions::Goal::from(actions::Spin { angle_rad: leaf.read::<f64>("degrees")?.to_radians() }))
             })
         })?;
         Ok(library.register_xml(look_around(), "look_around.xml", TREE)?)

@@ -47,9 +47,8 @@ impl Rover {
 
     /// Pose by the odometry. Here it lies on a straight line between both ends of the drive.
     fn where_it_is(&self) -> Pose {
-        let Some(Work { goal: Goal::NavigateToPose { pose: to, .. }, from, began, due, .. }) = &self.work else {
-            return self.pose;
-        };
+        let Some(Work { goal, from, began, due, .. }) = &self.work else { return self.pose };
+        let Some(Ok(NavigateToPose { pose: to, .. })) = goal.read() else { return self.pose };
         let done = ((self.now - *began).get() / (*due - *began).get().max(1e-9)).min(1.0);
         Pose::new(from.x + done * (to.x - from.x), from.y + done * (to.y - from.y), to.yaw)
     }
@@ -69,12 +68,13 @@ impl RobotBackend for Rover {
         if self.work.is_some() {
             return self.refuse(id, goal, ErrorCode::Busy, "it is at work");
         }
-        let time = match &goal {
-            Goal::NavigateToPose { pose, .. } => {
-                self.pose.distance(*pose).at(MetresPerSecond::new(0.5).expect("a speed"))
-            }
-            Goal::Wait { time } => *time,
-            _ => return self.refuse(id, goal, ErrorCode::Unknown, "it can drive and wait, and nothing else"),
+        let drive =
+            |NavigateToPose { pose, .. }| self.pose.distance(pose).at(MetresPerSecond::new(0.5).expect("a speed"));
+        let wait = |Wait { time }| time;
+        let time = match goal.read().map(|goal| goal.map(drive)).or_else(|| goal.read().map(|goal| goal.map(wait))) {
+            Some(Ok(time)) => time,
+            Some(Err(error)) => return self.end(id, goal, GoalStatus::Aborted(error)),
+            None => return self.refuse(id, goal, ErrorCode::Unknown, "it can drive and wait, and nothing else"),
         };
         self.work = Some(Work { id, goal, from: self.pose, began: self.now, due: self.now + time });
     }
@@ -93,9 +93,9 @@ impl RobotBackend for Rover {
     fn advance(&mut self, to: WorldTime) -> Vec<BackendEvent> {
         self.now = to;
         if let Some(work) = self.work.take_if(|work| work.due <= to) {
-            if let Goal::NavigateToPose { pose, place } = &work.goal {
-                self.pose = *pose;
-                self.place = place.clone().unwrap_or(self.place.clone());
+            if let Some(Ok(NavigateToPose { pose, place })) = work.goal.read() {
+                self.pose = pose;
+                self.place = place.unwrap_or(self.place.clone());
             }
             self.end(work.id, work.goal, GoalStatus::succeeded());
         }
@@ -103,8 +103,8 @@ impl RobotBackend for Rover {
     }
     fn status(&self, _: &RobotId, id: GoalId) -> Option<GoalStatus> {
         let left = |work: &Work| {
-            let way = match &work.goal {
-                Goal::NavigateToPose { pose, .. } => self.where_it_is().distance(*pose),
+            let way = match work.goal.read() {
+                Some(Ok(NavigateToPose { pose, .. })) => self.where_it_is().distance(pose),
                 _ => Metres::ZERO,
             };
             GoalStatus::Executing(Feedback::remaining(way, work.due - self.now))

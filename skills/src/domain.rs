@@ -1,52 +1,78 @@
-//! The standard domain: the task types of service robots in a hospital, with their parameters. The
-//! skills in [`library`](crate::library) and the [services](shipped_domain) execute these tasks, and
-//! the missions in [`missions`](crate::missions) use them.
+//! The standard domain: service robots in a hospital. It is a [domain file](crate::domain_file) in
+//! `skills/domains/`, and the missions in [`missions`](crate::missions) use its task types.
 
-use crate::domain_file::{DomainFile, DomainForm};
+use crate::descriptor::DescriptorRegistry;
+use crate::domain_file::{DomainFile, DomainForm, DomainProblem};
 use crate::environment::Environment;
 use crate::library::SkillLibrary;
-use crate::standard_types::standard_types;
-use consort_protocol::ids::{RoleId, TaskType};
-use consort_protocol::mission::{Domain, IhtnNames};
+use consort_protocol::mission::Domain;
 use consort_protocol::yaml;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 /// Returns the task types of the standard domain.
 pub fn hospital() -> Domain {
-    standard_types().with_types(shipped_domain().task_types()).with_ihtn_names(ihtn_names())
+    task_types_with([])
 }
 
 /// Returns the task types of the standard domain and of these domain files.
 pub fn task_types_with<'a>(files: impl IntoIterator<Item = &'a DomainFile>) -> Domain {
     let add = |all: Domain, file: &DomainFile| all.with_types(file.task_types()).with_ihtn_names(file.ihtn_names());
-    files.into_iter().fold(hospital(), add)
+    files.into_iter().fold(add(Domain::default(), standard_domain()), add)
 }
 
-/// Returns the meaning of the names in the published flat iHTNs.
-fn ihtn_names() -> IhtnNames {
-    let navigation = || TaskType::new("navigation").expect("a slug");
-    IhtnNames {
-        people: BTreeSet::from([RoleId::new("nurse").expect("a slug")]),
-        actions: BTreeMap::from([("navto".to_owned(), navigation())]),
-        reaching: BTreeSet::from([navigation()]),
-        ..IhtnNames::default()
+/// Returns the standard domain.
+pub fn standard_domain() -> &'static DomainFile {
+    static STANDARD: LazyLock<DomainFile> = LazyLock::new(|| {
+        let form: DomainForm = yaml::parse(include_str!("../domains/standard.yaml")).expect("it is tested");
+        let trees = TREES.map(|(name, text)| (name.to_owned(), text.to_owned()));
+        let leaves = SkillLibrary::with_leaves(Environment::new());
+        DomainFile::check_after(leaves, None, form, &BTreeMap::from(trees), &[]).expect("it is tested")
+    });
+    &STANDARD
+}
+
+impl DomainFile {
+    /// Checks a domain that is used with the standard domain and the `known` domains. `trees` contains the texts
+    /// of the [tree files](DomainForm::tree_files), by name.
+    ///
+    /// # Errors
+    /// Every problem, in the order of the file.
+    pub fn check(
+        form: DomainForm,
+        trees: &BTreeMap<String, String>,
+        known: &[&DomainFile],
+    ) -> Result<DomainFile, Vec<DomainProblem>> {
+        let library = SkillLibrary::standard(Environment::new());
+        DomainFile::check_after(library, Some(standard_domain()), form, trees, known)
     }
 }
 
-/// Returns the skills of the standard domain, in this environment.
-pub fn standard_library(environment: Environment) -> SkillLibrary {
-    let mut library = SkillLibrary::standard(environment);
-    shipped_domain().extend_library(&mut library).expect("its names are unique");
-    library
+impl SkillLibrary {
+    /// Creates the library of the standard domain, in this environment.
+    pub fn standard(environment: Environment) -> SkillLibrary {
+        let mut library = SkillLibrary::with_leaves(environment);
+        standard_domain().extend_library(&mut library).expect("its names are unique");
+        library
+    }
 }
 
-/// Returns the shipped domain file: services that are declared as data.
-pub fn shipped_domain() -> &'static DomainFile {
-    static SERVICES: LazyLock<DomainFile> = LazyLock::new(|| {
-        let form: DomainForm = yaml::parse(include_str!("../domains/services.yaml")).expect("it is tested");
-        let trees = BTreeMap::from([("carry.xml".to_owned(), include_str!("../domains/carry.xml").to_owned())]);
-        DomainFile::check(form, &trees, &[]).expect("it is tested")
-    });
-    &SERVICES
+impl DescriptorRegistry {
+    /// Creates the descriptors of the standard domain, and of the two message steps.
+    pub fn standard() -> DescriptorRegistry {
+        standard_domain().extend_descriptors(DescriptorRegistry::of_messages())
+    }
 }
+
+/// The tree files of the standard domain.
+const TREES: [(&str, &str); 9] = [
+    ("approach_person.xml", include_str!("../domains/approach_person.xml")),
+    ("approach_robot.xml", include_str!("../domains/approach_robot.xml")),
+    ("authenticate_person.xml", include_str!("../domains/authenticate_person.xml")),
+    ("carry.xml", include_str!("../domains/carry.xml")),
+    ("deposit.xml", include_str!("../domains/deposit.xml")),
+    ("follow_path.xml", include_str!("../domains/follow_path.xml")),
+    ("navigation.xml", include_str!("../domains/navigation.xml")),
+    ("pick_up.xml", include_str!("../domains/pick_up.xml")),
+    ("wait.xml", include_str!("../domains/wait.xml")),
+];

@@ -5,7 +5,7 @@
 //! coordinator accepts only missions of its own task types.
 
 use crate::descriptor::DescriptorRegistry;
-use crate::domain::{shipped_domain, standard_library, task_types_with};
+use crate::domain::task_types_with;
 use crate::domain_file::DomainFile;
 use crate::environment::Environment;
 use crate::library::SkillLibrary;
@@ -74,11 +74,6 @@ impl Extensions {
         self.domains.iter().map(|loaded| &loaded.domain)
     }
 
-    /// Returns the domain file of the standard domain, and the domain files.
-    pub fn all_files(self) -> impl Iterator<Item = &'static DomainFile> {
-        [shipped_domain()].into_iter().chain(self.files())
-    }
-
     /// Returns the task types for missions.
     pub fn domain(self) -> Domain {
         (self.domain)(task_types_with(self.files()))
@@ -91,7 +86,7 @@ impl Extensions {
 
     /// Returns the cost descriptors of tasks: `shipped`, extended.
     pub fn descriptors(self, shipped: DescriptorRegistry) -> DescriptorRegistry {
-        let with_files = self.all_files().fold(shipped, |all, domain| domain.extend_descriptors(all));
+        let with_files = self.files().fold(shipped, |all, domain| domain.extend_descriptors(all));
         (self.descriptors)(with_files)
     }
 
@@ -100,7 +95,7 @@ impl Extensions {
     /// # Errors
     /// [`ExtensionError`] of a domain file, or of the skills in Rust.
     pub fn library(self, environment: Environment) -> Result<SkillLibrary, ExtensionError> {
-        let mut library = standard_library(environment);
+        let mut library = SkillLibrary::standard(environment);
         let error = |source_name: String, problem: String| ExtensionError { source_name, problem };
         for LoadedDomain { path, domain } in self.domains {
             let extended = domain.extend_library(&mut library);

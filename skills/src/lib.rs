@@ -16,7 +16,6 @@ pub mod extensions;
 pub mod library;
 pub mod missions;
 pub mod skill;
-mod standard_types;
 mod waypoints;
 pub mod workload;
 pub mod xml;

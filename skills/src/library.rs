@@ -35,7 +35,7 @@
 //! let mut skill = library.load(&task, &SkillContext::default())?;
 //! let mut robot = InstantRobot::default();
 //! while skill.tick(&mut robot) == SkillStatus::Running {}
-//! assert_eq!(robot.0, [Goal::OperateDrawer { open: true }]);
+//! assert_eq!(robot.0[0].parameters["action"], "open");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -46,7 +46,7 @@ use crate::bt::{
     TreeSpec, Value, join_names,
 };
 use crate::environment::Environment;
-use crate::skill::{STANDARD_SKILLS, SkillContext, TaskContext, register_shared_leaves};
+use crate::skill::{SkillContext, TaskContext, register_leaves};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{DomainReference, OtherDomain, TaskSpec};
@@ -120,19 +120,10 @@ impl SkillLibrary {
         SkillLibrary { environment, registry: Registry::new(), skills: BTreeMap::new() }
     }
 
-    /// Creates the library of the standard skills, in this environment.
-    pub fn standard(environment: Environment) -> SkillLibrary {
+    /// Creates a library without skills, with the leaves that are written in Rust.
+    pub(crate) fn with_leaves(environment: Environment) -> SkillLibrary {
         let mut library = SkillLibrary::empty(environment);
-        let own = "names of standard leaves are unique";
-        register_shared_leaves(&mut library.registry).expect(own);
-        for skill in &STANDARD_SKILLS {
-            (skill.register_leaves)(&mut library.registry).expect(own);
-        }
-        for skill in &STANDARD_SKILLS {
-            let task_type = TaskType::new(skill.task_type).expect("names of standard skills are slugs");
-            let file = format!("{}.xml", skill.task_type);
-            library.register_xml(task_type, &file, skill.xml).expect("standard trees are valid");
-        }
+        register_leaves(&mut library.registry).expect("their names are unique");
         library
     }
 

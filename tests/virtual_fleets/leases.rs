@@ -5,7 +5,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{EndReason, LEASE_REACTION, LeaseTerms};
-use consort_skills::actions::Goal;
+use consort_skills::actions::NavigateToPose;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::time::Duration;
@@ -58,7 +58,7 @@ fn two_drivers(fleet: &Fleet) -> Option<String> {
     let mut clash = None;
     for LoggedEvent { time, event: what } in fleet.journal() {
         match what {
-            InWorld::GoalStarted { robot, id, goal: Goal::NavigateToPose { .. } } => {
+            InWorld::GoalStarted { robot, id, goal } if goal.is::<NavigateToPose>() => {
                 drives += 1;
                 driving.push((robot.to_string(), id.0));
             }

@@ -5,7 +5,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::EndReason;
-use consort_skills::actions::{Goal, GoalStatus};
+use consort_skills::actions::{FollowWaypoints, GoalStatus};
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use consort_world::world::WorldEvent as InWorld;
 use serde_json::{Value, json};
@@ -34,7 +34,8 @@ async fn submit(fleet: &Fleet) -> MissionId {
 /// Returns the waypoints of the goal that the world received.
 fn waypoints(fleet: &Fleet) -> Option<Vec<(f64, f64)>> {
     fleet.journal().iter().find_map(|entry| match &entry.event {
-        InWorld::GoalStarted { goal: Goal::FollowWaypoints { waypoints }, .. } => {
+        InWorld::GoalStarted { goal, .. } => {
+            let FollowWaypoints { waypoints } = goal.read()?.expect("the parameters of the action");
             Some(waypoints.iter().map(|waypoint| (waypoint.pose.x, waypoint.pose.y)).collect())
         }
         _ => None,

@@ -26,7 +26,7 @@ fn stumbles_twice(library: &mut SkillLibrary) {
         <BehaviorTree ID="approach_person"><Sequence>
             <Stumble/>
             <FindPerson person_role="{person_role}" role="{role}"/>
-            <ApproachPerson role="{role}"/>
+            <approach_person role="{role}"/>
         </Sequence></BehaviorTree></root>"#;
     library.register_xml("approach_person".parse().expect("a slug"), "stumbling.xml", tree).expect("a sound tree");
 }

@@ -67,8 +67,8 @@ pub(super) fn fails_as_listed(library: &mut SkillLibrary) {
 
 /// Makes approaching a person or a robot fail at its end.
 pub(super) fn fails_with_others(library: &mut SkillLibrary) {
-    let person = r#"<FindPerson person_role="{person_role}" role="{role}"/><ApproachPerson role="{role}"/>"#;
-    let robot = r#"<FindRoleHolder role="{robot_role}" robot="{robot}"/><ApproachRobot robot="{robot}"/>"#;
+    let person = r#"<FindPerson person_role="{person_role}" role="{role}"/><approach_person role="{role}"/>"#;
+    let robot = r#"<FindRoleHolder role="{robot_role}" robot="{robot}"/><approach_robot robot="{robot}"/>"#;
     inject_faults_after(library, &[("approach_person", person), ("approach_robot", robot)]);
 }
 

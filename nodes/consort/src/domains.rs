@@ -24,7 +24,7 @@ pub(crate) fn parse(path: &Path, text: &str, extensions: Extensions) -> Result<D
     let folder = path.parent().unwrap_or(Path::new("."));
     let tree = |name: &str| Ok((name.to_owned(), inputs::read_text(&folder.join(name))?));
     let trees = form.tree_files().map(tree).collect::<Result<BTreeMap<_, _>, Diagnostics>>()?;
-    let known: Vec<&DomainFile> = extensions.all_files().collect();
+    let known: Vec<&DomainFile> = extensions.files().collect();
     DomainFile::check(form, &trees, &known)
         .map_err(|problems| Diagnostics(problems.iter().map(|problem| Diagnostic::for_file(&file, problem)).collect()))
 }
@@ -46,7 +46,7 @@ pub fn with_files(extensions: Extensions, paths: &[PathBuf]) -> Result<Extension
 
 /// Returns the actions that drivers may offer, and the readings that they may send.
 pub(crate) fn driver_contract(extensions: Extensions) -> Contract {
-    Contract::new(extensions.all_files())
+    Contract::new(extensions.files())
 }
 
 /// Returns the diagnostic of an extension.

@@ -8,7 +8,8 @@ use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, WorldTime};
 use consort_skills::actions::{
-    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, PersonRequest, RobotBackend, Telemetry,
+    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, NavigateToPose, PersonRequest, RobotBackend,
+    Telemetry,
 };
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -117,7 +118,8 @@ impl ProcessDriver {
     /// Records the connection on which a drive was blocked.
     fn add_closure(&mut self, id: GoalId, status: &GoalStatus) {
         let GoalStatus::Aborted(ActionError { code: ErrorCode::Blocked, .. }) = status else { return };
-        let Some(Goal::NavigateToPose { place: Some(to), .. }) = self.session.goal(id) else { return };
+        let goal = self.session.goal(id).and_then(|goal| goal.read());
+        let Some(Ok(NavigateToPose { place: Some(to), .. })) = goal else { return };
         if to == self.place {
             return;
         }

@@ -4,7 +4,8 @@ use crate::messages::{OfferedAction, PROTOCOL_VERSION};
 use consort_protocol::ids::ActionName;
 use consort_protocol::mission::ValueKind;
 use consort_protocol::scalar::Scalar;
-use consort_skills::actions::{ActionError, ErrorCode, STANDARD_ACTIONS};
+use consort_skills::actions::{ActionError, ErrorCode};
+use consort_skills::domain::standard_domain;
 use consort_skills::domain_file::{ActionForm, DomainFile, ParameterForm};
 use consort_text::{AllowedNames, shorten};
 use std::collections::BTreeMap;
@@ -12,8 +13,7 @@ use std::collections::BTreeMap;
 /// Maximum size of the name or the value of a reading in an error, in bytes.
 const SHOWN_BYTES_MAX: usize = 80;
 
-/// The actions that exist: the standard ones, and those that domain files declare. The readings that
-/// domain files declare.
+/// The actions and the readings that domain files declare, the standard domain included.
 #[derive(Debug, Clone, Default)]
 pub struct Contract {
     declared: BTreeMap<ActionName, ActionForm>,
@@ -50,7 +50,9 @@ pub enum ContractError {
     #[error("hello: protocol: {0} is not supported; allowed: {PROTOCOL_VERSION}")]
     Protocol(u32),
     /// The driver offers nothing.
-    #[error("hello: actions: the list is empty; allowed are standard actions and those of the files of --domain")]
+    #[error(
+        "hello: actions: the list is empty; allowed are the actions of the standard domain and of the files of --domain"
+    )]
     NoActions,
     /// No domain declares an action.
     #[error("hello: actions.{action}: no domain declares this action; {allowed}")]
@@ -73,10 +75,10 @@ pub enum ContractError {
 }
 
 impl Contract {
-    /// Returns the contract of the standard actions, and the actions and readings of these domains.
+    /// Returns the contract of the standard domain and these domains.
     pub fn new<'a>(domains: impl IntoIterator<Item = &'a DomainFile>) -> Contract {
         let mut contract = Contract::default();
-        for domain in domains {
+        for domain in [standard_domain()].into_iter().chain(domains) {
             contract.declared.extend(domain.action_forms().map(|(name, form)| (name.clone(), form.clone())));
             let readings = domain.reading_forms().map(|(name, form)| (name.clone(), form.value.value_kind()));
             contract.readings.extend(readings);
@@ -101,6 +103,11 @@ impl Contract {
         })
     }
 
+    /// Returns the results of an action.
+    pub(crate) fn results(&self, action: &ActionName) -> impl Iterator<Item = (&String, &ParameterForm)> {
+        self.declared.get(action).into_iter().flat_map(|form| &form.results)
+    }
+
     /// Checks the content of a hello.
     ///
     /// # Errors
@@ -113,16 +120,12 @@ impl Contract {
             return Err(ContractError::NoActions);
         }
         for (name, offered) in actions {
-            if STANDARD_ACTIONS.contains(&name.as_str()) {
-                continue;
-            }
             let Some(declared) = self.declared.get(name) else {
-                let known = self.declared.keys().map(ActionName::as_str).chain(STANDARD_ACTIONS);
-                let allowed = AllowedNames::suggest_for(name.as_str(), known).to_string();
+                let allowed = AllowedNames::suggest_for(name.as_str(), self.declared.keys()).to_string();
                 return Err(ContractError::Undeclared { action: name.clone(), allowed });
             };
-            check_values("parameter", &declared.parameters, &offered.parameters)
-                .and_then(|()| check_values("result", &declared.results, &offered.results))
+            check_values("parameter", &declared.parameters, offered.parameters.as_ref())
+                .and_then(|()| check_values("result", &declared.results, offered.results.as_ref()))
                 .map_err(|(place, problem)| ContractError::Value { action: name.clone(), place, problem })?;
         }
         Ok(())
@@ -146,13 +149,14 @@ impl Contract {
     }
 }
 
-/// Compares the parameters or the results of an action: every declared one is offered, with the same
-/// type. An error is the place and the problem.
+/// Compares the parameters or the results of an action, if the driver states them: every declared one is
+/// offered, with the same type. An error is the place and the problem.
 fn check_values(
     what: &str,
     declared: &BTreeMap<String, ParameterForm>,
-    offered: &BTreeMap<String, ParameterForm>,
+    offered: Option<&BTreeMap<String, ParameterForm>>,
 ) -> Result<(), (String, String)> {
+    let Some(offered) = offered else { return Ok(()) };
     let place = |name: &String| format!("{what}s.{name}");
     for (name, parameter) in offered {
         let Some(form) = declared.get(name) else {
@@ -210,6 +214,7 @@ mod tests {
             "results": { "dust_g": { "type": "number" } },
         });
         assert_eq!(check(json!({ "wait": {}, "vacuum": vacuum })), Ok(()));
+        assert_eq!(check(json!({ "vacuum": {} })), Ok(()), "it states neither parameters nor results");
     }
 
     #[test]
@@ -243,10 +248,10 @@ mod tests {
             "hello: actions.vacuum.parameters.pases: the domain declares no such parameter; allowed: passes; did you \
              mean `passes`?"
         );
-        let without_result = of(json!({ "passes": { "type": "integer" } }));
+        let without_result = check(json!({ "vacuum": { "results": {} } })).unwrap_err();
         assert_eq!(without_result, "hello: actions.vacuum.results.dust_g: is missing; the domain declares it");
         let undeclared = check(json!({ "vacum": {} })).unwrap_err();
-        assert!(undeclared.starts_with("hello: actions.vacum: no domain declares this action; allowed: vacuum, "));
+        assert!(undeclared.starts_with("hello: actions.vacum: no domain declares this action; allowed: "));
         assert!(undeclared.ends_with("did you mean `vacuum`?"), "{undeclared}");
         assert_eq!(contract().check(2, &BTreeMap::new()), Err(ContractError::Protocol(2)));
         assert_eq!(contract().check(1, &BTreeMap::new()), Err(ContractError::NoActions));

@@ -172,13 +172,12 @@ pub struct OfferedAction {
     /// Description for people.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub description: String,
-    /// Parameters of an action of a domain file, in the form of that file. Standard actions have
-    /// none here.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub parameters: BTreeMap<String, ParameterForm>,
-    /// Results of an action of a domain file, in the form of that file.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub results: BTreeMap<String, ParameterForm>,
+    /// Parameters, in the form of the domain file, to be compared with it; not compared if they are omitted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub parameters: Option<BTreeMap<String, ParameterForm>>,
+    /// Results, in the form of the domain file, to be compared with it; not compared if they are omitted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub results: Option<BTreeMap<String, ParameterForm>>,
     /// Parameters with which `consort driver check` tries the action: a goal of about 2 s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub example: Option<JsonObject>,

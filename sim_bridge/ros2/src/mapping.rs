@@ -4,7 +4,7 @@
 use crate::messages::{Duration, Header, NavigateResult, Point, Pose as RosPose, PoseStamped, Quaternion, Time};
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, ErrorCode, Goal, NavigateToPose};
 
 /// Coordinate frame of Nav2's maps, and of the fleet's map.
 pub const FRAME: &str = "map";
@@ -85,7 +85,7 @@ pub fn now() -> Time {
 
 /// Converts the error of a failed drive to a Nav2 result.
 pub fn to_nav2_result(error: &ActionError) -> NavigateResult {
-    let drive = Goal::NavigateToPose { pose: Pose::default(), place: None };
+    let drive = Goal::from(NavigateToPose { pose: Pose::default(), place: None });
     let error_code = drive.nav2_code(error.code).expect("Nav2 has this goal");
     NavigateResult { error_code, error_msg: error.to_string() }
 }

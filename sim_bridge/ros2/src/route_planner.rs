@@ -8,7 +8,7 @@
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Metres;
-use consort_skills::actions::{ActionError, ErrorCode, Goal, Telemetry, Waypoint};
+use consort_skills::actions::{ActionError, ErrorCode, FollowWaypoints, Goal, NavigateToPose, Telemetry, Waypoint};
 use consort_skills::environment::{MapError, RouteError, Routes};
 use consort_world::map::Map;
 use consort_world::space::WallGrid;
@@ -70,8 +70,8 @@ impl RoutePlanner {
             None => waypoints.last_mut().expect("there is a leg").pose.yaw = to.yaw,
         }
         let goal = match waypoints.as_slice() {
-            [Waypoint { pose, place }] => Goal::NavigateToPose { pose: *pose, place: place.clone() },
-            _ => Goal::FollowWaypoints { waypoints },
+            [Waypoint { pose, place }] => Goal::from(NavigateToPose { pose: *pose, place: place.clone() }),
+            _ => Goal::from(FollowWaypoints { waypoints }),
         };
         Ok(PlannedRoute { goal, last_place, final_pose })
     }
@@ -165,11 +165,11 @@ mod tests {
             let name = place.as_ref().map_or("floor".to_owned(), PlaceId::to_string);
             format!("{name} {} {} {}", pose.x, pose.y, pose.yaw)
         };
-        match goal {
-            Goal::NavigateToPose { pose, place } => vec![way(pose, place)],
-            Goal::FollowWaypoints { waypoints } => waypoints.iter().map(|to| way(&to.pose, &to.place)).collect(),
-            other => panic!("{other:?}"),
+        if let Some(Ok(NavigateToPose { pose, place })) = goal.read() {
+            return vec![way(&pose, &place)];
         }
+        let FollowWaypoints { waypoints } = goal.read().unwrap().unwrap();
+        waypoints.iter().map(|to| way(&to.pose, &to.place)).collect()
     }
 
     #[test]
@@ -184,7 +184,7 @@ mod tests {
         let planned = planner().plan(&at("A", 0.0, 0.0), Pose::new(10.0, 0.0, 0.5)).unwrap();
         assert_eq!(
             planned.goal,
-            Goal::NavigateToPose { pose: Pose::new(10.0, 0.0, 0.5), place: Some("B".parse().unwrap()) }
+            Goal::from(NavigateToPose { pose: Pose::new(10.0, 0.0, 0.5), place: Some("B".parse().unwrap()) })
         );
         let turned = planner().plan(&at("B", 10.0, 0.0), Pose::new(10.0, 0.0, 3.0)).unwrap();
         assert_eq!(describe_waypoints(&turned.goal), ["B 10 0 3"]);

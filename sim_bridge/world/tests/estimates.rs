@@ -4,7 +4,7 @@ use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotBackend};
+use consort_skills::actions::{Goal, GoalId, GoalStatus, NavigateToPose, RobotBackend};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
 use consort_skills::environment::{Environment, Routes};
 use consort_world::map::{self, Map};
@@ -57,7 +57,7 @@ fn drive_s(map: &Map, from: &str, to: &str, speed: f64) -> f64 {
     let routes = Routes::new(&map.topology()).unwrap();
     for (number, leg) in (1..).zip(routes.route(&place(from), &place(to)).unwrap().places.split_off(1)) {
         let pose = map.place(&leg).unwrap().pose;
-        world.start(&ada(), GoalId(number), Goal::NavigateToPose { pose, place: Some(leg) });
+        world.start(&ada(), GoalId(number), Goal::from(NavigateToPose { pose, place: Some(leg) }));
         while !world.status(&ada(), GoalId(number)).unwrap().is_final() {
             let due = world.next_due().expect("something is under way");
             world.advance(due);

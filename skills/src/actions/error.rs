@@ -44,8 +44,8 @@ pub enum ErrorCode {
     OutOfReach,
     /// The person is not the required person, or declined.
     NotAuthenticated,
-    /// The drawer is in the wrong state: closed, open, full or empty.
-    DrawerState,
+    /// A container is in the wrong state: closed, open, full or empty.
+    ContainerState,
     /// The object exceeds the payload of the arm.
     TooHeavy,
     /// The battery is too low to move.
@@ -68,7 +68,7 @@ impl ErrorCode {
         ErrorCode::Blocked,
         ErrorCode::OutOfReach,
         ErrorCode::NotAuthenticated,
-        ErrorCode::DrawerState,
+        ErrorCode::ContainerState,
         ErrorCode::TooHeavy,
         ErrorCode::BatteryLow,
         ErrorCode::Busy,
@@ -85,7 +85,7 @@ impl ErrorCode {
             ErrorCode::Blocked => "blocked",
             ErrorCode::OutOfReach => "out_of_reach",
             ErrorCode::NotAuthenticated => "not_authenticated",
-            ErrorCode::DrawerState => "drawer_state",
+            ErrorCode::ContainerState => "container_state",
             ErrorCode::TooHeavy => "too_heavy",
             ErrorCode::BatteryLow => "battery_low",
             ErrorCode::Busy => "busy",
@@ -105,7 +105,7 @@ impl ErrorCode {
             | ErrorCode::NoRoute
             | ErrorCode::Blocked
             | ErrorCode::OutOfReach
-            | ErrorCode::DrawerState
+            | ErrorCode::ContainerState
             | ErrorCode::BatteryLow
             | ErrorCode::TimedOut
             | ErrorCode::Charger

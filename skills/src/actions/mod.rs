@@ -18,8 +18,6 @@ mod robot;
 
 pub use backend::{BackendEvent, PersonRequest, RobotBackend};
 pub use error::{ActionError, ErrorCode};
-pub use goal::{
-    DeclaredGoal, Feedback, Goal, GoalId, GoalProgress, GoalResult, GoalStatus, JsonObject, PERSON_TIMEOUT_PARAMETER,
-    PERSON_TIMEOUT_S, STANDARD_ACTIONS, Waypoint,
-};
+pub use goal::{ActionParameters, Feedback, Goal, GoalId, GoalProgress, GoalResult, GoalStatus, JsonObject};
+pub use nav2::{Dock, FollowWaypoints, NavigateToPose, Spin, Undock, Wait, Waypoint};
 pub use robot::{READINGS_MAX, RobotActions, Telemetry};

@@ -61,7 +61,7 @@ pub trait RobotActions {
     /// Consumes a completion of this goal by an earlier attempt at the same task: an attempt that
     /// was interrupted, or ended by a crash of the robot program without receiving the result.
     /// Returns its result once for each completion, otherwise `None`. Called for goals that are not
-    /// [repeatable](Goal::is_repeatable). An implementation without memory returns `None`.
+    /// [repeatable](Goal::repeatable). An implementation without memory returns `None`.
     fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {
         let _ = goal;
         None

@@ -9,8 +9,6 @@
 //! The evaluation computes the factors from trials; this module only applies them.
 
 use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
-use super::fixed::{FixedDuration, STEP_DURATION_S};
-use super::navigation::NavigationDescriptor;
 use super::registry::DescriptorRegistry;
 use crate::environment::Environment;
 use consort_protocol::ids::{PlaceId, TaskType};
@@ -119,26 +117,26 @@ impl Calibration {
 
     /// Returns the standard descriptors with these factors, and with a reserve for the quantile.
     pub fn descriptors(self: &Arc<Calibration>) -> DescriptorRegistry {
-        let name = |name: &str| TaskType::new(name).expect("the name of a skill is valid");
-        let drives = Calibrated { inner: NavigationDescriptor::new(name(NAVIGATION)), calibration: Arc::clone(self) };
-        let registry = DescriptorRegistry::standard().with(drives).with_energy_margin(self.margin_sds());
-        // Tasks with a given duration are not corrected.
-        let fixed = self.skills.keys().filter(|skill| ![NAVIGATION, "wait"].contains(&skill.as_str()));
-        let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a valid duration");
-        fixed.fold(registry, |registry, skill| {
-            registry.with(Calibrated { inner: FixedDuration::new(skill.clone(), time), calibration: Arc::clone(self) })
-        })
+        let correct = |descriptor: Box<dyn SkillDescriptor>| -> Box<dyn SkillDescriptor> {
+            let name = descriptor.task_type();
+            let is_observed = name.as_str() == NAVIGATION || self.skills.contains_key(name);
+            // Tasks with a given duration are not corrected.
+            match is_observed && !descriptor.is_given() {
+                true => Box::new(Calibrated { inner: descriptor, calibration: Arc::clone(self) }),
+                false => descriptor,
+            }
+        };
+        DescriptorRegistry::standard().map(correct).with_energy_margin(self.margin_sds())
     }
 }
 
 /// A descriptor with estimates corrected by a calibration.
-#[derive(Debug, Clone)]
-struct Calibrated<D> {
-    inner: D,
+struct Calibrated {
+    inner: Box<dyn SkillDescriptor>,
     calibration: Arc<Calibration>,
 }
 
-impl<D: SkillDescriptor> SkillDescriptor for Calibrated<D> {
+impl SkillDescriptor for Calibrated {
     fn task_type(&self) -> &TaskType {
         self.inner.task_type()
     }

@@ -53,7 +53,7 @@ pub enum EstimateError {
         /// The type of the task.
         task_type: TaskType,
         /// The missing parameter.
-        parameter: &'static str,
+        parameter: String,
     },
     /// A parameter of the task is invalid.
     #[error("the {task_type} task has `{parameter}` = {value:?}: {problem}")]
@@ -61,7 +61,7 @@ pub enum EstimateError {
         /// The type of the task.
         task_type: TaskType,
         /// The parameter.
-        parameter: &'static str,
+        parameter: String,
         /// Its value.
         value: String,
         /// Cause.
@@ -114,6 +114,11 @@ pub trait SkillDescriptor: Send + Sync {
     /// [`EnvironmentDescriptor::KIND`]: crate::environment::EnvironmentDescriptor::KIND
     fn required_descriptors(&self) -> Vec<&'static str>;
 
+    /// Checks whether a task states its own duration, so that no calibration corrects it.
+    fn is_given(&self) -> bool {
+        false
+    }
+
     /// Estimates the cost of `task` for the robot of `context`.
     ///
     /// # Errors
@@ -125,25 +130,4 @@ pub trait SkillDescriptor: Send + Sync {
         context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError>;
-}
-
-/// Returns a required parameter.
-fn parameter<'t>(task: &'t TaskSpec, name: &'static str) -> Result<&'t str, EstimateError> {
-    let missing = || EstimateError::MissingParameter { task_type: task.task_type.clone(), parameter: name };
-    task.parameters.get(name).map(String::as_str).ok_or_else(missing)
-}
-
-/// Parses a required parameter.
-pub(super) fn parsed<T, E: ToString>(
-    task: &TaskSpec,
-    name: &'static str,
-    parse: impl FnOnce(&str) -> Result<T, E>,
-) -> Result<T, EstimateError> {
-    let value = parameter(task, name)?;
-    parse(value).map_err(|error| EstimateError::Parameter {
-        task_type: task.task_type.clone(),
-        parameter: name,
-        value: value.to_owned(),
-        problem: error.to_string(),
-    })
 }

@@ -34,8 +34,6 @@
 mod calibration;
 mod estimate;
 mod fixed;
-mod navigation;
-mod path;
 mod registry;
 
 pub use calibration::{Calibration, LegFactor, TimeFactor};

@@ -1,9 +1,7 @@
 //! The descriptors of a robot, and the pricing of local plans with them.
 
 use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
-use super::fixed::{FixedDuration, RequestedDuration, STEP_DURATION_S};
-use super::navigation::NavigationDescriptor;
-use super::path::PathDescriptor;
+use super::fixed::{FixedDuration, STEP_DURATION_S};
 use crate::bt::join_names;
 use crate::environment::Environment;
 use consort_protocol::auction::BidPart;
@@ -87,21 +85,6 @@ pub const ESTIMATOR_VERSION: &str = "standard-1";
 const SEND: &str = "send_message";
 const WAIT: &str = "wait_message";
 
-/// The skills of the standard set with a duration of [`STEP_DURATION_S`].
-const FIXED: [&str; 11] = [
-    "approach_person",
-    "authenticate_person",
-    "operate_drawer",
-    "approach_robot",
-    "pick_up",
-    "deposit",
-    "grasp",
-    "dock",
-    "undock",
-    SEND,
-    WAIT,
-];
-
 fn task_type_named(name: &str) -> TaskType {
     TaskType::new(name).expect("names of standard skills are slugs")
 }
@@ -112,21 +95,26 @@ impl DescriptorRegistry {
         DescriptorRegistry::default()
     }
 
-    /// Creates the descriptors of the standard skills, and of the two message steps.
-    pub fn standard() -> DescriptorRegistry {
+    /// Creates the descriptors of the two message steps.
+    pub(crate) fn of_messages() -> DescriptorRegistry {
         let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a duration");
-        let registry = DescriptorRegistry::new()
-            .with(NavigationDescriptor::new(task_type_named("navigation")))
-            .with(PathDescriptor::new(task_type_named("follow_path")))
-            .with(RequestedDuration::new(task_type_named("wait")));
-        FIXED
-            .into_iter()
-            .fold(registry, |registry, name| registry.with(FixedDuration::new(task_type_named(name), time)))
+        let messages = [SEND, WAIT].map(|name| FixedDuration::new(task_type_named(name), time));
+        messages.into_iter().fold(DescriptorRegistry::new(), DescriptorRegistry::with)
     }
 
     /// Adds a descriptor, replacing any for the same task type.
     pub fn with(mut self, descriptor: impl SkillDescriptor + 'static) -> DescriptorRegistry {
         self.descriptors.insert(descriptor.task_type().clone(), Box::new(descriptor));
+        self
+    }
+
+    /// Replaces each descriptor.
+    pub(super) fn map(
+        mut self,
+        replace: impl Fn(Box<dyn SkillDescriptor>) -> Box<dyn SkillDescriptor>,
+    ) -> DescriptorRegistry {
+        let replaced = self.descriptors.into_iter().map(|(name, descriptor)| (name, replace(descriptor)));
+        self.descriptors = replaced.collect();
         self
     }
 

@@ -2,21 +2,23 @@
 
 use super::form::{EstimateForm, ParameterForm, ParameterKind, TaskForm};
 use crate::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
-use crate::environment::{Environment, EnvironmentDescriptor, Routes};
+use crate::environment::{Environment, EnvironmentDescriptor, Passages, Routes};
+use crate::waypoints::parse_points;
 use cel::{Context, Program};
 use consort_protocol::expression;
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{DomainReference, TaskSpec};
-use consort_protocol::units::Seconds;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{Metres, Seconds};
 use std::collections::{BTreeMap, HashMap};
 
 /// The estimate of a task type of a domain file.
 pub(super) struct DeclaredEstimate {
     task_type: TaskType,
     parameters: BTreeMap<String, ParameterForm>,
-    time_s: Expression,
-    energy: Option<Expression>,
+    time_s: Formula,
+    energy: Option<Formula>,
     ends_at: Option<String>,
     requires: Option<Expression>,
     domain: Option<DomainReference>,
@@ -25,6 +27,12 @@ pub(super) struct DeclaredEstimate {
 /// Variable with the attributes of the robot.
 const ATTRIBUTES: &str = "attributes";
 
+/// Variable with the lengths of routes and paths, by parameter.
+const DISTANCE: &str = "distance";
+
+/// Variable with the times of drives, by parameter.
+const TRAVEL_S: &str = "travel_s";
+
 /// Variables of the robot.
 struct RobotVariables<'a> {
     speed: f64,
@@ -32,14 +40,63 @@ struct RobotVariables<'a> {
     attributes: &'a Attributes,
 }
 
+/// A number. The most frequent forms are computed without CEL, with the same result.
+enum Formula {
+    /// A number, such as `2.0`.
+    Constant(f64),
+    /// A parameter of the task, such as `seconds`.
+    Parameter(String),
+    /// The time of the drive to the place, or along the path, of a parameter, such as `travel_s.to`.
+    TravelTime(String),
+    /// Any other expression.
+    Expression(Expression),
+}
+
 struct Expression {
     text: String,
     program: Program,
+    /// True if the expression may use lengths or times of drives.
+    uses_drives: bool,
+}
+
+impl Formula {
+    fn compile(text: &str, parameters: &BTreeMap<String, ParameterForm>) -> Result<Formula, String> {
+        let kind = |name: &str| parameters.get(name).map(|parameter| parameter.kind);
+        let is_number = |name: &str| {
+            matches!(kind(name), Some(ParameterKind::Seconds | ParameterKind::Number | ParameterKind::Integer))
+        };
+        let is_drive = |name: &str| matches!(kind(name), Some(ParameterKind::Place | ParameterKind::Points));
+        if let Some(number) = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0) {
+            return Ok(Formula::Constant(number));
+        }
+        let of_drive = text.strip_prefix(TRAVEL_S).and_then(|rest| rest.strip_prefix('.'));
+        match of_drive {
+            Some(name) if is_drive(name) => Ok(Formula::TravelTime(name.to_owned())),
+            None if is_number(text) => Ok(Formula::Parameter(text.to_owned())),
+            _ => Expression::compile(text).map(Formula::Expression),
+        }
+    }
+
+    fn expression(&self) -> Option<&Expression> {
+        match self {
+            Formula::Expression(expression) => Some(expression),
+            Formula::Constant(_) | Formula::Parameter(_) | Formula::TravelTime(_) => None,
+        }
+    }
+
+    fn needs_routes(&self) -> bool {
+        match self {
+            Formula::TravelTime(_) => true,
+            Formula::Constant(_) | Formula::Parameter(_) => false,
+            Formula::Expression(expression) => expression.uses_drives,
+        }
+    }
 }
 
 impl Expression {
     fn compile(text: &str) -> Result<Expression, String> {
-        Ok(Expression { text: text.to_owned(), program: expression::compile(text)? })
+        let uses_drives = [DISTANCE, TRAVEL_S].into_iter().any(|variable| text.contains(variable));
+        Ok(Expression { text: text.to_owned(), program: expression::compile(text)?, uses_drives })
     }
 
     /// Checks whether the expression uses attributes of the robot, which are not known beforehand.
@@ -82,8 +139,9 @@ impl DeclaredEstimate {
         form: &EstimateForm,
     ) -> Result<DeclaredEstimate, (&'static str, String)> {
         let at = |key| move |problem| (key, problem);
-        let time_s = Expression::compile(&form.time_s).map_err(at("time_s"))?;
-        let energy = form.energy.as_deref().map(Expression::compile).transpose().map_err(at("energy"))?;
+        let formula = |text: &str| Formula::compile(text, &task.parameters);
+        let time_s = formula(&form.time_s).map_err(at("time_s"))?;
+        let energy = form.energy.as_deref().map(formula).transpose().map_err(at("energy"))?;
         if let Some(name) = &form.ends_at
             && task.parameters.get(name).is_none_or(|parameter| parameter.kind != ParameterKind::Place)
         {
@@ -95,7 +153,8 @@ impl DeclaredEstimate {
         let variables = estimate.example();
         for (key, number) in [("time_s", Some(&estimate.time_s)), ("energy", estimate.energy.as_ref())] {
             // The attributes of robots differ.
-            if let Some(number) = number.filter(|number| !number.uses_attributes()) {
+            let expression = number.and_then(Formula::expression).filter(|number| !number.uses_attributes());
+            if let Some(number) = expression {
                 number.number(&variables).map_err(at(key))?;
             }
         }
@@ -112,8 +171,16 @@ impl DeclaredEstimate {
     }
 
     /// Returns the estimate for tasks of this domain only.
-    pub(super) fn of_domain(self, domain: DomainReference) -> DeclaredEstimate {
-        DeclaredEstimate { domain: Some(domain), ..self }
+    pub(super) fn of_domain(self, domain: Option<DomainReference>) -> DeclaredEstimate {
+        DeclaredEstimate { domain, ..self }
+    }
+
+    fn formulas(&self) -> impl Iterator<Item = &Formula> {
+        std::iter::once(&self.time_s).chain(&self.energy)
+    }
+
+    fn expressions(&self) -> impl Iterator<Item = &Expression> {
+        self.formulas().filter_map(Formula::expression).chain(&self.requires)
     }
 
     /// Returns variables with a value of each type.
@@ -123,23 +190,21 @@ impl DeclaredEstimate {
                 parameter.minimum.or(parameter.maximum).unwrap_or(1.0).to_string()
             }
             ParameterKind::Bool => "true".to_owned(),
-            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text => {
-                parameter.one_of.first().cloned().unwrap_or_else(|| "example".to_owned())
-            }
+            _ => parameter.one_of.first().cloned().unwrap_or_else(|| "example".to_owned()),
         };
         let texts = self.parameters.iter().map(|(name, parameter)| (name.clone(), example(parameter))).collect();
         let robot = RobotVariables { speed: 1.0, discharge: 0.001, attributes: &Attributes::default() };
-        self.variables(&texts, &robot, |_| Ok::<f64, EstimateError>(1.0)).expect("examples are valid")
+        self.variables(&texts, &robot, |_, _| Ok::<_, EstimateError>(Drive::example())).expect("examples are valid")
     }
 
     fn variables<E>(
         &self,
         texts: &BTreeMap<String, String>,
         robot: &RobotVariables<'_>,
-        distance: impl Fn(&str) -> Result<f64, E>,
+        drive: impl Fn(&str, ParameterKind) -> Result<Drive, E>,
     ) -> Result<Context<'static, 'static>, E> {
         let mut context = expression::variables();
-        let mut distances = HashMap::new();
+        let (mut distances, mut times) = (HashMap::new(), HashMap::new());
         for (name, parameter) in &self.parameters {
             let Some(text) = texts.get(name) else { continue };
             let value = match parameter.kind {
@@ -147,21 +212,136 @@ impl DeclaredEstimate {
                     cel::Value::Float(text.parse().unwrap_or(f64::NAN))
                 }
                 ParameterKind::Bool => cel::Value::Bool(text == "true"),
-                ParameterKind::Place => {
-                    distances.insert(name.clone(), cel::Value::Float(distance(text)?));
+                ParameterKind::Place | ParameterKind::Points => {
+                    let Drive { length, time } = drive(name, parameter.kind)?;
+                    distances.insert(name.clone(), cel::Value::Float(length.get()));
+                    times.insert(name.clone(), cel::Value::Float(time.get()));
                     cel::Value::from(text.clone())
                 }
-                ParameterKind::Role | ParameterKind::Text => cel::Value::from(text.clone()),
+                _ => cel::Value::from(text.clone()),
             };
             context.add_variable_from_value(name.clone(), value);
         }
-        context.add_variable_from_value("distance", cel::Value::from(distances));
+        context.add_variable_from_value(DISTANCE, cel::Value::from(distances));
+        context.add_variable_from_value(TRAVEL_S, cel::Value::from(times));
         context.add_variable_from_value("speed", cel::Value::Float(robot.speed));
         context.add_variable_from_value("discharge", cel::Value::Float(robot.discharge));
         let attributes = robot.attributes.iter().map(|(name, value)| (name.clone(), expression::cel_value(value)));
         context.add_variable_from_value(ATTRIBUTES, attributes.collect::<HashMap<String, cel::Value>>());
         Ok(context)
     }
+
+    fn failed(&self, problem: String) -> EstimateError {
+        EstimateError::Expression { task_type: self.task_type.clone(), problem }
+    }
+
+    /// Parses a required parameter.
+    fn parsed<T, E: ToString>(
+        &self,
+        task: &TaskSpec,
+        name: &str,
+        parse: impl FnOnce(&str) -> Result<T, E>,
+    ) -> Result<T, EstimateError> {
+        let (task_type, parameter) = (self.task_type.clone(), name.to_owned());
+        let Some(text) = task.parameters.get(name) else {
+            return Err(EstimateError::MissingParameter { task_type, parameter });
+        };
+        parse(text).map_err(|problem| EstimateError::Parameter {
+            task_type,
+            parameter,
+            value: text.clone(),
+            problem: problem.to_string(),
+        })
+    }
+
+    /// Computes the drive to the place, or along the path, of a parameter.
+    fn drive(
+        &self,
+        (name, kind): (&str, ParameterKind),
+        task: &TaskSpec,
+        context: &EstimateContext,
+        environment: &Environment,
+    ) -> Result<Drive, EstimateError> {
+        let routes = environment.get::<Routes>()?;
+        if kind == ParameterKind::Points {
+            let points = self.parsed(task, name, |text| parse_points(text.split(';')))?;
+            let length = length_along(context.pose.or(routes.pose(&context.place)), &points);
+            return Ok(Drive { length, time: length.at(context.speed) });
+        }
+        let (to, routes) = (self.parsed(task, name, str::parse::<PlaceId>)?, routes.without_closed(&context.closed));
+        let length = match context.pose {
+            Some(pose) => routes.distance_left(&context.place, pose, &to)?,
+            None => routes.distance(&context.place, &to)?,
+        };
+        // Most maps have no doors, lifts or limits.
+        let time = match environment.find::<Passages>().filter(|passages| !passages.is_empty()) {
+            None => length.at(context.speed),
+            Some(passages) => {
+                let pose = context.pose.or(routes.pose(&context.place)).unwrap_or_default();
+                routes.time_left(&context.place, pose, &to, context.speed, passages)?
+            }
+        };
+        Ok(Drive { length, time })
+    }
+
+    fn duration(
+        &self,
+        task: &TaskSpec,
+        context: &EstimateContext,
+        environment: &Environment,
+        variables: Option<&Context<'static, 'static>>,
+    ) -> Result<Seconds, EstimateError> {
+        match &self.time_s {
+            Formula::TravelTime(name) => {
+                let kind = self.parameters.get(name).map_or(ParameterKind::Place, |parameter| parameter.kind);
+                Ok(self.drive((name, kind), task, context, environment)?.time)
+            }
+            Formula::Parameter(name) => self.parsed(task, name, |text| {
+                let number: f64 = text.parse().map_err(|problem: std::num::ParseFloatError| problem.to_string())?;
+                Seconds::new(number).map_err(|problem| problem.to_string())
+            }),
+            formula => {
+                let number = self.number(formula, task, variables)?;
+                Seconds::new(number).map_err(|problem| self.failed(problem.to_string()))
+            }
+        }
+    }
+
+    fn number(
+        &self,
+        formula: &Formula,
+        task: &TaskSpec,
+        variables: Option<&Context<'static, 'static>>,
+    ) -> Result<f64, EstimateError> {
+        match (formula, variables) {
+            (Formula::Constant(number), _) => Ok(*number),
+            (Formula::Expression(expression), Some(variables)) => {
+                expression.number(variables).map_err(|problem| self.failed(problem))
+            }
+            (Formula::Parameter(name), _) => self.parsed(task, name, str::parse::<f64>),
+            (Formula::TravelTime(_) | Formula::Expression(_), _) => {
+                Err(self.failed("the expression has no number".to_owned()))
+            }
+        }
+    }
+}
+
+/// A drive from the robot's position.
+struct Drive {
+    length: Metres,
+    time: Seconds,
+}
+
+impl Drive {
+    fn example() -> Drive {
+        Drive { length: Metres::new(1.0).expect("a length"), time: Seconds::new(1.0).expect("a duration") }
+    }
+}
+
+/// Returns the length of a path in straight lines.
+fn length_along(start: Option<Pose>, points: &[(f64, f64)]) -> Metres {
+    let poses: Vec<Pose> = start.into_iter().chain(points.iter().map(|(x, y)| Pose::new(*x, *y, 0.0))).collect();
+    poses.windows(2).fold(Metres::ZERO, |length, leg| length + leg[0].distance(leg[1]))
 }
 
 impl SkillDescriptor for DeclaredEstimate {
@@ -170,8 +350,12 @@ impl SkillDescriptor for DeclaredEstimate {
     }
 
     fn required_descriptors(&self) -> Vec<&'static str> {
-        let travels = self.parameters.values().any(|parameter| parameter.kind == ParameterKind::Place);
-        if travels { vec![Routes::KIND] } else { vec![] }
+        let uses_routes = self.requires.iter().any(|condition| condition.uses_drives);
+        if uses_routes || self.formulas().any(Formula::needs_routes) { vec![Routes::KIND] } else { vec![] }
+    }
+
+    fn is_given(&self) -> bool {
+        matches!(self.time_s, Formula::Parameter(_))
     }
 
     fn estimate(
@@ -181,40 +365,32 @@ impl SkillDescriptor for DeclaredEstimate {
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         task.check_domain(self.domain.as_ref())?;
-        let place = |text: &str| {
-            text.parse::<PlaceId>().map_err(|problem| EstimateError::Expression {
-                task_type: self.task_type.clone(),
-                problem: problem.to_string(),
-            })
-        };
-        let distance = |text: &str| {
-            let (to, routes) = (place(text)?, environment.get::<Routes>()?.without_closed(&context.closed));
-            Ok::<f64, EstimateError>(match context.pose {
-                Some(pose) => routes.distance_left(&context.place, pose, &to)?.get(),
-                None => routes.distance(&context.place, &to)?.get(),
-            })
+        let uses_drives = self.expressions().any(|each| each.uses_drives);
+        let drive = |name: &str, kind| match uses_drives {
+            true => self.drive((name, kind), task, context, environment),
+            false => Ok(Drive::example()),
         };
         let (speed, discharge, attributes) = (context.speed.get(), context.discharge.get(), &context.attributes);
-        let variables = self.variables(&task.parameters, &RobotVariables { speed, discharge, attributes }, distance)?;
-        if let Some(requires) = &self.requires {
+        let robot = RobotVariables { speed, discharge, attributes };
+        let needs_variables = self.expressions().next().is_some();
+        let variables = needs_variables.then(|| self.variables(&task.parameters, &robot, drive)).transpose()?;
+        if let (Some(requires), Some(variables)) = (&self.requires, &variables) {
             let lacks = |problem| EstimateError::Requirement {
                 task_type: self.task_type.clone(),
                 condition: requires.text.clone(),
                 problem,
             };
-            let holds = requires.condition(&variables).map_err(lacks)?;
+            let holds = requires.condition(variables).map_err(lacks)?;
             holds.then_some(()).ok_or_else(|| lacks("is false".to_owned()))?;
         }
-        let failed = |problem| EstimateError::Expression { task_type: self.task_type.clone(), problem };
-        let time_s = self.time_s.number(&variables).map_err(failed)?;
-        let time = Seconds::new(time_s).map_err(|problem| failed(problem.to_string()))?;
-        let ends_at = match self.ends_at.as_ref().and_then(|name| task.parameters.get(name)) {
-            Some(text) => place(text)?,
-            None => context.place.clone(),
+        let time = self.duration(task, context, environment, variables.as_ref())?;
+        let ends_at = match &self.ends_at {
+            Some(name) if task.parameters.contains_key(name) => self.parsed(task, name, str::parse::<PlaceId>)?,
+            _ => context.place.clone(),
         };
         let mut estimate = Estimate::of_duration(time, context, ends_at);
         if let Some(energy) = &self.energy {
-            estimate.energy = energy.number(&variables).map_err(failed)?;
+            estimate.energy = self.number(energy, task, variables.as_ref())?;
         }
         Ok(estimate)
     }

@@ -45,11 +45,14 @@ pub struct IhtnForm {
     pub places: BTreeMap<String, PlaceId>,
     /// Task types, by names of actions that differ from them.
     pub actions: BTreeMap<String, TaskType>,
+    /// Task types that bring a robot to their location.
+    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
+    pub reaching: BTreeSet<TaskType>,
 }
 
 impl From<IhtnForm> for IhtnNames {
-    fn from(IhtnForm { people, objects, places, actions }: IhtnForm) -> Self {
-        IhtnNames { people, objects, places, actions, reaching: BTreeSet::new() }
+    fn from(IhtnForm { people, objects, places, actions, reaching }: IhtnForm) -> Self {
+        IhtnNames { people, objects, places, actions, reaching }
     }
 }
 
@@ -70,8 +73,23 @@ pub struct ActionForm {
     /// Reasons for which a goal fails, by name: the `code` of a driver. A failure for any other reason is of
     /// class `robot`.
     pub failures: BTreeMap<String, FailureForm>,
+    /// Repetition of a goal that fails for a reason that may pass.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub retry: Option<RetryForm>,
     /// What the simulator does with a goal of the action.
     pub simulate: SimulatedAction,
+}
+
+/// Repetition of a goal that fails for a reason that may pass. The node of the action has the port `timeout_s`,
+/// which overrides the time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RetryForm {
+    /// Code of the failure.
+    #[schemars(with = "String")]
+    pub on: ErrorCode,
+    /// Time for which the goal is tried again, a second apart, in seconds.
+    pub timeout_s: f64,
 }
 
 /// A reason for which goals of an action fail.
@@ -161,6 +179,14 @@ pub enum ParameterKind {
     Bool,
     /// Text.
     Text,
+    /// Robot; in actions only.
+    Robot,
+    /// Pose on the floor: an object with `x`, `y` and `yaw`; in actions only.
+    Pose,
+    /// Poses, each with a place if it has one: a list of objects with `pose` and `place`; in actions only.
+    Waypoints,
+    /// Points `x,y` in metres, separated by `;`; in tasks only.
+    Points,
 }
 
 /// A task type.
@@ -196,7 +222,9 @@ pub struct TaskForm {
 
 /// Estimate of the cost of a task. Expressions are in CEL. Their variables are the parameters of the task,
 /// `speed` (m/s), `discharge` (share of the battery per second) and `attributes` of the robot, and for each
-/// parameter of type `place` the length of the route to it in `distance` (m): `distance.at / speed + 8.0`.
+/// parameter of type `place` the length of the route to it in `distance` (m) and the time of the drive, with the
+/// waits at doors and lifts, in `travel_s` (s): `travel_s.at + 8.0`. For a parameter of type `points` they are those
+/// of the path.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EstimateForm {
@@ -215,6 +243,10 @@ pub struct EstimateForm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulatedAction {
+    /// The system of the simulator that executes the goals, if one does: it determines how long they take and
+    /// what they change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub system: Option<String>,
     /// Least and greatest duration in seconds; uniformly distributed. Default 2 to 2 s.
     pub duration_s: (f64, f64),
     /// Share of the goals that fail at their end for no declared reason, from 0 to 1. Default 0.
@@ -264,7 +296,7 @@ pub struct Addition {
 impl Default for SimulatedAction {
     fn default() -> Self {
         let (failures, results, effects) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        SimulatedAction { duration_s: (2.0, 2.0), failure_rate: 0.0, failures, results, effects }
+        SimulatedAction { system: None, duration_s: (2.0, 2.0), failure_rate: 0.0, failures, results, effects }
     }
 }
 
@@ -276,6 +308,16 @@ impl SimulatedAction {
 }
 
 impl ParameterKind {
+    /// Checks whether only actions have parameters of this type.
+    pub(super) fn is_of_actions(self) -> bool {
+        matches!(self, ParameterKind::Robot | ParameterKind::Pose | ParameterKind::Waypoints)
+    }
+
+    /// Checks whether a robot can return a value of this type.
+    pub(super) fn is_value(self) -> bool {
+        !self.is_of_actions() && !matches!(self, ParameterKind::Role | ParameterKind::Points)
+    }
+
     /// Checks whether a JSON value has this type.
     pub fn fits(self, value: &serde_json::Value) -> bool {
         match self {
@@ -283,7 +325,13 @@ impl ParameterKind {
             ParameterKind::Number => value.is_number(),
             ParameterKind::Integer => value.is_i64(),
             ParameterKind::Bool => value.is_boolean(),
-            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text => value.is_string(),
+            ParameterKind::Pose => value.is_object(),
+            ParameterKind::Waypoints => value.is_array(),
+            ParameterKind::Place
+            | ParameterKind::Role
+            | ParameterKind::Text
+            | ParameterKind::Robot
+            | ParameterKind::Points => value.is_string(),
         }
     }
 }
@@ -299,12 +347,8 @@ impl ParameterForm {
                 SimulatedResult::OneOf(numbers.map(Scalar::Integer).collect())
             }
             ParameterKind::Bool => SimulatedResult::OneOf(vec![Scalar::Bool(false), Scalar::Bool(true)]),
-            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text if self.one_of.is_empty() => {
-                SimulatedResult::Value(Scalar::Text("simulated".to_owned()))
-            }
-            ParameterKind::Place | ParameterKind::Role | ParameterKind::Text => {
-                SimulatedResult::OneOf(self.one_of.iter().cloned().map(Scalar::Text).collect())
-            }
+            _ if self.one_of.is_empty() => SimulatedResult::Value(Scalar::Text("simulated".to_owned())),
+            _ => SimulatedResult::OneOf(self.one_of.iter().cloned().map(Scalar::Text).collect()),
         }
     }
 
@@ -318,7 +362,7 @@ impl ParameterForm {
             ParameterKind::Integer => {
                 Some(Scalar::Integer(number.round().max(minimum.ceil()).min(maximum.floor()) as i64))
             }
-            ParameterKind::Place | ParameterKind::Role | ParameterKind::Bool | ParameterKind::Text => None,
+            _ => None,
         }
     }
 
@@ -335,8 +379,12 @@ impl ParameterForm {
             ParameterKind::Number => ValueKind::Number(self.range()),
             ParameterKind::Integer => ValueKind::Integer(self.range()),
             ParameterKind::Bool => ValueKind::Bool,
-            ParameterKind::Text if self.one_of.is_empty() => ValueKind::Text,
-            ParameterKind::Text => ValueKind::OneOf(self.one_of.clone()),
+            ParameterKind::Text if !self.one_of.is_empty() => ValueKind::OneOf(self.one_of.clone()),
+            ParameterKind::Text
+            | ParameterKind::Robot
+            | ParameterKind::Pose
+            | ParameterKind::Waypoints
+            | ParameterKind::Points => ValueKind::Text,
         }
     }
 }
@@ -351,13 +399,13 @@ impl ReadingForm {
 impl TaskForm {
     /// Returns the parameters and the results for missions. The results are those of the `action` if the
     /// task declares none.
-    pub(super) fn schema(&self, action: Option<&ActionForm>, domain: DomainReference) -> TaskSchema {
+    pub(super) fn schema(&self, action: Option<&ActionForm>, domain: Option<DomainReference>) -> TaskSchema {
         let schema = |(name, parameter): (&String, &ParameterForm)| {
             (name.clone(), ParameterSchema { kind: parameter.value_kind(), required: !parameter.optional })
         };
         let results = self.results(action).iter().map(|(name, result)| (name.clone(), result.value_kind()));
         let (parameters, results) = (self.parameters.iter().map(schema).collect(), results.collect());
-        TaskSchema { parameters, results, domain: Some(domain) }
+        TaskSchema { parameters, results, domain }
     }
 
     /// Returns the results: those of the `action` if the task declares none.

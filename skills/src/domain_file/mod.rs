@@ -24,8 +24,8 @@
 //! The leaf of an action in a behavior tree has its name, and its parameters as ports:
 //! `<water litres="{litres}"/>`. A reading is a condition of its name: `<tank_l minimum="0.5"/>`.
 //! Missions in the flat iHTN form have only names; `ihtn` declares
-//! which of them are people, objects, places and task types of other names. A domain adds to the standard domain; it does not replace its actions
-//! and task types.
+//! which of them are people, objects, places and task types of other names. The [standard domain](crate::domain) is
+//! such a file, too. A domain adds to it; it does not replace its actions and task types.
 
 mod action_leaf;
 mod content_hash;
@@ -37,16 +37,14 @@ mod scaffold;
 
 pub use form::{
     ActionForm, Addition, DomainForm, EstimateForm, FailureForm, IhtnForm, ParameterForm, ParameterKind, ReadingForm,
-    SimulatedAction, SimulatedEffect, SimulatedReading, SimulatedResult, TaskForm,
+    RetryForm, SimulatedAction, SimulatedEffect, SimulatedReading, SimulatedResult, TaskForm,
 };
 pub use scaffold::{scaffold, scaffold_yaml};
 
 use crate::bt::xml::read_xml;
 use crate::bt::{NodeSpec, TreeSpec};
 use crate::descriptor::DescriptorRegistry;
-use crate::environment::Environment;
 use crate::library::{DeclaredBy, SkillLibrary};
-use crate::standard_types::standard_types;
 use consort_protocol::ids::{ActionName, DomainId, TaskType};
 use consort_protocol::mission::{DomainHash, DomainReference, IhtnNames, RESULTS_MAX, TaskSchema};
 use consort_text::AllowedNames;
@@ -63,6 +61,8 @@ pub struct DomainFile {
     /// The behavior trees of the task types.
     trees: BTreeMap<TaskType, TreeSpec>,
     hash: DomainHash,
+    /// The standard domain is part of the program, so its tasks do not refer to it.
+    is_standard: bool,
 }
 
 /// A problem of a domain file.
@@ -96,18 +96,18 @@ impl DomainForm {
 }
 
 impl DomainFile {
-    /// Checks a domain that is used with the `known` domains. `trees` contains the texts of the [tree
-    /// files](DomainForm::tree_files), by name.
+    /// Checks a domain that adds to a library, and to the standard domain unless it is the standard domain.
     ///
     /// # Errors
     /// Every problem, in the order of the file.
-    pub fn check(
+    pub(crate) fn check_after(
+        mut library: SkillLibrary,
+        standard: Option<&DomainFile>,
         form: DomainForm,
         trees: &BTreeMap<String, String>,
         known: &[&DomainFile],
     ) -> Result<DomainFile, Vec<DomainProblem>> {
         let mut problems = vec![];
-        let mut library = SkillLibrary::standard(Environment::new());
         for domain in known {
             domain.extend_library(&mut library).map_err(|problem| vec![problem])?;
         }
@@ -129,7 +129,7 @@ impl DomainFile {
         }
         let mut checked = BTreeMap::new();
         for (name, task) in &form.tasks {
-            problems.extend(task_problems(&form, name, task));
+            problems.extend(task_problems(&form, standard, name, task));
             let declares = |domain: &&&DomainFile| domain.form.tasks.contains_key(name);
             if let Some(domain) = known.iter().find(declares) {
                 problems.push(problem(
@@ -150,12 +150,12 @@ impl DomainFile {
                 Err(found) => problems.push(found),
             }
         }
-        problems.extend(ihtn_problems(&form, known));
+        problems.extend(ihtn_problems(&form, standard, known));
         if !problems.is_empty() {
             return Err(problems);
         }
         let hash = content_hash(&form, trees);
-        Ok(DomainFile { form, trees: checked, hash })
+        Ok(DomainFile { form, trees: checked, hash, is_standard: standard.is_none() })
     }
 
     /// Returns the name of the domain.
@@ -168,12 +168,17 @@ impl DomainFile {
         DomainReference { name: self.form.domain.clone(), hash: self.hash }
     }
 
+    /// Returns the reference that tasks of this domain contain.
+    fn tasks_reference(&self) -> Option<DomainReference> {
+        (!self.is_standard).then(|| self.reference())
+    }
+
     /// Returns the task types with their parameters.
     pub fn task_types(&self) -> impl Iterator<Item = (TaskType, TaskSchema)> {
         self.form
             .tasks
             .iter()
-            .map(|(name, task)| (name.clone(), task.schema(action_of(&self.form, task), self.reference())))
+            .map(|(name, task)| (name.clone(), task.schema(action_of(&self.form, task), self.tasks_reference())))
     }
 
     /// Returns the meaning of names in flat iHTNs.
@@ -216,7 +221,7 @@ impl DomainFile {
         }
         for (name, tree) in &self.trees {
             let task = self.form.tasks.get(name);
-            let declared = task.map(|task| declared_by(&self.form, task, Some(self.reference()))).unwrap_or_default();
+            let declared = task.map(|task| declared_by(&self.form, task, self.tasks_reference())).unwrap_or_default();
             let added = library.register_declared(name.clone(), tree, declared);
             added.map_err(|error| problem("", error.to_string()))?;
         }
@@ -228,27 +233,26 @@ impl DomainFile {
     pub fn extend_descriptors(&self, descriptors: DescriptorRegistry) -> DescriptorRegistry {
         self.form.tasks.iter().fold(descriptors, |descriptors, (name, task)| {
             match estimate_of(&self.form, name, task) {
-                Ok(estimate) => descriptors.with(estimate.of_domain(self.reference())),
+                Ok(estimate) => descriptors.with(estimate.of_domain(self.tasks_reference())),
                 Err(_) => descriptors, // a checked domain has none
             }
         })
     }
 }
 
-fn ihtn_problems(form: &DomainForm, known: &[&DomainFile]) -> Vec<DomainProblem> {
+fn ihtn_problems(form: &DomainForm, standard: Option<&DomainFile>, known: &[&DomainFile]) -> Vec<DomainProblem> {
     let mut problems = vec![];
     for agent in form.ihtn.people.iter().filter(|agent| form.ihtn.objects.contains(agent.as_str())) {
         problems.push(problem(format!("ihtn.people.{agent}"), "an agent is either a person or an object"));
     }
-    let standard = standard_types();
-    let task_types: BTreeSet<&TaskType> = standard
-        .task_types()
-        .chain(known.iter().flat_map(|domain| domain.form.tasks.keys()))
-        .chain(form.tasks.keys())
-        .collect();
-    for (name, task_type) in form.ihtn.actions.iter().filter(|(_, task_type)| !task_types.contains(task_type)) {
+    let others = standard.into_iter().chain(known.iter().copied());
+    let task_types: BTreeSet<&TaskType> =
+        others.flat_map(|domain| domain.form.tasks.keys()).chain(form.tasks.keys()).collect();
+    let named = form.ihtn.actions.iter().map(|(name, task_type)| (format!("actions.{name}"), task_type));
+    let reaching = form.ihtn.reaching.iter().map(|task_type| ("reaching".to_owned(), task_type));
+    for (key, task_type) in named.chain(reaching).filter(|(_, task_type)| !task_types.contains(task_type)) {
         let allowed = AllowedNames::suggest_for(task_type.as_str(), task_types.iter().copied());
-        problems.push(problem(format!("ihtn.actions.{name}"), format!("unknown task type {task_type}; {allowed}")));
+        problems.push(problem(format!("ihtn.{key}"), format!("unknown task type {task_type}; {allowed}")));
     }
     problems
 }
@@ -256,6 +260,15 @@ fn ihtn_problems(form: &DomainForm, known: &[&DomainFile]) -> Vec<DomainProblem>
 fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem> {
     let place = format!("actions.{name}");
     let mut problems = parameter_problems(&place, &action.parameters);
+    for (name, _) in action.parameters.iter().filter(|(_, parameter)| parameter.kind == ParameterKind::Points) {
+        problems
+            .push(problem(format!("{place}.parameters.{name}"), "`points` are for tasks; an action has `waypoints`"));
+    }
+    if let Some(RetryForm { timeout_s, .. }) = action.retry
+        && !(0.0..=f64::MAX).contains(&timeout_s)
+    {
+        problems.push(problem(format!("{place}.retry.timeout_s"), "allowed are seconds of 0 or more"));
+    }
     problems.extend(result_problems(&place, &action.results));
     for (result, simulated) in &action.simulate.results {
         let wrong = match action.results.get(result) {
@@ -316,7 +329,7 @@ fn result_problems(place: &str, results: &BTreeMap<String, ParameterForm>) -> Ve
     let mut problems = value_problems(&format!("{place}.results"), results.iter());
     for (name, result) in results {
         let place = format!("{place}.results.{name}");
-        if matches!(result.kind, ParameterKind::Place | ParameterKind::Role) {
+        if result.kind == ParameterKind::Place || !result.kind.is_value() {
             problems.push(problem(&place, "allowed are seconds, number, integer, bool and text"));
         }
         if result.optional {
@@ -366,11 +379,20 @@ fn is_name(name: &str) -> bool {
         && letters.all(|letter| letter.is_ascii_alphanumeric() || letter == '_')
 }
 
-fn task_problems(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Vec<DomainProblem> {
+fn task_problems(
+    form: &DomainForm,
+    standard: Option<&DomainFile>,
+    name: &TaskType,
+    task: &TaskForm,
+) -> Vec<DomainProblem> {
     let place = format!("tasks.{name}");
     let mut problems = parameter_problems(&place, &task.parameters);
+    for (name, _) in task.parameters.iter().filter(|(_, parameter)| parameter.kind.is_of_actions()) {
+        let allowed = "allowed are place, role, seconds, number, integer, bool, text and points";
+        problems.push(problem(format!("{place}.parameters.{name}"), allowed));
+    }
     problems.extend(result_problems(&place, &task.results));
-    if standard_types().get(name).is_some() {
+    if standard.is_some_and(|standard| standard.form.tasks.contains_key(name)) {
         problems.push(problem(&place, "the standard domain has a task type of this name"));
     }
     if task.action.is_some() == task.tree.is_some() {

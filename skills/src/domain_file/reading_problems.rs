@@ -1,6 +1,6 @@
 //! Checks of readings, and of the effects of simulated goals on them.
 
-use super::form::{Addition, ParameterForm, ParameterKind, ReadingForm, SimulatedEffect, SimulatedResult};
+use super::form::{Addition, ParameterForm, ReadingForm, SimulatedEffect, SimulatedResult};
 use super::{DomainProblem, problem, value_problems};
 use crate::actions::READINGS_MAX;
 use consort_protocol::ids::ActionName;
@@ -16,7 +16,7 @@ pub(super) fn reading_problems(readings: &BTreeMap<String, ReadingForm>, number:
         if name.len() > NAME_BYTES_MAX {
             problems.push(problem(&place, format!("allowed are at most {NAME_BYTES_MAX} letters")));
         }
-        if reading.value.kind == ParameterKind::Role {
+        if !reading.value.kind.is_value() {
             problems.push(problem(&place, "allowed are place, seconds, number, integer, bool and text"));
         }
         if reading.value.optional {

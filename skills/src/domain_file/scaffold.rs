@@ -83,7 +83,7 @@ pub fn scaffold_yaml(form: &DomainForm, comment: &[String]) -> String {
     comment.iter().for_each(|words| line(format_args!("# {words}")));
     line(format_args!("domain: {}", scalar(form.domain.as_str())));
     line(format_args!("description: {}", scalar(&form.description)));
-    let IhtnForm { people, objects, places, actions } = &form.ihtn;
+    let IhtnForm { people, objects, places, actions, .. } = &form.ihtn;
     if form.ihtn != IhtnForm::default() {
         line(format_args!("ihtn:"));
     }
@@ -172,6 +172,7 @@ mod tests {
         .map(|(name, used)| (name.to_owned(), used))
         .into();
         let ihtn = IhtnForm {
+            reaching: [].into(),
             people: [RoleId::new("Patient1").unwrap()].into(),
             objects: ["tray: 7".to_owned()].into(),
             places: [("Room \"A\"".to_owned(), PlaceId::new("IC Room 1").unwrap())].into(),

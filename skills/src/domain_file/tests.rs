@@ -1,7 +1,7 @@
 use super::*;
-use crate::actions::{ActionError, DeclaredGoal, ErrorCode, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use crate::descriptor::EstimateContext;
-use crate::environment::{Edge, Routes, TopologicalMap};
+use crate::environment::{Edge, Environment, Routes, TopologicalMap};
 use crate::library::SkillStatus;
 use crate::skill::SkillContext;
 use consort_protocol::cause::CauseClass;
@@ -91,7 +91,7 @@ fn a_declared_task_sends_the_goals_of_its_actions() {
     };
     let goal = |action: &str, parameters: serde_json::Value, repeatable| {
         let parameters = parameters.as_object().unwrap().clone();
-        Goal::Declared(DeclaredGoal { action: action.parse().unwrap(), parameters, repeatable })
+        Goal { action: action.parse().unwrap(), parameters, repeatable }
     };
     assert_eq!(goals(&task("water_plant", &[("litres", "1.5")])), [goal("water", json!({ "litres": 1.5 }), false)]);
     let both = [goal("look", json!({}), true), goal("water", json!({ "litres": 0.5, "gentle": true }), false)];
@@ -296,7 +296,7 @@ fn run_tree(tree: &str, readings: serde_json::Value) -> (Vec<String>, Option<Str
             SkillStatus::Succeeded(_) => break None,
         }
     };
-    (robot.0.iter().map(|goal| goal.action().to_owned()).collect(), cause)
+    (robot.0.iter().map(|goal| goal.action.to_string()).collect(), cause)
 }
 
 #[test]

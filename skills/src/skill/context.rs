@@ -1,6 +1,5 @@
 //! Data of a skill: the task, the holders of the roles, and the environment.
 
-use crate::bt::{Registry, RegistryError};
 use crate::environment::Environment;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::mission::TaskSpec;
@@ -22,12 +21,4 @@ pub struct TaskContext {
     pub skill: SkillContext,
     /// The environment.
     pub environment: Environment,
-}
-
-/// A standard skill.
-pub(crate) struct StandardSkill {
-    pub(crate) task_type: &'static str,
-    pub(crate) xml: &'static str,
-    /// Registers the leaves of the skill; other skills may use them too.
-    pub(crate) register_leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
 }

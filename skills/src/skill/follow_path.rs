@@ -1,25 +1,16 @@
-//! `follow_path`: drives over the points in parameter `waypoints` in turn and in straight lines,
-//! also off the lanes of the map. The worked example for writing skills: see `skills/README.md`.
+//! The leaf that computes the headings along a path.
 //!
 //! The points are `x,y` in metres, separated by `;`: `6.0,2.5; 7.5,3.0`. The robot faces along the
 //! path. After a halt, the skill starts again with the first point.
 
-use super::context::{StandardSkill, TaskContext};
-use super::goal_leaf::GoalLeaf;
-use crate::actions::{Goal, Waypoint};
+use super::context::TaskContext;
 use crate::bt::{
-    Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, PortValue, Registry, RegistryError, SyncLeaf, Value,
+    Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, Registry, RegistryError, SyncLeaf, Value,
 };
 use crate::waypoints::parse_points;
 use consort_protocol::pose::Pose;
 
-pub(super) const SKILL: StandardSkill = StandardSkill {
-    task_type: "follow_path",
-    xml: include_str!("../../trees/follow_path.xml"),
-    register_leaves: leaves,
-};
-
-fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     // Conversion of points to poses: no goal is sent, so the leaf completes at once.
     let ports = [PortSpec::input("points", PortType::List), PortSpec::output("poses", PortType::List)];
     registry.register(NodeManifest::new("ComputePathHeadings", NodeKind::Action, ports), |_: &TaskContext| {
@@ -31,17 +22,6 @@ fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
             leaf.write("poses", heading_along(&points, here).into_iter().map(Value::Pose).collect::<Vec<_>>())?;
             Ok(true)
         }))
-    })?;
-    // A single goal for the whole path: the leaf only makes it. Sending, tracking and canceling are
-    // the same for all goals.
-    let ports = [PortSpec::input("poses", PortType::List)];
-    GoalLeaf::register(registry, "FollowWaypoints", ports, |_: &TaskContext, leaf| {
-        let poses = leaf.read::<Vec<Value>>("poses")?.into_iter().map(|value| {
-            let pose = value.convert(PortType::Pose).map_err(|error| Cause::new(error.to_string()))?;
-            let pose = Pose::from_value(pose).expect("converted to a pose");
-            Ok(Waypoint { pose, place: None })
-        });
-        Ok(Goal::FollowWaypoints { waypoints: poses.collect::<Result<_, Cause>>()? })
     })
 }
 

@@ -34,39 +34,22 @@ impl GoalLeaf {
     where
         C: Clone + Send + Sync + 'static,
     {
-        GoalLeaf::register_with_results(registry, id, ports, [], make)
-    }
-
-    /// Same as [`register`](Self::register), for an action with results: each is written to the output
-    /// port of its name.
-    ///
-    /// # Errors
-    /// [`RegistryError`] if the name is in use.
-    pub fn register_with_results<C>(
-        registry: &mut Registry<C>,
-        id: &str,
-        ports: impl IntoIterator<Item = PortSpec>,
-        results: impl IntoIterator<Item = (String, PortType)>,
-        make: impl Fn(&C, &mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync + Clone + 'static,
-    ) -> Result<(), RegistryError>
-    where
-        C: Clone + Send + Sync + 'static,
-    {
-        let results: Arc<[(String, PortType)]> = results.into_iter().collect();
-        let outputs = results.iter().map(|(name, port_type)| PortSpec::output(name, *port_type).optional());
-        let ports = ports.into_iter().chain(outputs).collect::<Vec<_>>();
         registry.register(NodeManifest::new(id, NodeKind::Action, ports), move |context: &C| {
             let (make, context) = (make.clone(), context.clone());
-            let leaf = GoalLeaf::new(move |leaf| make(&context, leaf));
-            Box::new(GoalLeaf { results: Arc::clone(&results), ..leaf })
+            Box::new(GoalLeaf::new(move |leaf| make(&context, leaf)))
         })
     }
 
     /// Creates a leaf as a part of another leaf.
-    pub(super) fn new(
+    pub(crate) fn new(
         make: impl Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync + 'static,
     ) -> GoalLeaf {
         GoalLeaf { make: Arc::new(make), results: Arc::new([]), goal: None }
+    }
+
+    /// Lets the leaf write the results of its goal to the output ports of their names.
+    pub(crate) fn with_results(self, results: Arc<[(String, PortType)]>) -> GoalLeaf {
+        GoalLeaf { results, ..self }
     }
 
     fn begin(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
@@ -74,7 +57,7 @@ impl GoalLeaf {
             return Ok(NodeStatus::Running);
         }
         let goal = (self.make)(context)?;
-        if !goal.is_repeatable()
+        if !goal.repeatable
             && let Some(result) = context.actions().take_completed(&goal)
         {
             return self.complete(&result, context);

@@ -1,12 +1,11 @@
-//! `navigation`: drives to the place in parameter `to`, leg by leg along the shortest route from
-//! the robot's position.
+//! Leaves that drive to a place, leg by leg along the shortest route from the robot's position.
 //!
 //! The route is planned at each start, so a drive that was halted between two places resumes from
 //! there. If a leg is blocked, the route is planned again without the lanes that the robot has
 //! found closed. Without another route the drive fails with the robot's own message.
 
-use super::context::{StandardSkill, TaskContext};
-use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus};
+use super::context::TaskContext;
+use crate::actions::{self, ActionError, ErrorCode, GoalId, GoalStatus};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,
 };
@@ -14,10 +13,7 @@ use crate::environment::{Environment, Routes};
 use consort_protocol::ids::PlaceId;
 use std::collections::VecDeque;
 
-pub(super) const SKILL: StandardSkill =
-    StandardSkill { task_type: "navigation", xml: include_str!("../../trees/navigation.xml"), register_leaves: leaves };
-
-fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("to", PortType::Place), PortSpec::output("legs", PortType::List)];
     registry.register(NodeManifest::new("PlanRoute", NodeKind::Action, ports), |context: &TaskContext| {
         Box::new(PlanRoute { environment: context.environment.clone() })
@@ -87,7 +83,7 @@ impl NavigateToPose {
         let pose = routes(&self.environment)?.pose(&place);
         let pose = pose.ok_or_else(|| Cause::new(format!("{place} is not on the map")))?;
         let known_closed = closed(context);
-        let goal = context.actions().send_goal(Goal::NavigateToPose { pose, place: Some(place) });
+        let goal = context.actions().send_goal(actions::NavigateToPose { pose, place: Some(place) }.into());
         self.drive = Some(Drive { goal, known_closed, blocked: None });
         self.follow(context)
     }

@@ -7,15 +7,10 @@ use crate::bt::{
 use consort_protocol::ids::{RobotId, RoleId};
 
 pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
-    let ports = [PortSpec::input("role", PortType::Role), PortSpec::output("robot", PortType::Robot)];
-    registry.register(NodeManifest::new("FindRoleHolder", NodeKind::Action, ports), |context: &TaskContext| {
-        let context = context.clone();
-        Box::new(SyncLeaf(move |leaf: &mut LeafContext<'_, '_>| {
-            let robot = role_holder(&context, &leaf.read("role")?)?;
-            leaf.write("robot", robot)?;
-            Ok(true)
-        }))
-    })?;
+    let role = PortSpec::input("role", PortType::Role);
+    register_role_holder(registry, "FindRoleHolder", role.clone())?;
+    // Without a role the port `robot` stays empty.
+    register_role_holder(registry, "FindRoleHolderIfAny", role.optional())?;
     let ports = [PortSpec::input("person_role", PortType::Role).optional(), PortSpec::output("role", PortType::Role)];
     registry.register(NodeManifest::new("FindPerson", NodeKind::Action, ports), |context: &TaskContext| {
         let context = context.clone();
@@ -30,8 +25,22 @@ pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<()
     })
 }
 
+/// Registers a leaf that writes the robot that holds a role.
+fn register_role_holder(registry: &mut Registry<TaskContext>, id: &str, role: PortSpec) -> Result<(), RegistryError> {
+    let ports = [role, PortSpec::output("robot", PortType::Robot)];
+    registry.register(NodeManifest::new(id, NodeKind::Action, ports), |context: &TaskContext| {
+        let context = context.clone();
+        Box::new(SyncLeaf(move |leaf: &mut LeafContext<'_, '_>| {
+            if let Some(role) = leaf.read_optional("role")? {
+                leaf.write("robot", role_holder(&context, &role)?)?;
+            }
+            Ok(true)
+        }))
+    })
+}
+
 /// Returns the robot that holds a role.
-pub(super) fn role_holder(context: &TaskContext, role: &RoleId) -> Result<RobotId, Cause> {
+fn role_holder(context: &TaskContext, role: &RoleId) -> Result<RobotId, Cause> {
     let holders = &context.skill.holders;
     holders.get(role).cloned().ok_or_else(|| {
         let held: Vec<String> = holders.iter().map(|(role, robot)| format!("{role} by {robot}")).collect();

@@ -3,7 +3,7 @@
 use super::*;
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
-use consort_skills::actions::Waypoint;
+use consort_skills::actions::{Dock, FollowWaypoints, Undock, Waypoint};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
 
 fn follow(waypoints: &str) -> TaskSpec {
@@ -17,11 +17,11 @@ fn a_path_is_a_single_goal_with_poses_facing_along_the_path() {
     let pose = |x, y, yaw| Waypoint { pose: Pose::new(x, y, yaw), place: None };
     let quarter = std::f64::consts::FRAC_PI_2;
     let waypoints = vec![pose(0.0, 5.0, 0.0), pose(3.0, 5.0, -quarter), pose(3.0, 1.0, -quarter)];
-    assert_eq!(driver.goals(), [Goal::FollowWaypoints { waypoints }]);
+    assert_eq!(driver.goals(), [Goal::from(FollowWaypoints { waypoints })]);
     // A single point keeps the direction of arrival: north, from A at the origin.
     let mut driver = ScriptedDriver::at("A");
     assert_eq!(run(&mut skill(&follow("0,5")), &mut driver), succeeded());
-    assert_eq!(driver.goals(), [Goal::FollowWaypoints { waypoints: vec![pose(0.0, 5.0, quarter)] }]);
+    assert_eq!(driver.goals(), [Goal::from(FollowWaypoints { waypoints: vec![pose(0.0, 5.0, quarter)] })]);
 }
 
 #[test]
@@ -72,10 +72,10 @@ fn a_path_is_priced_by_its_length_from_where_the_robot_is() {
 fn docking_and_grasping_send_the_goals_of_the_task() {
     let charger = Some(place("A"));
     for (task, goal) in [
-        (task("dock", &[]), Goal::Dock { charger: None }),
-        (task("dock", &[("charger", "A")]), Goal::Dock { charger }),
-        (task("undock", &[]), Goal::Undock),
-        (task("grasp", &[("object", "tray-1")]), Goal::Grasp { object: "tray-1".to_owned() }),
+        (task("dock", &[]), Goal::from(Dock { charger: None })),
+        (task("dock", &[("charger", "A")]), Goal::from(Dock { charger })),
+        (task("undock", &[]), Goal::from(Undock {})),
+        (task("grasp", &[("object", "tray-1")]), goal("grasp", json!({ "object": "tray-1" }), false)),
     ] {
         let mut driver = ScriptedDriver::at("A");
         assert_eq!(run(&mut skill(&task), &mut driver), succeeded());
@@ -83,7 +83,7 @@ fn docking_and_grasping_send_the_goals_of_the_task() {
     }
     // An object is taken once.
     let object = "tray-1".to_owned();
-    let mut driver = ScriptedDriver::at("A").with_completed(Goal::Grasp { object });
+    let mut driver = ScriptedDriver::at("A").with_completed(goal("grasp", json!({ "object": object }), false));
     assert_eq!(run(&mut skill(&task("grasp", &[("object", "tray-1")])), &mut driver), succeeded());
     assert!(driver.goals().is_empty());
 }

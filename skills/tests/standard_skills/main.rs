@@ -15,6 +15,7 @@ use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
 use consort_skills::library::{ActiveSkill, SkillLibrary, SkillStatus};
 use consort_skills::skill::SkillContext;
 use scripted_driver::ScriptedDriver;
+use serde_json::{Value, json};
 
 fn place(name: &str) -> PlaceId {
     PlaceId::new(name).unwrap()
@@ -44,6 +45,11 @@ fn task(task_type: &str, parameters: &[(&str, &str)]) -> TaskSpec {
 }
 
 /// Robot ada is r1, arm is lab_arm.
+fn goal(action: &str, parameters: Value, repeatable: bool) -> Goal {
+    let Value::Object(parameters) = parameters else { panic!("{parameters} is not an object") };
+    Goal { action: action.parse().unwrap(), parameters, repeatable }
+}
+
 fn context() -> SkillContext {
     let holder = |name, robot| (role(name), RobotId::new(robot).unwrap());
     SkillContext { holders: [holder("r1", "ada"), holder("lab_arm", "arm")].into() }

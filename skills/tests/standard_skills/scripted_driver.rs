@@ -3,8 +3,10 @@
 use super::{PlaceId, Pose, place};
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use consort_skills::actions::{
-    ActionError, ErrorCode, Feedback, Goal, GoalId, GoalResult, GoalStatus, RobotActions, Telemetry,
+    ActionError, ErrorCode, Feedback, FollowWaypoints, Goal, GoalId, GoalResult, GoalStatus, NavigateToPose,
+    RobotActions, Telemetry, Wait,
 };
+use serde_json::Value;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Executes a single goal at a time, and is slow to stop: a canceled goal ends only when the test
@@ -52,23 +54,33 @@ impl ScriptedDriver {
 
     /// All goals received, as text.
     pub(crate) fn sent(&self) -> Vec<String> {
-        let shown = |(goal, _): &(Goal, GoalStatus)| match goal {
-            Goal::NavigateToPose { place: Some(place), pose } => format!("drive {place} {}", pose.x),
-            Goal::NavigateToPose { place: None, .. } => "drive".to_owned(),
-            Goal::ApproachPerson { role } => format!("approach person {role}"),
-            Goal::AuthenticatePerson { role } => format!("authenticate {role}"),
-            Goal::OperateDrawer { open } => format!("drawer {open}"),
-            Goal::ApproachRobot { robot } => format!("approach robot {robot}"),
-            Goal::PickUp { from } => format!("pick up from {from}"),
-            Goal::Grasp { object } => format!("grasp {object}"),
-            Goal::Deposit { into: Some(robot) } => format!("deposit into {robot}"),
-            Goal::Deposit { into: None } => "deposit".to_owned(),
-            Goal::Wait { time } => format!("wait {time}"),
-            Goal::FollowWaypoints { waypoints } => format!("follow {} waypoints", waypoints.len()),
-            Goal::Spin { angle_rad } => format!("spin {angle_rad}"),
-            Goal::Dock { .. } => "dock".to_owned(),
-            Goal::Undock => "undock".to_owned(),
-            Goal::Declared(goal) => goal.action.to_string(),
+        let shown = |(goal, _): &(Goal, GoalStatus)| {
+            let text = |name: &str| match goal.parameters.get(name) {
+                Some(Value::String(text)) => text.clone(),
+                other => other.map(ToString::to_string).unwrap_or_default(),
+            };
+            match goal.action.as_str() {
+                "navigate_to_pose" => match goal.read() {
+                    Some(Ok(NavigateToPose { place: Some(place), pose })) => format!("drive {place} {}", pose.x),
+                    _ => "drive".to_owned(),
+                },
+                "approach_person" => format!("approach person {}", text("role")),
+                "authenticate_person" => format!("authenticate {}", text("role")),
+                "operate_drawer" => format!("drawer {}", text("action")),
+                "follow_waypoints" => match goal.read() {
+                    Some(Ok(FollowWaypoints { waypoints })) => format!("follow {} waypoints", waypoints.len()),
+                    _ => "follow".to_owned(),
+                },
+                "approach_robot" => format!("approach robot {}", text("robot")),
+                "pick_up" => format!("pick up from {}", text("from")),
+                "grasp" => format!("grasp {}", text("object")),
+                "deposit" if goal.parameters.contains_key("into") => format!("deposit into {}", text("into")),
+                "wait" => match goal.read() {
+                    Some(Ok(Wait { time })) => format!("wait {time}"),
+                    _ => "wait".to_owned(),
+                },
+                other => other.to_owned(),
+            }
         };
         self.goals.iter().map(shown).collect()
     }
@@ -83,14 +95,15 @@ impl ScriptedDriver {
         let Some((goal, status)) = self.goals.last_mut().filter(|(_, status)| !status.is_final()) else { return };
         *status = match self.script.pop_front().unwrap_or(Ok(())) {
             Err(error) => {
-                if let (ErrorCode::Blocked, Goal::NavigateToPose { place: Some(to), .. }) = (error.code, &*goal) {
-                    self.telemetry.closed.push((self.telemetry.place.clone(), to.clone()));
+                let drive = goal.read().filter(|_| error.code == ErrorCode::Blocked);
+                if let Some(Ok(NavigateToPose { place: Some(to), .. })) = drive {
+                    self.telemetry.closed.push((self.telemetry.place.clone(), to));
                 }
                 GoalStatus::Aborted(error)
             }
             Ok(()) => {
-                if let Goal::NavigateToPose { pose, place: Some(place) } = goal {
-                    (self.telemetry.pose, self.telemetry.place) = (*pose, place.clone());
+                if let Some(Ok(NavigateToPose { pose, place: Some(place) })) = goal.read() {
+                    (self.telemetry.pose, self.telemetry.place) = (pose, place);
                 }
                 GoalStatus::succeeded()
             }

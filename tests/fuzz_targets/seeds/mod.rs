@@ -45,7 +45,7 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         "map_json" => vec![file("nodes/consort/tests/data/ward_map.json"), fleet::map_in_json()],
         "drawing" => files("sim_bridge/map_import/maps", ".drawio"),
         "building" => files("sim_bridge/map_import/maps", ".building.yaml"),
-        "tree" => files("skills/trees", ".xml"),
+        "tree" => files("skills/domains", ".xml"),
         "condition" => texts(&[
             "member.robot || member.skills.exists(s, s in ensemble.skills)\ncoordinator.mains_powered",
             "member.name.startsWith('a') && size(member.skills) * 2 >= 0\nmember.battery > 0.2 || !member.free",

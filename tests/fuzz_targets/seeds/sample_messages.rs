@@ -24,7 +24,7 @@ use consort_protocol::scalar::Scalar;
 use consort_protocol::trust::{Fingerprint, MessageKind, SIGNATURE_BYTES, SignedEnvelope, encode_envelope};
 use consort_protocol::units::{BatteryShare, Seconds, SharePerSecond};
 use consort_protocol::versions::VersionRange;
-use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus};
+use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, NavigateToPose};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Debug;
@@ -160,7 +160,7 @@ fn state() -> DriverState {
         "readings": { "bag_full": true, "bag_g": 12.5, "brush": "worn", "passes": 3 },
     });
     let telemetry = serde_json::from_value(telemetry).expect("a report");
-    let goal = Goal::NavigateToPose { pose: Pose::new(1.0, 1.0, 0.0), place: None };
+    let goal = Goal::from(NavigateToPose { pose: Pose::new(1.0, 1.0, 0.0), place: None });
     DriverState {
         robot: slug("ada"),
         stamp: StateStamp { boot: 5, sequence: 4 },

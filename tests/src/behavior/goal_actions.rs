@@ -9,8 +9,11 @@ use super::step_result::{StepFailure, StepResult};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Seconds;
-use consort_skills::actions::{DeclaredGoal, Goal, GoalId, JsonObject, RobotBackend, Waypoint};
+use consort_skills::actions::{
+    Dock, FollowWaypoints, Goal, GoalId, JsonObject, NavigateToPose, RobotBackend, Spin, Undock, Wait, Waypoint,
+};
 use consort_skills::environment::Routes;
+use consort_world::world::actions::{ApproachPerson, ApproachRobot, Deposit, Grasp, OperateDrawer, PickUp};
 
 /// Returns the steps of this file, in the order of their documentation.
 pub(super) fn steps() -> Vec<ActionStep> {
@@ -47,7 +50,7 @@ fn drive_through() -> ActionStep {
         |fixture, arguments| {
             let places = split_list(arguments.value(1));
             let waypoints = places.iter().map(|place| waypoint(fixture, place)).collect::<Result<_, _>>()?;
-            Ok(Goal::FollowWaypoints { waypoints })
+            Ok(Goal::from(FollowWaypoints { waypoints }))
         },
     )
 }
@@ -55,76 +58,76 @@ fn drive_through() -> ActionStep {
 fn go_to_position() -> ActionStep {
     goal("{name} is told to go to position {text}", r#"amber is told to go to position "12.5, 10""#, |_, arguments| {
         let (x, y) = coordinates(arguments.value(1))?;
-        Ok(Goal::NavigateToPose { pose: Pose::new(x, y, 0.0), place: None })
+        Ok(Goal::from(NavigateToPose { pose: Pose::new(x, y, 0.0), place: None }))
     })
 }
 
 fn turn_by() -> ActionStep {
     goal("{name} is told to turn by {number} degrees", "amber is told to turn by 90 degrees", |_, arguments| {
-        Ok(Goal::Spin { angle_rad: arguments.number(1).to_radians() })
+        Ok(Goal::from(Spin { angle_rad: arguments.number(1).to_radians() }))
     })
 }
 
 fn wait_for() -> ActionStep {
     goal("{name} is told to wait for {time}", "amber is told to wait for 10 s", |_, arguments| {
-        Ok(Goal::Wait { time: Seconds::new(arguments.seconds(1)).map_err(StepFailure::invalid)? })
+        Ok(Goal::from(Wait { time: Seconds::new(arguments.seconds(1)).map_err(StepFailure::invalid)? }))
     })
 }
 
 fn dock() -> ActionStep {
-    goal("{name} is told to dock", "amber is told to dock", |_, _| Ok(Goal::Dock { charger: None }))
+    goal("{name} is told to dock", "amber is told to dock", |_, _| Ok(Goal::from(Dock { charger: None })))
 }
 
 fn undock() -> ActionStep {
-    goal("{name} is told to undock", "amber is told to undock", |_, _| Ok(Goal::Undock))
+    goal("{name} is told to undock", "amber is told to undock", |_, _| Ok(Goal::from(Undock {})))
 }
 
 fn grasp() -> ActionStep {
     goal("{name} is told to grasp {text}", r#"amber is told to grasp "tray""#, |_, arguments| {
-        Ok(Goal::Grasp { object: arguments.value(1).to_owned() })
+        Ok(Goal::from(Grasp { object: arguments.value(1).to_owned() }))
     })
 }
 
 fn put_down() -> ActionStep {
     goal("{name} is told to put down what it holds", "amber is told to put down what it holds", |_, _| {
-        Ok(Goal::Deposit { into: None })
+        Ok(Goal::from(Deposit { into: None }))
     })
 }
 
 fn open_drawer() -> ActionStep {
     goal("{name} is told to open its drawer", "amber is told to open its drawer", |_, _| {
-        Ok(Goal::OperateDrawer { open: true })
+        Ok(Goal::from(OperateDrawer { open: true }))
     })
 }
 
 fn close_drawer() -> ActionStep {
     goal("{name} is told to close its drawer", "amber is told to close its drawer", |_, _| {
-        Ok(Goal::OperateDrawer { open: false })
+        Ok(Goal::from(OperateDrawer { open: false }))
     })
 }
 
 fn approach_nurse() -> ActionStep {
     goal("{name} is told to approach the nurse", "amber is told to approach the nurse", |_, _| {
-        Ok(Goal::ApproachPerson { role: name("nurse")? })
+        Ok(Goal::from(ApproachPerson { role: name("nurse")? }))
     })
 }
 
 fn approach_robot() -> ActionStep {
     goal("{name} is told to approach robot {name}", "amber is told to approach robot lab-arm", |_, arguments| {
-        Ok(Goal::ApproachRobot { robot: arguments.parse_name(1)? })
+        Ok(Goal::from(ApproachRobot { robot: arguments.parse_name(1)? }))
     })
 }
 
 fn take_from() -> ActionStep {
     goal("{name} is told to take from {name}", "lab-arm is told to take from amber", |_, arguments| {
-        Ok(Goal::PickUp { from: arguments.parse_name(1)? })
+        Ok(Goal::from(PickUp { from: arguments.parse_name(1)? }))
     })
 }
 
 fn perform() -> ActionStep {
     goal("{name} is told to perform the action {name}", "amber is told to perform the action vacuum", |_, arguments| {
         let (action, parameters) = (arguments.parse_name(1)?, JsonObject::new());
-        Ok(Goal::Declared(DeclaredGoal { action, parameters, repeatable: false }))
+        Ok(Goal { action, parameters, repeatable: false })
     })
 }
 
@@ -172,8 +175,8 @@ fn plan_drive(fixture: &Fixture, robot: &str, to: &str) -> Result<Goal, StepFail
     let legs = routes.legs(&here.place, here.pose, &to).map_err(StepFailure::invalid)?;
     let waypoints = legs.iter().map(|place| waypoint(fixture, place.as_str())).collect::<Result<Vec<_>, _>>()?;
     match <[Waypoint; 1]>::try_from(waypoints) {
-        Ok([Waypoint { pose, place }]) => Ok(Goal::NavigateToPose { pose, place }),
-        Err(waypoints) => Ok(Goal::FollowWaypoints { waypoints }),
+        Ok([Waypoint { pose, place }]) => Ok(Goal::from(NavigateToPose { pose, place })),
+        Err(waypoints) => Ok(Goal::from(FollowWaypoints { waypoints })),
     }
 }
 

@@ -117,7 +117,7 @@ fn domain_file() -> SettingStep {
         let form: DomainForm = yaml::parse(&read(&file)?).map_err(|problem| invalid(&problem))?;
         let tree = |name: &str| Ok((name.to_owned(), read(&file.with_file_name(name))?));
         let trees = form.tree_files().map(tree).collect::<Result<_, StepFailure>>()?;
-        let known: Vec<&DomainFile> = setup.extensions.all_files().collect();
+        let known: Vec<&DomainFile> = setup.extensions.files().collect();
         let checked = DomainFile::check(form, &trees, &known);
         let domain = checked
             .map_err(|problems| invalid(&problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")))?;

@@ -184,6 +184,7 @@ fn track(goals: &mut VecDeque<TrackedGoal>, goal: TrackedGoal) {
 mod tests {
     use super::*;
     use consort_protocol::units::Seconds;
+    use consort_skills::actions::Wait;
 
     const CLIENT_TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -196,7 +197,7 @@ mod tests {
     }
 
     fn wait() -> Goal {
-        Goal::Wait { time: Seconds::ZERO }
+        Goal::from(Wait { time: Seconds::ZERO })
     }
 
     fn start(id: u64) -> Option<GoalRequest> {

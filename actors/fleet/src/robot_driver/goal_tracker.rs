@@ -122,7 +122,7 @@ impl GoalTracker {
         while self.goals.len() > GOALS_KEPT {
             self.goals.pop_first();
         }
-        if !goal.is_repeatable() {
+        if !goal.repeatable {
             self.moving.insert(id);
         }
         self.pending.push(GoalRequest::Start { id, goal });
@@ -267,11 +267,17 @@ mod tests {
     use super::*;
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{BatteryShare, Seconds, WorldTime};
-    use consort_skills::actions::Feedback;
+    use consort_skills::actions::{Feedback, JsonObject, Wait};
 
     fn executing() -> GoalStatus {
         let distance_remaining = consort_protocol::units::Metres::ZERO;
         GoalStatus::Executing(Feedback::remaining(distance_remaining, Seconds::ZERO))
+    }
+
+    /// Returns a goal that must not be repeated.
+    fn pick_up(from: &str) -> Goal {
+        let parameters = JsonObject::from_iter([("from".to_owned(), from.into())]);
+        Goal { action: "pick_up".parse().unwrap(), parameters, repeatable: false }
     }
 
     fn stamp(sequence: u64) -> StateStamp {
@@ -300,7 +306,7 @@ mod tests {
     fn no_goal_starts_without_a_permission() {
         let mut tracker = GoalTracker::new(100);
         tracker.apply_state(state(1, &[]), at(500));
-        tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
+        tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
         let start = || tracker.pending.first().cloned();
         let heartbeat = DriverCommand { request: None, permit: Permit::default() };
         assert_eq!(tracker.command(start(), at(600)), heartbeat);
@@ -324,9 +330,9 @@ mod tests {
         let mut tracker = GoalTracker::new(100);
         assert!(tracker.moved_nothing(GoalId(100)), "no goal was sent");
         assert!(!tracker.moved_nothing(GoalId(99)), "a previous incarnation may have sent one");
-        tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
+        tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
         assert!(tracker.moved_nothing(GoalId(100)), "waiting moves nothing");
-        let pick_up = Goal::PickUp { from: "birch".parse().unwrap() };
+        let pick_up = pick_up("birch");
         for (number, (status, expected)) in (101..).zip([
             (executing(), false),
             (error(false), false),
@@ -347,7 +353,7 @@ mod tests {
     fn a_canceled_goal_is_not_kept_alive() {
         let mut tracker = GoalTracker::new(100);
         tracker.allow_until(Some(at(60_000)));
-        let id = tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
+        let id = tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
         tracker.pending.clear();
         tracker.apply_state(state(1, &[(100, executing()), (7, executing())]), at(500));
         let kept = |tracker: &GoalTracker| tracker.command(None, at(600)).permit.goals;
@@ -359,7 +365,6 @@ mod tests {
     #[test]
     fn each_completed_goal_of_an_earlier_attempt_is_claimed_once() {
         let mut tracker = GoalTracker::new(100);
-        let pick_up = |from: &str| Goal::PickUp { from: from.parse().unwrap() };
         // Goal 5 belongs to a task that has ended; 6 and 7 belong to a previous incarnation, and
         // 101 to this one.
         let done = [(5, "amber"), (6, "birch"), (7, "amber"), (101, "amber")];
@@ -394,7 +399,7 @@ mod tests {
     fn a_restarted_server_loses_started_goals_but_not_pending_requests() {
         let mut tracker = GoalTracker::new(100);
         tracker.goals = BTreeMap::from([(GoalId(100), executing()), (GoalId(101), GoalStatus::Sent)]);
-        tracker.pending = vec![GoalRequest::Start { id: GoalId(101), goal: Goal::Wait { time: Seconds::ZERO } }];
+        tracker.pending = vec![GoalRequest::Start { id: GoalId(101), goal: Goal::from(Wait { time: Seconds::ZERO }) }];
         assert!(!tracker.apply_state(state(1, &[(100, executing())]), at(0)));
         assert_eq!(tracker.goals[&GoalId(100)], executing());
         assert!(!tracker.apply_state(state(2, &[]), at(0)));

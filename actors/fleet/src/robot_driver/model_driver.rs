@@ -9,7 +9,7 @@ use super::state_order::StateStamp;
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, NodeTime, Seconds, WorldTime};
-use consort_skills::actions::{Goal, GoalId, Telemetry};
+use consort_skills::actions::{Goal, GoalId, Telemetry, Wait};
 use std::collections::BTreeMap;
 
 /// Driver server of a robot.
@@ -89,7 +89,8 @@ pub(crate) fn start_command(
         DriverState { robot: robot.clone(), stamp: stamp(sequence), telemetry, goals: vec![], completed: vec![] };
     tracker.apply_state(state, received);
     tracker.allow_until(until);
-    tracker.start_goal(Goal::Wait { time: Seconds::ZERO });
-    let request = Some(GoalRequest::Start { id: GoalId(goal), goal: Goal::Wait { time: Seconds::ZERO } });
+    let wait = Goal::from(Wait { time: Seconds::ZERO });
+    tracker.start_goal(wait.clone());
+    let request = Some(GoalRequest::Start { id: GoalId(goal), goal: wait });
     tracker.command(request, now)
 }

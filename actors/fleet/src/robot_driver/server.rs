@@ -361,7 +361,7 @@ impl DriverServerState {
             GoalStatus::Succeeded(result) => Some((*id, self.world.goal(robot, *id)?, result.clone())),
             _ => None,
         };
-        let done = goals.iter().filter_map(completed).filter(|(_, goal, _)| !goal.is_repeatable()).collect();
+        let done = goals.iter().filter_map(completed).filter(|(_, goal, _)| !goal.repeatable).collect();
         self.stamp.sequence += 1;
         self.goals.record_state(self.stamp, self.settings.clock.now());
         Some(DriverState { robot: robot.clone(), stamp: self.stamp, telemetry, goals, completed: done })

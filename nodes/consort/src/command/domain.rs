@@ -85,9 +85,9 @@ fn scaffold_domain(args: &ScaffoldArgs, extensions: Extensions) -> Result<String
         return Err(Diagnostics::from(Diagnostic::for_file(&file, what)).into());
     }
     let places = stand_ins(&found, domain.ihtn_names(), &floor);
-    let ihtn = IhtnForm { people: options.people.clone(), objects, places, actions: BTreeMap::new() };
+    let ihtn = IhtnForm { people: options.people.clone(), objects, places, ..IhtnForm::default() };
     let comment = comment(&file, &args.map, &ihtn);
-    let known: Vec<&DomainFile> = extensions.all_files().collect();
+    let known: Vec<&DomainFile> = extensions.files().collect();
     let name = DomainId::new(options.name.as_str()).unwrap_or_else(|_| DomainId::new("ihtn").expect("a slug"));
     let yaml = scaffold_yaml(&scaffold(name, ihtn, &found.actions, domain.ihtn_names(), &known), &comment);
 

@@ -59,7 +59,7 @@ fn trees_are_checked_node_by_node() {
     for expected in [
         ":2:1: no domain declares the node `RecoveryNode`",
         ":3:1: ",
-        ":4:1: no domain declares the node `Wayt`; did you mean `Wait`?",
+        ":4:1: no domain declares the node `Wayt`; did you mean `wait`?",
     ] {
         assert!(ran.out.contains(&format!("{navigator}{expected}")), "{expected}\n{}", ran.out);
     }

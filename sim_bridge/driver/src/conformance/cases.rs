@@ -247,9 +247,8 @@ async fn goal_returns_its_results(trial: &Trial) -> Result<(), CaseFailure> {
     probe.start_goal(1, &goal).await?;
     expect(probe.follow_to_end(1).await?, ResultStatus::Succeeded)?;
     let values = probe.results.iter().find(|(id, ..)| id.0 == 1).map(|(.., values)| values.clone()).unwrap_or_default();
-    let declared = hello.actions.get(&goal.action).map(|action| action.results.clone()).unwrap_or_default();
-    for (name, form) in declared {
-        match values.get(&name) {
+    for (name, form) in trial.contract.results(&goal.action) {
+        match values.get(name) {
             None => return failed(format!("the result `{name}` is missing")),
             Some(value) if !form.kind.fits(value) => {
                 let kind = serde_json::to_value(form.kind).unwrap_or_default();

@@ -20,9 +20,8 @@ use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{BatteryShare, Metres, Seconds};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus, JsonObject};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus};
 use consort_text::shorten;
-use serde_json::Value;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -367,7 +366,7 @@ impl DriverSession {
                         let message =
                             shorten(message.as_deref().unwrap_or("the driver gives no cause"), CAUSE_BYTES_MAX);
                         let goal = self.goals.content(id);
-                        let action = goal.as_ref().map_or("", Goal::action);
+                        let action = goal.as_ref().map_or("", |goal| goal.action.as_str());
                         let (error, unknown) = self.contract.failure(action, code.as_deref(), &message);
                         self.goals.end(id, GoalStatus::Aborted(error));
                         return unknown.map(|problem| self.log_wrong_line(problem)).unwrap_or_default();
@@ -426,9 +425,9 @@ impl DriverSession {
             self.goals.end(id, aborted(ErrorCode::Failed, message));
             return vec![];
         }
-        if !offer.actions.iter().any(|action| action.as_str() == goal.action()) {
+        if !offer.actions.contains(&goal.action) {
             let offered = offer.actions.iter().map(ActionName::as_str).collect::<Vec<_>>().join(", ");
-            let message = format!("the driver of {} does not offer {}; offered: {offered}", self.robot, goal.action());
+            let message = format!("the driver of {} does not offer {}; offered: {offered}", self.robot, goal.action);
             self.goals.end(id, aborted(ErrorCode::Unknown, message));
             return vec![];
         }
@@ -437,7 +436,7 @@ impl DriverSession {
             self.goals.end(id, GoalStatus::Canceled);
             return vec![];
         }
-        let (action, parameters) = parts(&goal);
+        let Goal { action, parameters, .. } = goal;
         self.goals.begin(id);
         vec![SessionAction::Send(NodeMessage::Goal { id, action, parameters, keep_for_ms: millis(keep_for), resumed })]
     }
@@ -480,19 +479,6 @@ fn rejected(code: ErrorCode, message: String) -> GoalStatus {
 
 fn millis(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
-}
-
-/// Returns the action and the parameters of a goal, from its JSON form.
-fn parts(goal: &Goal) -> (ActionName, JsonObject) {
-    let mut object = match serde_json::to_value(goal) {
-        Ok(Value::Object(object)) => object,
-        Ok(_) | Err(_) => JsonObject::new(),
-    };
-    let parameters = match object.remove("parameters") {
-        Some(Value::Object(parameters)) => parameters,
-        _ => JsonObject::new(),
-    };
-    (ActionName::new(goal.action()).expect("the name of an action"), parameters)
 }
 
 #[cfg(test)]

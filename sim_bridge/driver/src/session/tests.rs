@@ -1,5 +1,6 @@
 use super::*;
 use crate::messages::OfferedAction;
+use consort_skills::actions::{JsonObject, Undock, Wait};
 use consort_skills::domain_file::DomainFile;
 use serde_json::json;
 
@@ -14,7 +15,7 @@ fn dock() -> PlaceId {
 }
 
 fn wait() -> Goal {
-    Goal::Wait { time: Seconds::new(2.0).unwrap() }
+    Goal::from(Wait { time: Seconds::new(2.0).unwrap() })
 }
 
 fn hello(resumes: bool) -> SessionEvent {
@@ -136,7 +137,7 @@ fn a_second_goal_is_busy_and_does_not_reach_the_driver() {
 fn an_action_that_is_not_offered_fails_with_the_offered_ones() {
     let mut session = ready(false);
     session.permit(GoalId(7), KEEP, at(0));
-    assert_eq!(session.start(GoalId(7), Goal::Undock, at(0)), []);
+    assert_eq!(session.start(GoalId(7), Goal::from(Undock {}), at(0)), []);
     let expected = "the driver of ada does not offer undock; offered: wait";
     assert_eq!(abort_message(&mut session, ErrorCode::Unknown), expected);
 }

@@ -6,6 +6,7 @@ use consort_bus::clock::Clock;
 use consort_bus::{Bus, Encoding, ZenohBus};
 use consort_fleet::robot_driver::{DriverClientSettings, DriverCommand, DriverState, RobotDriver, StateStamp};
 use consort_protocol::codec;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{RobotId, TaskType};
 use consort_protocol::keys::{DriverCall, Key};
 use consort_protocol::mission::TaskSpec;
@@ -15,7 +16,7 @@ use consort_ros2::drive::{DriveSettings, drive};
 use consort_ros2::mapping::from_ros;
 use consort_ros2::messages::{NavigateResult, NavigateToPose, Progress};
 use consort_ros2::ros::Ros;
-use consort_skills::actions::{Goal, GoalStatus, RobotActions, Telemetry};
+use consort_skills::actions::{Goal, GoalStatus, RobotActions, Telemetry, Undock};
 use consort_skills::environment::{Environment, Routes};
 use consort_skills::library::{ActiveSkill, SkillLibrary, SkillStatus};
 use consort_skills::skill::SkillContext;
@@ -204,7 +205,7 @@ async fn an_early_refusal_does_not_replace_the_reply_of_the_server() {
         }
     });
     let mut robot_driver = driver(&bus_of_robot).await;
-    let goal = robot_driver.send_goal(Goal::Undock);
+    let goal = robot_driver.send_goal(Goal::from(Undock {}));
     until("the end of the goal", async || robot_driver.status(goal) == Some(GoalStatus::succeeded())).await;
     server_task.abort();
 }
@@ -252,7 +253,7 @@ async fn a_halted_skill_cancels_at_nav2_and_keeps_the_reported_pose() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_failure_of_nav2_fails_the_skill_with_its_message() {
     let mut driven = Driven::new().await;
-    let failed = |cause: &str| SkillStatus::Failed { cause: cause.to_owned() };
+    let failed = |cause: &str| SkillStatus::Failed { cause: cause.to_owned(), class: CauseClass::Robot };
     let no_server = failed("NavigateToPose: unknown: no server of Nav2 has replied");
     assert_eq!(driven.run(&mut navigation("Crossing")).await, no_server, "before Nav2 has started");
 

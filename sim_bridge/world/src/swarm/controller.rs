@@ -6,7 +6,7 @@ use crate::world::{World, WorldEvent};
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::WorldTime;
-use consort_skills::actions::{BackendEvent, Goal, GoalId, GoalStatus, RobotBackend};
+use consort_skills::actions::{BackendEvent, Goal, GoalId, GoalStatus, NavigateToPose, RobotBackend};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -61,7 +61,7 @@ impl Flight {
 
     fn send(&mut self) {
         for (drone, pose) in &self.targets {
-            self.world.start(drone, GoalId(1), Goal::NavigateToPose { pose: *pose, place: None });
+            self.world.start(drone, GoalId(1), Goal::from(NavigateToPose { pose: *pose, place: None }));
             self.pending.insert(drone.clone());
         }
     }

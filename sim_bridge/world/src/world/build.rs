@@ -11,7 +11,7 @@ use super::simulation::World;
 use super::systems;
 use crate::map::Map;
 use consort_protocol::ids::PlaceId;
-use consort_skills::domain::shipped_domain;
+use consort_skills::domain::standard_domain;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
@@ -20,7 +20,7 @@ const RADIUS_M: RangeInclusive<f64> = 0.01..=10.0;
 const DURATION_S: RangeInclusive<f64> = 0.0..=86_400.0;
 
 impl WorldSetup {
-    /// An empty world with default durations and limits, and the shipped domain.
+    /// An empty world with default durations and limits, and the standard domain.
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
@@ -44,7 +44,7 @@ impl WorldSetup {
             step_s,
             wind,
         };
-        setup.domain(shipped_domain())
+        setup.domain(standard_domain())
     }
 }
 

@@ -35,7 +35,7 @@ impl World {
     fn try_begin(&mut self, robot: Entity, goal: &Goal) -> Result<(SystemIndex, f64), ActionError> {
         if let Some(active) = &self.state.get::<GoalHistory>(robot).active {
             let message =
-                format!("{} is executing {} (goal {})", self.state.robot_id(robot), active.goal.action(), active.id.0);
+                format!("{} is executing {} (goal {})", self.state.robot_id(robot), active.goal.action, active.id.0);
             return Err(action_error(ErrorCode::Busy, message));
         }
         for index in self.system_indices() {
@@ -46,7 +46,7 @@ impl World {
                 return result.map(|ends| (index, ends));
             }
         }
-        Err(action_error(ErrorCode::Unknown, format!("no system of this world executes {}", goal.action())))
+        Err(action_error(ErrorCode::Unknown, format!("no system of this world executes {}", goal.action)))
     }
 
     /// Ends the active goal and applies its effect, if that is still possible.

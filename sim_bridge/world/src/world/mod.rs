@@ -33,7 +33,7 @@
 //! use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
 //! use consort_world::map;
 //! use consort_world::world::{RobotSetup, World, WorldSetup};
-//! use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotBackend};
+//! use consort_skills::actions::{Goal, GoalId, GoalStatus, NavigateToPose, RobotBackend};
 //!
 //! let ada = RobotId::new("ada")?;
 //! let (speed, discharge) = (MetresPerSecond::new(0.5)?, SharePerSecond::new(0.001)?);
@@ -42,7 +42,7 @@
 //!
 //! let place = "Crossing".parse()?;
 //! let pose = world.map().topology().places[&place];
-//! world.start(&ada, GoalId(1), Goal::NavigateToPose { pose, place: Some(place) });
+//! world.start(&ada, GoalId(1), Goal::from(NavigateToPose { pose, place: Some(place) }));
 //! while let Some(due) = world.next_due() {
 //!     world.advance(due);
 //! }
@@ -52,6 +52,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod actions;
 mod backend;
 mod build;
 mod components;

@@ -24,10 +24,10 @@ impl SimState {
             return Err(action_error(ErrorCode::OutOfReach, message));
         }
         if !self.get::<SimRobot>(other).0.has_drawer {
-            return Err(action_error(ErrorCode::DrawerState, format!("{other_name} has no drawer")));
+            return Err(action_error(ErrorCode::ContainerState, format!("{other_name} has no drawer")));
         }
         if !self.get::<DrawerOpen>(other).0 {
-            return Err(action_error(ErrorCode::DrawerState, format!("the drawer of {other_name} is closed")));
+            return Err(action_error(ErrorCode::ContainerState, format!("the drawer of {other_name} is closed")));
         }
         Ok(())
     }
@@ -39,7 +39,7 @@ impl SimState {
         }
         let labels: Vec<String> = held.into_iter().map(|sample| self.label(sample)).collect();
         let message = format!("the drawer of {} is full: it holds {}", self.robot_id(robot), labels.join(", "));
-        Err(action_error(ErrorCode::DrawerState, message))
+        Err(action_error(ErrorCode::ContainerState, message))
     }
 
     pub(crate) fn is_next_to(&self, robot: Entity, other: Entity) -> bool {

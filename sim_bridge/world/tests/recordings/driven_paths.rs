@@ -2,6 +2,7 @@
 
 use super::*;
 use consort_protocol::pose::Pose;
+use consort_skills::actions::FollowWaypoints;
 use std::collections::BTreeMap;
 
 #[test]
@@ -56,7 +57,7 @@ fn a_curve_is_drawn_where_it_was_driven() {
         Waypoint { pose: Pose::new(2.0 + 2.0 * angle.cos(), 2.0 * angle.sin(), 0.0), place: None }
     };
     let waypoints = (1..=400).map(point).collect();
-    world.start(&robot("ada"), GoalId(1), Goal::FollowWaypoints { waypoints });
+    world.start(&robot("ada"), GoalId(1), Goal::from(FollowWaypoints { waypoints }));
     world.advance(at(30.0));
     world.end_recording();
     let svg = fs::read_to_string(&file.0).unwrap();

@@ -5,7 +5,7 @@ mod foxglove;
 
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
-use consort_skills::actions::{Goal, GoalId, RobotBackend, Waypoint};
+use consort_skills::actions::{FollowWaypoints, Goal, GoalId, RobotBackend, Waypoint};
 use consort_world::SharedWorld;
 use consort_world::map;
 use consort_world::record::{Recorder, RecordingOutputs};
@@ -64,7 +64,7 @@ pub(crate) fn there_and_back(world: &mut SharedWorld) {
         let pose = world.with(|world| world.map().place(&place(name)).unwrap().pose);
         Waypoint { pose, place: Some(place(name)) }
     });
-    world.start(&robot("ada"), GoalId(1), Goal::FollowWaypoints { waypoints: waypoints.into() });
+    world.start(&robot("ada"), GoalId(1), Goal::from(FollowWaypoints { waypoints: waypoints.into() }));
 }
 
 pub(crate) fn record(world: &SharedWorld, outputs: &RecordingOutputs) {

@@ -11,8 +11,8 @@ use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use consort_skills::actions::{
-    ActionError, BackendEvent, ErrorCode, Feedback, Goal, GoalId, GoalProgress, GoalStatus, PersonRequest,
-    RobotBackend, Telemetry, Waypoint,
+    ActionError, BackendEvent, ErrorCode, Feedback, FollowWaypoints, Goal, GoalId, GoalProgress, GoalStatus,
+    NavigateToPose, PersonRequest, RobotBackend, Telemetry, Wait, Waypoint,
 };
 use std::collections::{BTreeMap, VecDeque};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender};
@@ -62,8 +62,8 @@ pub enum Nav2Event {
 
 /// Returns the progress of a goal, given the number of waypoints after the current waypoint.
 fn waypoint_progress(goal: &Goal, following: usize) -> GoalProgress {
-    match goal {
-        Goal::FollowWaypoints { waypoints } => {
+    match goal.read() {
+        Some(Ok(FollowWaypoints { waypoints })) => {
             let current = waypoints.len().saturating_sub(following + 1);
             GoalProgress::Waypoint(u32::try_from(current).unwrap_or(u32::MAX))
         }
@@ -165,29 +165,24 @@ impl Nav2Driver {
             let message = format!("{} is driven by Nav2 and cannot {what}", self.robot);
             Err(ActionError::new(ErrorCode::Unknown, message))
         };
-        match goal {
-            Goal::NavigateToPose { pose, place } => {
-                let to = Waypoint { pose: *pose, place: place.clone() };
-                Ok(self.drive(to, VecDeque::new()))
+        if let Some(drive) = goal.read() {
+            let NavigateToPose { pose, place } = drive?;
+            return Ok(self.drive(Waypoint { pose, place }, VecDeque::new()));
+        }
+        if let Some(follow) = goal.read() {
+            let FollowWaypoints { waypoints } = follow?;
+            let mut waypoints = VecDeque::from(waypoints);
+            return match waypoints.pop_front() {
+                Some(first) => Ok(self.drive(first, waypoints)),
+                None => reject("follow no waypoints"),
+            };
+        }
+        match goal.read() {
+            Some(wait) => {
+                let Wait { time } = wait?;
+                Ok(Activity::Waiting(self.now.as_secs() + time.get()))
             }
-            Goal::FollowWaypoints { waypoints } => {
-                let mut waypoints = VecDeque::from(waypoints.clone());
-                match waypoints.pop_front() {
-                    Some(first) => Ok(self.drive(first, waypoints)),
-                    None => reject("follow no waypoints"),
-                }
-            }
-            Goal::Wait { time } => Ok(Activity::Waiting(self.now.as_secs() + time.get())),
-            Goal::ApproachPerson { .. } => reject("approach a person"),
-            Goal::AuthenticatePerson { .. } => reject("authenticate a person"),
-            Goal::OperateDrawer { .. } => reject("operate a drawer"),
-            Goal::ApproachRobot { .. } => reject("approach a robot"),
-            Goal::PickUp { .. } => reject("pick anything up"),
-            Goal::Grasp { .. } => reject("grasp anything"),
-            Goal::Deposit { .. } => reject("deposit anything"),
-            Goal::Spin { .. } => reject("spin"),
-            Goal::Dock { .. } | Goal::Undock => reject("dock"),
-            Goal::Declared(goal) => reject(goal.action.as_str()),
+            None => reject(&format!("perform the action {}", goal.action)),
         }
     }
 

@@ -1,5 +1,6 @@
 use super::*;
 use crate::messages::NavigateResult;
+use consort_skills::actions::Undock;
 use tokio::sync::mpsc::unbounded_channel;
 
 struct DriverTest {
@@ -32,7 +33,7 @@ impl DriverTest {
 
     fn go(&mut self, id: u64, name: &str) {
         let Waypoint { pose, place } = self.to(name);
-        self.driver.start(&ada(), GoalId(id), Goal::NavigateToPose { pose, place });
+        self.driver.start(&ada(), GoalId(id), Goal::from(NavigateToPose { pose, place }));
     }
 
     fn sent_commands(&mut self) -> Vec<Nav2Command> {
@@ -86,7 +87,7 @@ fn a_drive_ends_with_the_result_of_nav2() {
 fn waypoints_are_driven_to_in_order() {
     let mut test = test();
     let waypoints = vec![test.to("B"), test.to("C")];
-    test.driver.start(&ada(), GoalId(1), Goal::FollowWaypoints { waypoints });
+    test.driver.start(&ada(), GoalId(1), Goal::from(FollowWaypoints { waypoints }));
     assert_eq!(test.after_event(Some(Nav2Event::Ended(1, DriveResult::Succeeded))), []);
     assert_eq!(
         test.sent_commands(),
@@ -120,7 +121,7 @@ fn a_canceled_drive_ends_when_nav2_reports_it() {
 fn a_cancel_between_two_waypoints_ends_the_goal() {
     let mut test = test();
     let waypoints = vec![test.to("B"), test.to("C")];
-    test.driver.start(&ada(), GoalId(1), Goal::FollowWaypoints { waypoints });
+    test.driver.start(&ada(), GoalId(1), Goal::from(FollowWaypoints { waypoints }));
     test.driver.cancel(&ada(), GoalId(1));
     assert_eq!(test.after_event(Some(Nav2Event::Ended(1, DriveResult::Succeeded))), [(1, GoalStatus::Canceled)]);
 }
@@ -157,15 +158,15 @@ fn a_blocked_connection_counts_as_closed_for_a_while() {
 #[test]
 fn the_driver_waits_and_rejects_other_goals() {
     let mut test = test();
-    test.driver.start(&ada(), GoalId(1), Goal::Wait { time: Seconds::new(1.5).unwrap() });
+    test.driver.start(&ada(), GoalId(1), Goal::from(Wait { time: Seconds::new(1.5).unwrap() }));
     assert_eq!(test.driver.next_due(), Some(WorldTime::from_secs(1.5)));
     assert_eq!(test.after_event(None), []);
     assert_eq!(test.after_event(None), [(1, GoalStatus::succeeded())]);
-    test.driver.start(&ada(), GoalId(2), Goal::Undock);
+    test.driver.start(&ada(), GoalId(2), Goal::from(Undock {}));
     assert_eq!(test.driver.next_due(), Some(test.driver.now()), "a rejection is reported at once");
-    let cannot = aborted(ErrorCode::Unknown, "ada is driven by Nav2 and cannot dock");
+    let cannot = aborted(ErrorCode::Unknown, "ada is driven by Nav2 and cannot perform the action undock");
     assert_eq!(test.after_event(None), [(2, cannot)]);
-    test.driver.start(&ada(), GoalId(3), Goal::Wait { time: Seconds::new(9.0).unwrap() });
+    test.driver.start(&ada(), GoalId(3), Goal::from(Wait { time: Seconds::new(9.0).unwrap() }));
     test.driver.cancel(&ada(), GoalId(3));
     assert_eq!(test.after_event(None), [(3, GoalStatus::Canceled)]);
     assert_eq!(test.driver.goals(&ada()), [GoalId(1), GoalId(2), GoalId(3)]);

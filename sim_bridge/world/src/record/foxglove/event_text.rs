@@ -2,7 +2,7 @@
 
 use crate::world::{SampleHolder, WorldEvent};
 use consort_protocol::ids::{PlaceId, RobotId};
-use consort_skills::actions::{Goal, GoalStatus};
+use consort_skills::actions::{FollowWaypoints, Goal, GoalStatus, NavigateToPose};
 
 /// Foxglove's log levels.
 pub(super) const INFO: u8 = 2;
@@ -96,10 +96,12 @@ pub(super) fn changes_state_of(event: &WorldEvent, of: &RobotId) -> bool {
 }
 
 fn goal_text(goal: &Goal) -> String {
-    match goal {
-        Goal::NavigateToPose { place: Some(place), .. } => format!("{} to {place}", goal.action()),
-        Goal::FollowWaypoints { waypoints } => format!("{} over {}", goal.action(), waypoints.len()),
-        _ => goal.action().to_owned(),
+    if let Some(Ok(NavigateToPose { place: Some(place), .. })) = goal.read() {
+        return format!("{} to {place}", goal.action);
+    }
+    match goal.read() {
+        Some(Ok(FollowWaypoints { waypoints })) => format!("{} over {}", goal.action, waypoints.len()),
+        _ => goal.action.to_string(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Arms: they take objects out of drawers and off tables, within their reach and payload, and put
 //! them down.
 
+use crate::world::actions::{Deposit, Grasp, PickUp};
 use crate::world::components::{CoPresence, DepartureCount, DrawerOpen, PersonInfo, SampleLabel, SimRobot};
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
@@ -32,10 +33,12 @@ impl System for Arm {
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let duration_s = match goal {
-            Goal::PickUp { .. } | Goal::Grasp { .. } => state.durations.pick_up_s,
-            Goal::Deposit { .. } => state.durations.deposit_s,
-            _ => return None,
+        let duration_s = if goal.is::<PickUp>() || goal.is::<Grasp>() {
+            state.durations.pick_up_s
+        } else if goal.is::<Deposit>() {
+            state.durations.deposit_s
+        } else {
+            return None;
         };
         Some(state.transfers(robot, goal).map(|_| state.now + duration_s))
     }
@@ -52,11 +55,15 @@ impl System for Arm {
 impl SimState {
     /// Returns the transfers that the goal would cause if it ended now.
     fn transfers(&self, robot: Entity, goal: &Goal) -> Result<Transfers, ActionError> {
-        match goal {
-            Goal::PickUp { from } => self.pick_up(robot, from),
-            Goal::Grasp { object } => self.grasp(robot, object),
-            Goal::Deposit { into } => self.deposit(robot, into.as_ref()),
-            _ => Ok(vec![]),
+        if let Some(pick_up) = goal.read::<PickUp>() {
+            return self.pick_up(robot, &pick_up?.from);
+        }
+        if let Some(grasp) = goal.read::<Grasp>() {
+            return self.grasp(robot, &grasp?.object);
+        }
+        match goal.read::<Deposit>() {
+            Some(deposit) => self.deposit(robot, deposit?.into.as_ref()),
+            None => Ok(vec![]),
         }
     }
 
@@ -80,7 +87,7 @@ impl SimState {
                 Ok(vec![(held, table), (sample, to)])
             }
             (None, _) => {
-                Err(action_error(ErrorCode::DrawerState, format!("the drawer of {} is empty", self.robot_id(from))))
+                Err(action_error(ErrorCode::ContainerState, format!("the drawer of {} is empty", self.robot_id(from))))
             }
         }
     }
@@ -123,7 +130,7 @@ impl SimState {
 
     fn deposit(&self, robot: Entity, into: Option<&RobotId>) -> Result<Transfers, ActionError> {
         let Some(sample) = self.in_arm(robot)? else {
-            return Err(action_error(ErrorCode::DrawerState, format!("{} holds nothing", self.robot_id(robot))));
+            return Err(action_error(ErrorCode::ContainerState, format!("{} holds nothing", self.robot_id(robot))));
         };
         let to = match into {
             None => HolderEntity::Table(self.require_place(robot)?),

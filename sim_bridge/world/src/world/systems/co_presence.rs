@@ -1,5 +1,6 @@
 //! Co-presence: approaching people and robots, and authenticating people.
 
+use crate::world::actions::{ApproachPerson, ApproachRobot, AuthenticatePerson};
 use crate::world::components::{CoPresence, DepartureCount, HandsBusy, PersonInfo, SimRobot};
 use crate::world::event::WorldEvent;
 use crate::world::location::RobotLocation;
@@ -34,11 +35,14 @@ impl System for CoPresenceSystem {
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let duration_s = match goal {
-            Goal::ApproachPerson { .. } => state.durations.approach_person_s,
-            Goal::AuthenticatePerson { .. } => state.durations.authenticate_person_s,
-            Goal::ApproachRobot { .. } => state.durations.approach_robot_s,
-            _ => return None,
+        let duration_s = if goal.is::<ApproachPerson>() {
+            state.durations.approach_person_s
+        } else if goal.is::<AuthenticatePerson>() {
+            state.durations.authenticate_person_s
+        } else if goal.is::<ApproachRobot>() {
+            state.durations.approach_robot_s
+        } else {
+            return None;
         };
         Some(state.co_presence_after(robot, goal).map(|_| state.now + duration_s))
     }
@@ -58,11 +62,15 @@ impl System for CoPresenceSystem {
 impl SimState {
     /// Returns the co-presence that the goal would cause if it ended now.
     fn co_presence_after(&self, robot: Entity, goal: &Goal) -> Result<CoPresence, ActionError> {
-        match goal {
-            Goal::ApproachPerson { role } => self.approach_person(robot, role),
-            Goal::AuthenticatePerson { role } => self.authenticate_person(robot, role),
-            Goal::ApproachRobot { robot: other } => self.approach_robot(robot, other),
-            _ => Ok(*self.get::<CoPresence>(robot)),
+        if let Some(approach) = goal.read::<ApproachPerson>() {
+            return self.approach_person(robot, &approach?.role);
+        }
+        if let Some(authenticate) = goal.read::<AuthenticatePerson>() {
+            return self.authenticate_person(robot, &authenticate?.role);
+        }
+        match goal.read::<ApproachRobot>() {
+            Some(approach) => self.approach_robot(robot, &approach?.robot),
+            None => Ok(*self.get::<CoPresence>(robot)),
         }
     }
 

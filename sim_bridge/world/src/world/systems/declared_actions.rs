@@ -62,15 +62,17 @@ impl System for DeclaredActions {
     }
 
     fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let Goal::Declared(goal) = goal else { return None };
         let now = state.now;
         let mut models = state.resource_mut::<ActionModels>();
-        let (least, greatest) = models.actions.get(&goal.action)?.simulate.duration_s;
+        let simulated = &models.actions.get(&goal.action)?.simulate;
+        if simulated.system.is_some() {
+            return None;
+        }
+        let (least, greatest) = simulated.duration_s;
         Some(Ok(now + models.chance.random_range(least..=greatest)))
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
-        let Goal::Declared(goal) = goal else { return Ok(GoalResult::default()) };
         let mut models = state.resource_mut::<ActionModels>();
         let ActionModels { actions, readings, chance } = &mut *models;
         let Some(action) = actions.get(&goal.action) else { return Ok(GoalResult::default()) };

@@ -12,7 +12,7 @@ use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult};
+use consort_skills::actions::{ActionError, Dock, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Undock};
 use hecs::Entity;
 
 /// True if a robot is connected to the charger at its place.
@@ -40,22 +40,22 @@ impl System for Docking {
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let duration_s = state.durations.dock_s;
-        let allowed = match goal {
-            Goal::Dock { charger } => state.check_charger(robot, charger.as_ref()),
-            Goal::Undock if !state.get::<Docked>(robot).0 => {
-                Err(action_error(ErrorCode::Charger, format!("{} is not docked", state.robot_id(robot))))
-            }
-            Goal::Undock => Ok(()),
-            _ => return None,
+        let allowed = match goal.read::<Dock>() {
+            Some(dock) => dock.and_then(|Dock { charger }| state.check_charger(robot, charger.as_ref())),
+            None => goal.read::<Undock>()?.and_then(|Undock {}| match state.get::<Docked>(robot).0 {
+                true => Ok(()),
+                false => Err(action_error(ErrorCode::Charger, format!("{} is not docked", state.robot_id(robot)))),
+            }),
         };
         Some(allowed.map(|()| state.now + duration_s))
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
-        if let Goal::Dock { charger } = goal {
+        let dock = goal.read::<Dock>().transpose()?;
+        if let Some(Dock { charger }) = &dock {
             state.check_charger(robot, charger.as_ref())?;
         }
-        state.connect(robot, matches!(goal, Goal::Dock { .. }));
+        state.connect(robot, dock.is_some());
         Ok(GoalResult::default())
     }
 
@@ -66,7 +66,7 @@ impl System for Docking {
 
     fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
         if let WorldEvent::GoalStarted { robot, goal, .. } = event
-            && let Goal::NavigateToPose { .. } | Goal::FollowWaypoints { .. } | Goal::Spin { .. } = goal
+            && goal.moves_robot()
             && let Some(robot) = state.robots.get(robot).copied()
         {
             state.connect(robot, false);

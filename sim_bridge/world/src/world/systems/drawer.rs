@@ -1,5 +1,6 @@
 //! Drawers that people and arms reach into.
 
+use crate::world::actions::OperateDrawer;
 use crate::world::components::{DrawerOpen, SimRobot};
 use crate::world::event::WorldEvent;
 use crate::world::preconditions::action_error;
@@ -31,16 +32,18 @@ impl System for Drawer {
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let Goal::OperateDrawer { .. } = goal else { return None };
+        if let Err(error) = goal.read::<OperateDrawer>()? {
+            return Some(Err(error));
+        }
         if !state.get::<SimRobot>(robot).0.has_drawer {
             let message = format!("{} has no drawer", state.robot_id(robot));
-            return Some(Err(action_error(ErrorCode::DrawerState, message)));
+            return Some(Err(action_error(ErrorCode::ContainerState, message)));
         }
         Some(Ok(state.now + state.durations.operate_drawer_s))
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
-        let Goal::OperateDrawer { open } = *goal else { return Ok(GoalResult::default()) };
+        let Some(OperateDrawer { open }) = goal.read().transpose()? else { return Ok(GoalResult::default()) };
         let was_open = std::mem::replace(&mut state.get_mut::<DrawerOpen>(robot).0, open);
         if was_open != open {
             state.log_event(WorldEvent::DrawerMoved { robot: state.robot_id(robot), open });

@@ -8,7 +8,7 @@ use crate::world::steered::Steered;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Spin};
 use hecs::Entity;
 
 /// Turn rate in radians per second: Nav2's maximum for its spin behavior.
@@ -34,7 +34,10 @@ impl System for Turning {
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let Goal::Spin { angle_rad } = *goal else { return None };
+        let angle_rad = match goal.read()? {
+            Ok(Spin { angle_rad }) => angle_rad,
+            Err(error) => return Some(Err(error)),
+        };
         let body = &state.get::<SimRobot>(robot).0;
         if !body.mobile {
             return Some(Err(action_error(ErrorCode::Unknown, format!("{} cannot turn", body.id))));
@@ -48,13 +51,13 @@ impl System for Turning {
     }
 
     fn feedback(&self, _state: &SimState, _robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
-        let Goal::Spin { angle_rad } = *goal else { return usual };
+        let Some(Ok(Spin { angle_rad })) = goal.read() else { return usual };
         let left_rad = (usual.time_remaining.get() * TURN_RADPS).min(angle_rad.abs());
         Feedback { progress: GoalProgress::Turned(angle_rad - left_rad.copysign(angle_rad)), ..usual }
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
-        let Goal::Spin { angle_rad } = *goal else { return Ok(GoalResult::default()) };
+        let Some(Spin { angle_rad }) = goal.read().transpose()? else { return Ok(GoalResult::default()) };
         if let RobotLocation::Standing { pose, .. } = &mut *state.get_mut::<RobotLocation>(robot) {
             let yaw = pose.yaw + angle_rad;
             *pose = Pose::new(pose.x, pose.y, yaw.sin().atan2(yaw.cos()));

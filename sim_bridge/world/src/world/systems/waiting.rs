@@ -3,7 +3,7 @@
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
-use consort_skills::actions::{ActionError, Goal};
+use consort_skills::actions::{ActionError, Goal, Wait};
 use hecs::Entity;
 
 /// See the [module](self).
@@ -23,7 +23,6 @@ impl System for Waiting {
     }
 
     fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let Goal::Wait { time } = goal else { return None };
-        Some(Ok(state.now + time.get()))
+        Some(goal.read()?.map(|Wait { time }| state.now + time.get()))
     }
 }

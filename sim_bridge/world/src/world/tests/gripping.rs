@@ -1,6 +1,7 @@
 //! Objects on tables: grasped within reach and payload, carried, put down, kept by a stopped robot.
 
 use super::*;
+use crate::world::actions::{Deposit, Grasp};
 
 fn thing(name: &str, weight_kg: f64, distance_m: f64) -> ObjectSetup {
     ObjectSetup { name: name.into(), place: place("Laboratory"), weight_kg, distance_m }
@@ -17,7 +18,7 @@ fn store() -> World {
 }
 
 fn grasp(object: &str) -> Goal {
-    Goal::Grasp { object: object.to_owned() }
+    Goal::from(Grasp { object: object.to_owned() })
 }
 
 fn sample_holder(world: &World, object: &str) -> SampleHolder {
@@ -49,7 +50,7 @@ fn an_object_is_carried_and_put_down_elsewhere() {
     let goal = drive_goal(&world, "Laboratory Corridor");
     run_to_success(&mut world, "r1", 2, goal);
     assert_eq!(world.sample(&"tray".into()).unwrap().place, place("Laboratory Corridor"));
-    run_to_success(&mut world, "r1", 3, Goal::Deposit { into: None });
+    run_to_success(&mut world, "r1", 3, Goal::from(Deposit { into: None }));
     assert_eq!(sample_holder(&world, "tray"), SampleHolder::Table(place("Laboratory Corridor")));
     run_to_success(&mut world, "r1", 4, grasp("tray"));
 }

@@ -1,6 +1,7 @@
 //! Lifts: calls, waiting, rides.
 
 use super::*;
+use crate::world::actions::OperateDrawer;
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -45,7 +46,7 @@ fn a_lift_opens_closes_goes_and_opens() {
     world.advance(at(5.0));
     let riding = world.telemetry(&robot("r1")).unwrap();
     assert_eq!(riding.place, place("L2"), "it gets out there whatever happens");
-    let status = rejected_status(&mut world, "r1", 9, Goal::OperateDrawer { open: true });
+    let status = rejected_status(&mut world, "r1", 9, Goal::from(OperateDrawer { open: true }));
     assert!(matches!(status, GoalStatus::Aborted(why) if why.code == ErrorCode::Busy));
     assert_eq!(ends(&mut world, 60.0), arrived(&[(3.0 + 3.0 + 8.0 + 3.0, "r1")]));
     rides(&mut world, "r1", 2, "Room");

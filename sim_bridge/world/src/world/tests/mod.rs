@@ -26,7 +26,7 @@ use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond, WorldTime};
 use consort_skills::actions::{
-    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, PersonRequest, RobotBackend,
+    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, NavigateToPose, PersonRequest, RobotBackend,
 };
 
 fn place(name: &str) -> PlaceId {
@@ -66,7 +66,7 @@ fn logged<T>(world: &mut World, of: impl Fn(&WorldEvent) -> Option<T>) -> Vec<(f
 }
 
 fn drive_goal(world: &World, to: &str) -> Goal {
-    Goal::NavigateToPose { pose: world.map().place(&place(to)).unwrap().pose, place: Some(place(to)) }
+    Goal::from(NavigateToPose { pose: world.map().place(&place(to)).unwrap().pose, place: Some(place(to)) })
 }
 
 fn ended(name: &str, goal: u64, status: GoalStatus) -> BackendEvent {

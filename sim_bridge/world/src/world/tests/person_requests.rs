@@ -1,13 +1,14 @@
 //! Person requests: the serving person, its conditions, and its error messages.
 
 use super::*;
+use crate::world::actions::{ApproachPerson, ApproachRobot, Deposit, OperateDrawer, PickUp};
 
 fn approach() -> Goal {
-    Goal::ApproachPerson { role: role("nurse") }
+    Goal::from(ApproachPerson { role: role("nurse") })
 }
 
 fn open() -> Goal {
-    Goal::OperateDrawer { open: true }
+    Goal::from(OperateDrawer { open: true })
 }
 
 /// A nurse in each of two rooms; r1 next to the second, with an open drawer.
@@ -113,7 +114,7 @@ fn an_impossible_request_ends_with_its_reason() {
     );
     world.request_person(GoalId(4), deposit("r1"));
     world.request_person(GoalId(5), deposit("r1"));
-    let full = error(ErrorCode::DrawerState, "the drawer of r1 is full: it holds s2");
+    let full = error(ErrorCode::ContainerState, "the drawer of r1 is full: it holds s2");
     assert_eq!(world.advance(at(99.0)), [answer(4, Ok(())), answer(5, full)]);
 }
 
@@ -145,13 +146,13 @@ fn a_person_with_endless_samples_serves_any_number_of_requests() {
     let mut world = World::new(setup).unwrap();
     run_to_success(&mut world, "r1", 1, approach());
     run_to_success(&mut world, "r1", 2, open());
-    run_to_success(&mut world, "porter", 1, Goal::ApproachRobot { robot: robot("r1") });
+    run_to_success(&mut world, "porter", 1, Goal::from(ApproachRobot { robot: robot("r1") }));
     for number in 1..60 {
         world.request_person(GoalId(number), deposit("r1"));
         let until = at(world.now().as_secs() + 9.0);
         assert_eq!(world.advance(until), [answer(number, Ok(()))]);
-        run_to_success(&mut world, "porter", 2 * number, Goal::PickUp { from: robot("r1") });
-        run_to_success(&mut world, "porter", 2 * number + 1, Goal::Deposit { into: None });
+        run_to_success(&mut world, "porter", 2 * number, Goal::from(PickUp { from: robot("r1") }));
+        run_to_success(&mut world, "porter", 2 * number + 1, Goal::from(Deposit { into: None }));
     }
     assert_eq!(world.samples().len(), 21, "used samples are taken again");
 }
@@ -178,7 +179,7 @@ fn a_person_on_call_comes_to_one_robot_at_a_time() {
     world.request_person(GoalId(7), deposit("a"));
     let until = at(world.now().as_secs() + 9.0);
     assert_eq!(world.advance(until), [answer(7, Ok(()))]);
-    run_to_success(&mut world, "a", 4, Goal::OperateDrawer { open: false });
+    run_to_success(&mut world, "a", 4, Goal::from(OperateDrawer { open: false }));
     let away = drive_goal(&world, "PC Corridor 2");
     run_to_success(&mut world, "a", 5, away);
     run_to_success(&mut world, "b", 2, approach());

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::map::{MapFile, PlaceEntry, PlaceKind};
+use consort_skills::actions::Wait;
 
 fn weak(charge: f64) -> RobotSetup {
     RobotSetup { battery: BatteryShare::new(charge).unwrap(), ..carrier("r1", "Laboratory") }
@@ -46,7 +47,7 @@ fn a_robot_below_five_percent_stops() {
     assert!(!telemetry.able);
     assert!((telemetry.pose.y - 9.0).abs() < 1e-9, "2 m of 4 m down the lane: {:?}", telemetry.pose);
     assert!((telemetry.battery.get() - (0.05 - 96.0 * 0.0001)).abs() < 1e-9);
-    let status = rejected_status(&mut world, "r1", 2, Goal::Wait { time: Seconds::ZERO });
+    let status = rejected_status(&mut world, "r1", 2, Goal::from(Wait { time: Seconds::ZERO }));
     assert_eq!(status, aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 4.0 %"));
     assert_eq!(world.advance(at(1e7)), [], "stranded once");
     assert_eq!(charge(&world, "r1"), 0.0, "and never below empty");
@@ -61,7 +62,7 @@ fn an_empty_robot_moves_again_after_a_battery_replacement() {
     world.replace_battery(&robot("r1"));
     assert!(world.telemetry(&robot("r1")).unwrap().able);
     assert_eq!(charge(&world, "r1"), 1.0);
-    run_to_success(&mut world, "r1", 1, Goal::Wait { time: Seconds::new(1.0).unwrap() });
+    run_to_success(&mut world, "r1", 1, Goal::from(Wait { time: Seconds::new(1.0).unwrap() }));
 }
 
 #[test]
@@ -79,7 +80,7 @@ fn an_idle_battery_drains_and_a_low_start_strands() {
 #[test]
 fn a_robot_on_mains_power_does_not_discharge() {
     let mut world = World::new(hospital(1).robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))).unwrap();
-    run_to_success(&mut world, "lab_arm", 1, Goal::Wait { time: Seconds::new(1e6).unwrap() });
+    run_to_success(&mut world, "lab_arm", 1, Goal::from(Wait { time: Seconds::new(1e6).unwrap() }));
     assert_eq!(charge(&world, "lab_arm"), 1.0);
     assert_eq!(world.next_due(), None, "nothing will ever happen here by itself");
 }

@@ -1,6 +1,8 @@
 //! Properties of every run.
 
 use super::*;
+use crate::world::actions::{ApproachPerson, ApproachRobot, AuthenticatePerson, Deposit, OperateDrawer, PickUp};
+use consort_skills::actions::{NavigateToPose, Wait};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -31,18 +33,19 @@ fn stage(seed: u64) -> World {
 fn goals() -> impl Strategy<Value = Goal> {
     let map = map::shipped("hospital").unwrap();
     let near = ["PC Room 1", "PC Corridor 1", "Laboratory Corridor", "Laboratory"];
-    let near =
-        near.map(|name| Goal::NavigateToPose { pose: map.place(&place(name)).unwrap().pose, place: Some(place(name)) });
+    let near = near.map(|name| {
+        Goal::from(NavigateToPose { pose: map.place(&place(name)).unwrap().pose, place: Some(place(name)) })
+    });
     let other = prop::sample::select(ROBOTS.to_vec());
     prop_oneof![
         4 => prop::sample::select(near.to_vec()),
-        2 => Just(Goal::ApproachPerson { role: role("nurse") }),
-        1 => Just(Goal::AuthenticatePerson { role: role("nurse") }),
-        3 => any::<bool>().prop_map(|open| Goal::OperateDrawer { open }),
-        1 => other.clone().prop_map(|other| Goal::ApproachRobot { robot: robot(other) }),
-        1 => other.prop_map(|other| Goal::PickUp { from: robot(other) }),
-        1 => Just(Goal::Deposit { into: None }),
-        1 => (0.0..5.0f64).prop_map(|time| Goal::Wait { time: Seconds::new(time).unwrap() }),
+        2 => Just(Goal::from(ApproachPerson { role: role("nurse") })),
+        1 => Just(Goal::from(AuthenticatePerson { role: role("nurse") })),
+        3 => any::<bool>().prop_map(|open| Goal::from(OperateDrawer { open })),
+        1 => other.clone().prop_map(|other| Goal::from(ApproachRobot { robot: robot(other) })),
+        1 => other.prop_map(|other| Goal::from(PickUp { from: robot(other) })),
+        1 => Just(Goal::from(Deposit { into: None })),
+        1 => (0.0..5.0f64).prop_map(|time| Goal::from(Wait { time: Seconds::new(time).unwrap() })),
     ]
 }
 
@@ -165,8 +168,8 @@ proptest! {
 fn another_seed_gives_other_handover_times() {
     let walk = |seed| {
         let mut world = stage(seed);
-        run_to_success(&mut world, "r2", 1, Goal::ApproachPerson { role: role("nurse") });
-        run_to_success(&mut world, "r2", 2, Goal::OperateDrawer { open: true });
+        run_to_success(&mut world, "r2", 1, Goal::from(ApproachPerson { role: role("nurse") }));
+        run_to_success(&mut world, "r2", 2, Goal::from(OperateDrawer { open: true }));
         world.request_person(GoalId(1), deposit("r2"));
         world.next_due().unwrap().as_secs()
     };
@@ -180,8 +183,8 @@ fn each_person_has_their_own_handover_times() {
         let mut setup = hospital(5).robot(carrier("r1", "PC Room 1"));
         setup.people = people.to_vec();
         let mut world = World::new(setup).unwrap();
-        run_to_success(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
-        run_to_success(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+        run_to_success(&mut world, "r1", 1, Goal::from(ApproachPerson { role: role("nurse") }));
+        run_to_success(&mut world, "r1", 2, Goal::from(OperateDrawer { open: true }));
         world.request_person(GoalId(1), deposit("r1"));
         world.next_due().unwrap().as_secs()
     };

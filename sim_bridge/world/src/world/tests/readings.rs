@@ -3,7 +3,6 @@
 use super::*;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::yaml;
-use consort_skills::actions::DeclaredGoal;
 use consort_skills::domain_file::DomainFile;
 use std::collections::BTreeMap;
 
@@ -38,8 +37,8 @@ fn readings(world: &World, name: &str) -> BTreeMap<String, Scalar> {
 
 /// Executes an action, and returns the readings after it.
 fn after(world: &mut World, id: u64, action: &str) -> BTreeMap<String, Scalar> {
-    let goal = DeclaredGoal { action: action.parse().unwrap(), parameters: Default::default(), repeatable: false };
-    world.start(&robot("r1"), GoalId(id), Goal::Declared(goal));
+    let goal = Goal { action: action.parse().unwrap(), parameters: Default::default(), repeatable: false };
+    world.start(&robot("r1"), GoalId(id), goal);
     let before = readings(world, "r1");
     world.advance(at(world.now().as_secs() + 0.9));
     assert_eq!(readings(world, "r1"), before, "the effects come at the end of the goal");

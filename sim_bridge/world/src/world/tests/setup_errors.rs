@@ -1,6 +1,8 @@
 //! Setups: all mistakes are reported at once.
 
 use super::*;
+use crate::world::actions::OperateDrawer;
+use consort_skills::actions::Wait;
 
 #[test]
 fn all_mistakes_are_reported() {
@@ -63,9 +65,9 @@ fn a_world_has_the_systems_that_its_setup_names() {
     let mut setup = hospital(1).robot(carrier("r1", "Dock")).person(nurse("Ana", "PC Room 1", "s1"));
     setup.systems = vec!["waiting".to_owned()];
     let mut world = World::new(setup).unwrap();
-    run_to_success(&mut world, "r1", 1, Goal::Wait { time: Seconds::new(1e6).unwrap() });
+    run_to_success(&mut world, "r1", 1, Goal::from(Wait { time: Seconds::new(1e6).unwrap() }));
     assert_eq!(world.telemetry(&robot("r1")).unwrap().battery, BatteryShare::FULL, "nothing drains it");
-    let status = rejected_status(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+    let status = rejected_status(&mut world, "r1", 2, Goal::from(OperateDrawer { open: true }));
     assert_eq!(status, aborted(ErrorCode::Unknown, "no system of this world executes operate_drawer"));
     world.request_person(GoalId(3), deposit("r1"));
     let nobody = ActionError::rejected(ErrorCode::Unknown, "there are no people in this world".to_owned());

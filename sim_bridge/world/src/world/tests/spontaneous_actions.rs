@@ -1,6 +1,8 @@
 //! Unrequested actions of people, at each trigger.
 
 use super::*;
+use crate::world::actions::{ApproachPerson, AuthenticatePerson, OperateDrawer};
+use consort_skills::actions::NavigateToPose;
 
 fn bea_with(action: SpontaneousAction) -> PersonSetup {
     PersonSetup { spontaneous_actions: vec![action], ..nurse("Bea", "PC Room 2", "s2") }
@@ -11,7 +13,7 @@ fn ward(seed: u64, action: SpontaneousAction) -> World {
 }
 
 fn approach() -> Goal {
-    Goal::ApproachPerson { role: role("nurse") }
+    Goal::from(ApproachPerson { role: role("nurse") })
 }
 
 fn called_off() -> BackendEvent {
@@ -22,7 +24,8 @@ fn called_off() -> BackendEvent {
 /// minute with their times.
 fn meet_and_wait(world: &mut World) -> Vec<(f64, BackendEvent)> {
     let mut events = Vec::new();
-    let goals = [approach(), Goal::AuthenticatePerson { role: role("nurse") }, Goal::OperateDrawer { open: true }];
+    let goals =
+        [approach(), Goal::from(AuthenticatePerson { role: role("nurse") }), Goal::from(OperateDrawer { open: true })];
     for (id, goal) in (1..).zip(goals) {
         world.start(&robot("r1"), GoalId(id), goal);
         events.extend(until(world, world.now().as_secs() + 2.0));
@@ -151,14 +154,18 @@ fn a_returning_person_serves_a_robot_that_stayed() {
 #[test]
 fn a_request_waits_on_if_the_robot_left_before_the_return() {
     let mut world = ward(1, leaves(PersonTrigger::Authenticated, Some(30.0)));
-    for (id, goal) in (1..).zip([approach(), Goal::AuthenticatePerson { role: role("nurse") }]) {
+    for (id, goal) in (1..).zip([approach(), Goal::from(AuthenticatePerson { role: role("nurse") })]) {
         run_to_success(&mut world, "r1", id, goal);
     }
-    run_to_success(&mut world, "r1", 3, Goal::OperateDrawer { open: true });
+    run_to_success(&mut world, "r1", 3, Goal::from(OperateDrawer { open: true }));
     world.request_person(GoalId(7), deposit("r1"));
     let there = world.map().place(&place("PC Corridor 2")).map(|place| place.pose);
     let there = there.expect("on the map");
-    world.start(&robot("r1"), GoalId(4), Goal::NavigateToPose { pose: there, place: Some(place("PC Corridor 2")) });
+    world.start(
+        &robot("r1"),
+        GoalId(4),
+        Goal::from(NavigateToPose { pose: there, place: Some(place("PC Corridor 2")) }),
+    );
     let ended = until(&mut world, 200.0);
     assert!(
         !ended.iter().any(|(_, event)| matches!(event, BackendEvent::PersonRequestEnded { .. })),
@@ -169,7 +176,7 @@ fn a_request_waits_on_if_the_robot_left_before_the_return() {
 
 #[test]
 fn a_person_steps_away_before_authentication() {
-    let prove = || Goal::AuthenticatePerson { role: role("nurse") };
+    let prove = || Goal::from(AuthenticatePerson { role: role("nurse") });
     let mut world = ward(1, leaves(PersonTrigger::Approached, Some(10.0)));
     run_to_success(&mut world, "r1", 1, approach());
     let status = rejected_status(&mut world, "r1", 2, prove());

@@ -6,7 +6,7 @@ use super::obstacles::{BLOCKED, corridor, known, trolley, x};
 use super::steering::{all, differential, pose_of, steered, until_ended};
 use super::*;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::Waypoint;
+use consort_skills::actions::{FollowWaypoints, NavigateToPose, Spin, Waypoint};
 
 fn set_off(world: &mut World, name: &str, id: u64, to: &str) {
     let goal = drive_goal(world, to);
@@ -176,7 +176,7 @@ fn a_robot_in_a_lift_blocks_no_other() {
 fn a_steered_robot_follows_waypoints_to_the_last() {
     let mut world = World::new(passage().robot(differential("r1", "A"))).unwrap();
     let waypoints = ["B", "C", "B"].map(|name| waypoint(&world, name)).to_vec();
-    world.start(&robot("r1"), GoalId(1), Goal::FollowWaypoints { waypoints });
+    world.start(&robot("r1"), GoalId(1), Goal::from(FollowWaypoints { waypoints }));
     let mut furthest = 0.0_f64;
     while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
         let due = world.next_due().expect("under way");
@@ -196,7 +196,8 @@ fn a_steered_robot_keeps_limits_and_drives_backward() {
     for (kinematics, backward) in all().into_iter().zip([true, false, true, false]) {
         let setup = WorldSetup::new(map::read(text, "two.yaml").unwrap(), 1).robot(steered("r1", "A", kinematics));
         let mut world = World::new(setup).unwrap();
-        let goal = Goal::NavigateToPose { pose: Pose::new(10.0, 0.0, std::f64::consts::PI), place: Some(place("B")) };
+        let goal =
+            Goal::from(NavigateToPose { pose: Pose::new(10.0, 0.0, std::f64::consts::PI), place: Some(place("B")) });
         world.start(&robot("r1"), GoalId(1), goal);
         let (mut before, mut fastest) = (pose_of(&world, "r1"), 0.0_f64);
         while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
@@ -217,7 +218,7 @@ fn a_steered_robot_keeps_limits_and_drives_backward() {
 fn a_steered_robot_departs_with_its_turned_heading() {
     for kinematics in all() {
         let mut world = World::new(corridor().robot(steered("r1", "A", kinematics))).unwrap();
-        run_to_success(&mut world, "r1", 1, Goal::Spin { angle_rad: 2.0 });
+        run_to_success(&mut world, "r1", 1, Goal::from(Spin { angle_rad: 2.0 }));
         assert!((pose_of(&world, "r1").yaw - 2.0).abs() < 1e-9, "{kinematics:?}");
         set_off(&mut world, "r1", 2, "B");
         world.advance(at(2.1));

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::kinematics::{AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings};
+use crate::world::actions::ApproachRobot;
 use consort_protocol::pose::Pose;
 
 pub(super) fn all() -> [Kinematics; 4] {
@@ -175,7 +176,7 @@ fn a_robot_arrives_next_to_a_robot_at_its_target() {
     assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
     let apart = pose_of(&world, "r1").distance(pose_of(&world, "r2")).get();
     assert!((0.55..0.65).contains(&apart), "{apart} m");
-    run_to_success(&mut world, "r1", 2, Goal::ApproachRobot { robot: robot("r2") });
+    run_to_success(&mut world, "r1", 2, Goal::from(ApproachRobot { robot: robot("r2") }));
 }
 
 #[test]

@@ -7,6 +7,7 @@ use crate::world::samples::Custody;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, component_types};
+use consort_skills::actions::Wait;
 use hecs::Entity;
 
 /// Declares that it reads locations, and reads custody without declaring it.
@@ -41,7 +42,7 @@ impl System for Nosy {
 fn with(system: &'static dyn System) {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
     world.systems.push(system);
-    run_to_success(&mut world, "r1", 1, Goal::Wait { time: Seconds::ZERO });
+    run_to_success(&mut world, "r1", 1, Goal::from(Wait { time: Seconds::ZERO }));
 }
 
 #[test]

@@ -31,7 +31,9 @@ use crate::world::systems::doors::{DoorState, DoorsByName};
 use crate::world::systems::lifts::LiftsByName;
 use crate::world::systems::obstacles::{ActiveObstacles, KnownClosures};
 use consort_protocol::ids::RobotId;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult};
+use consort_skills::actions::{
+    ActionError, ErrorCode, Feedback, FollowWaypoints, Goal, GoalProgress, GoalResult, NavigateToPose,
+};
 use hecs::Entity;
 use std::collections::VecDeque;
 use task::{DriveTask, Stage};
@@ -56,22 +58,32 @@ impl System for Driving {
         state.insert(robot, DepartureCount(0));
         state.insert(
             robot,
-            DriveTask { target: None, next_targets: VecDeque::new(), stage: Stage::Idle, timer: None, doorway: None },
+            DriveTask {
+                target: None,
+                targets: 0,
+                next_targets: VecDeque::new(),
+                stage: Stage::Idle,
+                timer: None,
+                doorway: None,
+            },
         );
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let mut targets: VecDeque<DriveTarget> = match goal {
-            Goal::NavigateToPose { pose, place } => [DriveTarget { pose: *pose, place: place.clone() }].into(),
-            Goal::FollowWaypoints { waypoints } => waypoints.iter().map(DriveTarget::from).collect(),
-            _ => return None,
+        let single = |NavigateToPose { pose, place }| VecDeque::from([DriveTarget { pose, place }]);
+        let several = |FollowWaypoints { waypoints }| waypoints.iter().map(DriveTarget::from).collect();
+        let targets = goal.read().map(|goal| goal.map(single)).or_else(|| goal.read().map(|goal| goal.map(several)))?;
+        let mut targets: VecDeque<DriveTarget> = match targets {
+            Ok(targets) => targets,
+            Err(error) => return Some(Err(error)),
         };
         let Some(first) = targets.pop_front() else {
             return Some(Err(action_error(ErrorCode::Unknown, "there are no waypoints to follow".to_owned())));
         };
         state.advance_steered(robot);
         Some(state.set_target(robot, first).map(|()| {
-            state.get_mut::<DriveTask>(robot).next_targets = targets;
+            let mut task = state.get_mut::<DriveTask>(robot);
+            (task.targets, task.next_targets) = (targets.len() + 1, targets);
             END_UNKNOWN
         }))
     }
@@ -86,12 +98,13 @@ impl System for Driving {
     }
 
     fn feedback(&self, state: &SimState, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
-        let progress = match goal {
-            Goal::FollowWaypoints { waypoints } => {
-                let remaining = state.get::<DriveTask>(robot).next_targets.len();
-                GoalProgress::Waypoint(u32::try_from(waypoints.len().saturating_sub(remaining + 1)).unwrap_or(u32::MAX))
+        let progress = match goal.is::<FollowWaypoints>() {
+            true => {
+                let DriveTask { next_targets, targets, .. } = &*state.get::<DriveTask>(robot);
+                let reached = targets.saturating_sub(next_targets.len() + 1);
+                GoalProgress::Waypoint(u32::try_from(reached).unwrap_or(u32::MAX))
             }
-            _ => GoalProgress::Unspecified,
+            false => GoalProgress::Unspecified,
         };
         Feedback { progress, ..state.remaining_feedback(robot).unwrap_or(usual) }
     }

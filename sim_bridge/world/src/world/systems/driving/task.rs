@@ -11,6 +11,8 @@ use std::collections::VecDeque;
 pub(crate) struct DriveTask {
     /// Target of the active goal.
     pub(super) target: Option<DriveTarget>,
+    /// Number of targets of the active goal.
+    pub(super) targets: usize,
     /// Later targets.
     pub(super) next_targets: VecDeque<DriveTarget>,
     pub(super) stage: Stage,

@@ -28,9 +28,7 @@ use crate::world::system::System;
 use crate::world::system_access::{ComponentType, SystemTimer, component_types};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{
-    ActionError, BackendEvent, ErrorCode, GoalId, PERSON_TIMEOUT_PARAMETER, PERSON_TIMEOUT_S, PersonRequest,
-};
+use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, PersonRequest};
 use hecs::Entity;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -47,6 +45,12 @@ const SECONDS: &str = "seconds";
 /// Task parameter with the role of the robot that receives the sample. Without it, any robot of the
 /// mission may come.
 const INTO_ROLE: &str = "into_role";
+
+/// Time for which a person waits for a robot, in seconds of world time, unless the task states another.
+const PATIENCE_S: f64 = 120.0;
+
+/// Task parameter with that time, in seconds.
+const PATIENCE_PARAMETER: &str = "timeout_s";
 
 /// Bit in the number of a timer that distinguishes a timeout from the end of a handover.
 const TIMEOUT_FLAG: u64 = 1 << 63;
@@ -172,10 +176,8 @@ impl SimState {
         }
         match self.requested_work(request) {
             Ok(work) => {
-                let timeout =
-                    request.task.parameters.get(PERSON_TIMEOUT_PARAMETER).and_then(|seconds| seconds.parse().ok());
-                let timeout_s =
-                    timeout.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(PERSON_TIMEOUT_S);
+                let timeout = request.task.parameters.get(PATIENCE_PARAMETER).and_then(|seconds| seconds.parse().ok());
+                let timeout_s = timeout.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(PATIENCE_S);
                 let role = request.role.clone();
                 self.resource_mut::<PersonRequests>().open(Request {
                     id,
@@ -386,7 +388,7 @@ impl SimState {
         let Some(sample) = held.or_else(|| self.supplied_sample(person)) else {
             let info = self.get::<PersonInfo>(person);
             let message = format!("{} {} has no sample to hand over", info.role, info.name);
-            return Err(action_error(ErrorCode::DrawerState, message));
+            return Err(action_error(ErrorCode::ContainerState, message));
         };
         self.transfer_sample(sample, HolderEntity::Drawer(robot));
         Ok(())

@@ -1,48 +1,45 @@
-//! A leaf for goals that require a person to be present. It waits for an absent person.
+//! A leaf that tries its goal again while it fails for a reason that may pass.
 
-use super::context::TaskContext;
 use super::goal_leaf::GoalLeaf;
-use crate::actions::{ActionError, ErrorCode, Goal, PERSON_TIMEOUT_S};
-use crate::bt::{
-    Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError,
-};
+use crate::actions::{ActionError, ErrorCode, Wait};
+use crate::bt::{Cause, Leaf, LeafContext, NodeStatus, PortSpec, PortType};
 use consort_protocol::cause::CauseClass;
-use consort_protocol::ids::RoleId;
 use consort_protocol::units::Seconds;
 
-/// Pause between attempts, in seconds. A larger value sends fewer goals, and notices a returning
-/// person later.
+/// Pause between attempts, in seconds. A larger value sends fewer goals, and notices later that the reason
+/// has passed.
 const PAUSE_S: f64 = 1.0;
 
-/// Sends a goal about the person in port `role`. While the person is out of reach, the leaf waits
-/// and tries again, for at most the time in port `timeout_s`, or else [`PERSON_TIMEOUT_S`].
-/// Then it fails with the goal's error. It fails at once on any other error.
-pub(super) struct PersonGoalLeaf {
+/// Port for the time for which the goal is tried again.
+const TIMEOUT: &str = "timeout_s";
+
+/// Sends a goal. While it fails with `code`, the leaf waits and tries again, for at most the time in port
+/// `timeout_s`, or else `timeout_s`. Then it fails with the goal's error. It fails at once on any other
+/// error.
+pub(crate) struct RetryLeaf {
     goal: GoalLeaf,
+    code: ErrorCode,
+    timeout_s: f64,
     pause: Option<GoalLeaf>,
     waited_s: f64,
 }
 
-impl PersonGoalLeaf {
-    /// Registers an action.
-    pub(super) fn register(
-        registry: &mut Registry<TaskContext>,
-        id: &str,
-        make: fn(RoleId) -> Goal,
-    ) -> Result<(), RegistryError> {
-        let ports =
-            [PortSpec::input("role", PortType::Role), PortSpec::input("timeout_s", PortType::Seconds).optional()];
-        registry.register(NodeManifest::new(id, NodeKind::Action, ports), move |_: &TaskContext| {
-            Box::new(PersonGoalLeaf { goal: person_goal(make), pause: None, waited_s: 0.0 })
-        })
+impl RetryLeaf {
+    /// Returns the port that the leaf has in addition to the ports of its goal.
+    pub(crate) fn port() -> PortSpec {
+        PortSpec::input(TIMEOUT, PortType::Seconds).optional()
+    }
+
+    pub(crate) fn new(goal: GoalLeaf, code: ErrorCode, timeout_s: f64) -> RetryLeaf {
+        RetryLeaf { goal, code, timeout_s, pause: None, waited_s: 0.0 }
     }
 
     fn wait_or_fail(&mut self, context: &mut LeafContext<'_, '_>, cause: Cause) -> Result<NodeStatus, Cause> {
-        let timeout_s = context.read_optional::<Seconds>("timeout_s")?.map_or(PERSON_TIMEOUT_S, Seconds::get);
+        let timeout_s = context.read_optional::<Seconds>(TIMEOUT)?.map_or(self.timeout_s, Seconds::get);
         if self.waited_s + PAUSE_S <= timeout_s {
             self.waited_s += PAUSE_S;
             let time = Seconds::new(PAUSE_S).expect("a duration");
-            let mut pause = GoalLeaf::new(move |_| Ok(Goal::Wait { time }));
+            let mut pause = GoalLeaf::new(move |_| Ok(Wait { time }.into()));
             // If the pause has already ended, the next tick tries again.
             if pause.tick(context)? == NodeStatus::Running {
                 self.pause = Some(pause);
@@ -64,7 +61,7 @@ impl PersonGoalLeaf {
             self.pause = None;
         }
         match self.goal.tick(context) {
-            Err(cause) if cause.error.as_ref().is_some_and(|error| error.code == ErrorCode::OutOfReach) => {
+            Err(cause) if cause.error.as_ref().is_some_and(|error| error.code == self.code) => {
                 self.wait_or_fail(context, cause)
             }
             result => result,
@@ -72,11 +69,7 @@ impl PersonGoalLeaf {
     }
 }
 
-fn person_goal(make: fn(RoleId) -> Goal) -> GoalLeaf {
-    GoalLeaf::new(move |leaf| Ok(make(leaf.read("role")?)))
-}
-
-impl Leaf for PersonGoalLeaf {
+impl Leaf for RetryLeaf {
     fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         let result = self.advance(context);
         if !matches!(result, Ok(NodeStatus::Running)) {
