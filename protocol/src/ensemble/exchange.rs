@@ -133,7 +133,7 @@ impl MemberValues {
 pub struct KnowledgeExchange {
     listed: BTreeSet<ExchangedValue>,
     own: NodeId,
-    /// The members, if the node is one.
+    /// Members of the ensemble; `None` while this node is not one of them.
     members: Option<BTreeSet<NodeId>>,
     published: Option<Publication>,
     /// Latest values of each member, with the time of their arrival.

@@ -284,43 +284,28 @@ impl DeclaredEstimate {
         Ok(Drive { length, time })
     }
 
-    fn duration(
-        &self,
-        task: &TaskSpec,
-        context: &EstimateContext,
-        environment: &Environment,
-        variables: Option<&Context<'static, 'static>>,
-    ) -> Result<Seconds, EstimateError> {
-        match &self.time_s {
-            Formula::TravelTime(name) => {
-                let kind = self.parameters.get(name).map_or(ParameterKind::Place, |parameter| parameter.kind);
-                Ok(self.drive((name, kind), task, context, environment)?.time)
-            }
-            Formula::Parameter(name) => self.parsed(task, name, |text| {
-                let number: f64 = text.parse().map_err(|problem: std::num::ParseFloatError| problem.to_string())?;
-                Seconds::new(number).map_err(|problem| problem.to_string())
-            }),
-            formula => {
-                let number = self.number(formula, task, variables)?;
-                Seconds::new(number).map_err(|problem| self.failed(problem.to_string()))
-            }
-        }
-    }
-
+    /// Evaluates a formula to a finite number of 0 or more.
     fn number(
         &self,
         formula: &Formula,
         task: &TaskSpec,
+        context: &EstimateContext,
+        environment: &Environment,
         variables: Option<&Context<'static, 'static>>,
     ) -> Result<f64, EstimateError> {
-        match (formula, variables) {
-            (Formula::Constant(number), _) => Ok(*number),
-            (Formula::Expression(expression), Some(variables)) => {
-                expression.number(variables).map_err(|problem| self.failed(problem))
+        match formula {
+            Formula::Constant(number) => Ok(*number),
+            Formula::Parameter(name) => self.parsed(task, name, |text| match text.parse::<f64>() {
+                Ok(number) if number.is_finite() && number >= 0.0 => Ok(number),
+                Ok(_) | Err(_) => Err("allowed are finite numbers of 0 or more"),
+            }),
+            Formula::TravelTime(name) => {
+                let kind = self.parameters.get(name).map_or(ParameterKind::Place, |parameter| parameter.kind);
+                Ok(self.drive((name, kind), task, context, environment)?.time.get())
             }
-            (Formula::Parameter(name), _) => self.parsed(task, name, str::parse::<f64>),
-            (Formula::TravelTime(_) | Formula::Expression(_), _) => {
-                Err(self.failed("the expression has no number".to_owned()))
+            Formula::Expression(expression) => {
+                let variables = variables.expect("an estimate with an expression has variables");
+                expression.number(variables).map_err(|problem| self.failed(problem))
             }
         }
     }
@@ -383,14 +368,15 @@ impl SkillDescriptor for DeclaredEstimate {
             let holds = requires.condition(variables).map_err(lacks)?;
             holds.then_some(()).ok_or_else(|| lacks("is false".to_owned()))?;
         }
-        let time = self.duration(task, context, environment, variables.as_ref())?;
+        let number = |formula| self.number(formula, task, context, environment, variables.as_ref());
+        let time = Seconds::new(number(&self.time_s)?).map_err(|problem| self.failed(problem.to_string()))?;
         let ends_at = match &self.ends_at {
             Some(name) if task.parameters.contains_key(name) => self.parsed(task, name, str::parse::<PlaceId>)?,
             _ => context.place.clone(),
         };
         let mut estimate = Estimate::of_duration(time, context, ends_at);
         if let Some(energy) = &self.energy {
-            estimate.energy = self.number(energy, task, variables.as_ref())?;
+            estimate.energy = number(energy)?;
         }
         Ok(estimate)
     }

@@ -101,6 +101,28 @@ fn a_declared_task_sends_the_goals_of_its_actions() {
     assert!(problem.contains("allowed is 0 to 5"), "{problem}");
 }
 
+/// Formulas that are computed without CEL are checked like all others.
+#[test]
+fn an_energy_may_be_a_parameter_or_the_time_of_a_drive() {
+    let text = r#"
+domain: d
+actions: { a: {} }
+tasks:
+  given: { action: a, parameters: { share: { type: number } }, estimate: { time_s: "1.0", energy: share } }
+  driven: { action: a, parameters: { to: { type: place } }, estimate: { time_s: "1.0", energy: travel_s.to } }
+"#;
+    let domain = DomainFile::check(yaml::parse(text).unwrap(), &BTreeMap::new(), &[]).unwrap();
+    let edge = Edge { a: "A".parse().unwrap(), b: "B".parse().unwrap(), length_m: 10.0, one_way: false };
+    let places = ["A", "B"].map(|name| (name.parse().unwrap(), Pose::default())).into();
+    let environment = Environment::new().with(Routes::new(&TopologicalMap { places, edges: vec![edge] }).unwrap());
+    let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(environment).unwrap();
+    let energy = |task: &TaskSpec| estimator.estimate(task, &robot()).map(|estimate| estimate.energy);
+    assert_eq!(energy(&task("given", &[("share", "0.5")])), Ok(0.5));
+    assert_eq!(energy(&task("driven", &[("to", "B")])), Ok(20.0));
+    let negative = energy(&task("given", &[("share", "-0.5")])).unwrap_err().to_string();
+    assert_eq!(negative, "the given task has `share` = \"-0.5\": allowed are finite numbers of 0 or more");
+}
+
 /// A robot refuses a task that was made with another content of the file.
 #[test]
 fn the_content_of_a_domain_is_compared_without_texts_for_people() {

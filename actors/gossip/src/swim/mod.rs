@@ -144,7 +144,7 @@ pub(super) struct Swim {
     foca: Foca<SwimId, PacketCodec, ChaCha8Rng, NoCustomBroadcast>,
     /// Latest incarnation under which each node has sent.
     confirmed: BTreeMap<NodeId, u64>,
-    /// What others have said about nodes that are not members here, until the record of the node arrives.
+    /// Nodes that are alive according to others, and not members here, until the record of the node arrives.
     unconfirmed: BTreeMap<NodeId, Member<SwimId>>,
     /// Members suspected now.
     suspects: BTreeSet<NodeId>,
@@ -226,7 +226,7 @@ impl Swim {
                 |member: &Member<SwimId>| member.id().node == about.node && !member.id().win_addr_conflict(about);
             if self.foca.iter_members().any(is_present) {
                 actions.push(SwimAction::Claimed(about.node.clone()));
-            } else if !is_confirmed
+            } else if update.state() != State::Down
                 && (self.unconfirmed.len() < UNCONFIRMED_MAX || self.unconfirmed.contains_key(&about.node))
             {
                 self.unconfirmed.insert(about.node.clone(), update);
@@ -245,16 +245,11 @@ impl Swim {
     /// Handles the arrival of a node's record with this incarnation: what others have said about the node may
     /// be confirmed now.
     pub(super) fn confirm(&mut self, node: &NodeId, incarnation: u64) -> Result<Vec<SwimAction>, SwimError> {
-        match self.unconfirmed.remove(node) {
-            Some(update) if update.state() != State::Down && update.id().incarnation <= incarnation => {
-                self.act(|foca, runtime| foca.apply_many(std::iter::once(update), true, runtime))
-            }
-            Some(update) if update.id().incarnation > incarnation => {
-                self.unconfirmed.insert(node.clone(), update);
-                Ok(vec![])
-            }
-            Some(_) | None => Ok(vec![]),
+        if self.unconfirmed.get(node).is_none_or(|update| update.id().incarnation > incarnation) {
+            return Ok(vec![]);
         }
+        let update = self.unconfirmed.remove(node);
+        self.act(|foca, runtime| foca.apply_many(update.into_iter(), true, runtime))
     }
 
     /// Returns the incarnation of this node, which grows when it rejoins.
