@@ -46,5 +46,5 @@ pub(crate) const EXTENSIONS: Extensions = Extensions {
         })?;
         Ok(library.register_xml(look_around(), "look_around.xml", TREE)?)
     },
-    domains: &[],
+    ..Extensions::NONE
 };

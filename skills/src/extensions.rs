@@ -1,6 +1,6 @@
 //! Extensions of the standard domain: domain files, and skills in Rust.
 //!
-//! A program with skills in Rust is `consort` or `consort-lab` itself, with all its commands, and with additional
+//! A program with extensions in Rust is `consort` or `consort-lab` itself, with all its commands, and with additional
 //! [`Extensions`]: see `docs/tutorials/skill.md`. All nodes of a fleet need the same extensions: the
 //! coordinator accepts only missions of its own task types.
 
@@ -11,6 +11,7 @@ use crate::environment::Environment;
 use crate::library::SkillLibrary;
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::Domain;
+use std::any::Any;
 use std::collections::BTreeSet;
 use std::error::Error;
 use std::path::PathBuf;
@@ -36,17 +37,13 @@ pub struct Extensions {
     pub library: fn(&mut SkillLibrary) -> Result<(), Box<dyn Error>>,
     /// The domain files, from `--domain` and the fleet file.
     pub domains: &'static [LoadedDomain],
+    /// Parts of the simulator: `consort_world::extend::SimulatorExtension`.
+    pub simulator: Option<&'static (dyn Any + Send + Sync)>,
 }
 
 impl Default for Extensions {
-    /// No extensions, as in `consort` itself.
     fn default() -> Extensions {
-        Extensions {
-            domain: |domain| domain,
-            descriptors: |descriptors| descriptors,
-            library: |_| Ok(()),
-            domains: &[],
-        }
+        Extensions::NONE
     }
 }
 
@@ -61,6 +58,15 @@ pub struct ExtensionError {
 }
 
 impl Extensions {
+    /// No extensions, as in `consort` itself.
+    pub const NONE: Extensions = Extensions {
+        domain: |domain| domain,
+        descriptors: |descriptors| descriptors,
+        library: |_| Ok(()),
+        domains: &[],
+        simulator: None,
+    };
+
     /// Returns the extensions with one more domain. It is kept until the program ends.
     #[must_use]
     pub fn with_domain(self, path: impl Into<PathBuf>, domain: DomainFile) -> Extensions {

@@ -27,6 +27,7 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::runtime::Handle;
 use tokio::task::AbortHandle;
 use tokio::time::Instant;
 
@@ -88,6 +89,8 @@ pub(crate) struct NodeOptions {
     pub(crate) extensions: Extensions,
     /// Ensembles of the hospital.
     pub(crate) ensembles: Vec<EnsembleSpec>,
+    /// Runtimes of their own, by node.
+    pub(crate) runtimes: BTreeMap<String, Handle>,
 }
 
 /// Domain and ensembles of a hospital.
@@ -111,6 +114,7 @@ impl Default for NodeOptions {
             world_speed: 10.0,
             extensions: Extensions::default(),
             ensembles: vec![logistics(&["operate_drawer", "pick_up"])],
+            runtimes: BTreeMap::new(),
         }
     }
 }
@@ -210,7 +214,7 @@ impl Fleet {
             members.push(RobotSpec::arm("lab-arm", "Laboratory"));
         }
         let map = map::shipped("hospital").expect("the shipped map is sound");
-        let mut setup = options.extensions.files().fold(WorldSetup::new(map, seed), WorldSetup::domain);
+        let mut setup = WorldSetup::new(map, seed).extended(options.extensions);
         for member in &members {
             setup = setup.robot(member.robot_body());
         }
@@ -284,8 +288,7 @@ impl Fleet {
     /// Starts or restarts the node of a station with an empty store.
     pub async fn start_station(&mut self, name: &str) {
         self.stores.remove(name);
-        let settings = self.node(name, true, None);
-        self.start(settings).await;
+        self.restart(name).await;
     }
 
     /// Starts or restarts the node of a robot with an empty store.
@@ -294,9 +297,12 @@ impl Fleet {
         self.restart(name).await;
     }
 
-    /// Restarts the node of a robot with the store of its previous incarnation.
+    /// Restarts the node of a robot or station with the store of its previous incarnation.
     pub async fn restart(&mut self, name: &str) {
-        let member = self.members.get(name).expect("a robot of this fleet").clone();
+        let Some(member) = self.members.get(name).cloned() else {
+            let settings = self.node(name, true, None);
+            return self.start(settings).await;
+        };
         let robot = self.world.with(|world| {
             let map = world.map();
             let environment = map.environment().expect("the shipped map is sound");
@@ -352,7 +358,12 @@ impl Fleet {
             bus = sealed;
         }
         let bus = (self.options.wrap_bus)(&settings, bus);
-        let node = NodeHandle::start(settings, bus).await.expect("a virtual node starts");
+        let node = NodeHandle::start(settings, bus);
+        let node = match self.options.runtimes.get(&name) {
+            None => node.await,
+            Some(runtime) => runtime.spawn(node).await.expect("no panic of a node that starts"),
+        };
+        let node = node.expect("a virtual node starts");
         self.nodes.insert(name, node);
     }
 

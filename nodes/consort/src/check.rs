@@ -15,6 +15,7 @@ use consort_skills::descriptor::Calibration;
 use consort_skills::environment::Environment;
 use consort_skills::extensions::Extensions;
 use consort_text::count;
+use consort_world::world::{SetupErrors, check_simulated_actions};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -151,6 +152,12 @@ fn check_kind(
         FileKind::Tree => tree(text, file, extensions),
         FileKind::Domain => {
             let domain = domains::parse(path, text, Extensions::default())?;
+            check_simulated_actions(&domain, extensions).map_err(|SetupErrors(errors)| {
+                Diagnostics(errors.iter().map(|error| Diagnostic::for_file(file, error)).collect())
+            })?;
+            check_simulated_actions(&domain, extensions).map_err(|errors| {
+                Diagnostics(errors.0.iter().map(|error| Diagnostic::for_file(path.display(), error)).collect())
+            })?;
             let (actions, tasks) = (domain.actions().count(), domain.task_types().count());
             let (actions, tasks) = (count(actions, "action", "actions"), count(tasks, "task type", "task types"));
             let readings = match domain.reading_forms().count() {

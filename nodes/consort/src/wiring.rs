@@ -333,7 +333,7 @@ pub(crate) fn build_world(
         wind: world.wind,
         ..WorldSetup::new(map, world.seed)
     };
-    World::new(extensions.files().fold(setup, WorldSetup::domain))
+    World::new(setup.extended(extensions))
         .map_err(|errors| Diagnostics(errors.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
 }
 

@@ -4,6 +4,7 @@ use crate::command::{allocate, bench, chaos, check, experiment, png, schema, soa
 use clap::{Parser, Subcommand};
 use consort_nodes::output::exit_code;
 use consort_skills::extensions::Extensions;
+use consort_tests::behavior::{OwnSteps, add_steps};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -58,7 +59,14 @@ pub fn run() -> ExitCode {
     run_with(Extensions::default(), std::env::args_os())
 }
 
-/// Runs a program with additional skills. The first of `args` is the program's name.
+/// Runs a program with additional skills, parts of the simulator and steps of features. The first of `args` is the
+/// program's name.
+pub fn run_with_steps(extensions: Extensions, steps: OwnSteps, args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    add_steps(steps);
+    run_with(extensions, args)
+}
+
+/// Runs a program with additional skills and parts of the simulator. The first of `args` is the program's name.
 pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>) -> ExitCode {
     exit_code(
         "consort-lab",

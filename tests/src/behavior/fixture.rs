@@ -22,7 +22,7 @@ use std::time::Duration;
 const CHECK_INTERVAL_S: f64 = 0.5;
 
 /// Fixture of a scenario.
-pub(super) struct Fixture {
+pub struct Fixture {
     pub(super) setup: ScenarioSetup,
     running: Option<RunningScenario>,
     planned: Vec<PlannedAction>,
@@ -116,7 +116,10 @@ impl Fixture {
     }
 
     /// Calls a function with the world.
-    pub(super) fn with_world<T>(&self, check: impl FnOnce(&mut World) -> T) -> T {
+    ///
+    /// # Panics
+    /// In a setting: the world is created after all settings.
+    pub fn with_world<T>(&self, check: impl FnOnce(&mut World) -> T) -> T {
         self.running().world.with(check)
     }
 
@@ -168,7 +171,7 @@ impl Fixture {
     }
 
     /// Returns the run time of the world in seconds.
-    pub(super) fn now_s(&self) -> f64 {
+    pub fn now_s(&self) -> f64 {
         let Some(running) = &self.running else { return 0.0 };
         match &running.fleet {
             Some(fleet) => running.nodes_since_s + fleet.elapsed().as_secs_f64() * self.setup.speed,
@@ -247,7 +250,10 @@ impl Fixture {
     }
 
     /// Returns the robot of a name.
-    pub(super) fn robot(&self, name: &str) -> Result<RobotId, StepFailure> {
+    ///
+    /// # Errors
+    /// [`StepFailure::Invalid`] if there is none.
+    pub fn robot(&self, name: &str) -> Result<RobotId, StepFailure> {
         let robots = self.running().world.robots();
         if let Some(robot) = robots.iter().find(|robot| robot.as_str() == name) {
             return Ok(robot.clone());

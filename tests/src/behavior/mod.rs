@@ -16,7 +16,7 @@
 //!
 //! Each step is a function with its phrase (`step_pattern`), listed in `steps` of its file, in the
 //! order of the documentation; a function that is not listed is a compiler warning. All forms
-//! follow from the phrase.
+//! follow from the phrase. A program can add steps of its own ([`OwnSteps`]).
 //!
 //! Every scenario has its own thread and its own paused runtime. So no state passes from one
 //! scenario to the next, and a seed determines a run regardless of other runs. All times are world
@@ -30,6 +30,7 @@ mod fleet_facts;
 mod goal_actions;
 mod item_facts;
 mod mission_requests;
+mod own_steps;
 mod passage_facts;
 mod report;
 mod robot_facts;
@@ -44,6 +45,11 @@ mod step_registry;
 mod step_result;
 
 pub use features::{FeatureErrors, Features, ScenarioFilter, TagExpressionError};
+pub use fixture::Fixture;
+pub use own_steps::{OwnSteps, add_steps};
 pub use report::FeatureOutcome;
 pub use run::{RunOptions, run};
+pub use step_arguments::StepArguments;
+pub use step_pattern::FactFn;
 pub use step_registry::{StepDoc, step_docs};
+pub use step_result::{StepFailure, StepResult, expect_that};

@@ -6,8 +6,10 @@ use super::step_result::StepFailure;
 use crate::RobotSpec;
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::scalar::Scalar;
+use consort_skills::extensions::Extensions;
+use consort_world::extend::SimulatorExtension;
 use consort_world::kinematics::{
-    AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings,
+    AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings, OwnSettings,
 };
 use consort_world::space::Sensor;
 use std::collections::BTreeMap;
@@ -33,7 +35,7 @@ pub(super) const COLUMNS: [&str; 16] = [
 ];
 
 /// Parses a row of the table of robots.
-pub(super) fn parse_robot(row: &TableRow) -> Result<ScenarioRobot, StepFailure> {
+pub(super) fn parse_robot(row: &TableRow, extensions: Extensions) -> Result<ScenarioRobot, StepFailure> {
     let (name, place) = (row.required("name")?, row.required("place")?);
     let mut member = RobotSpec::carrier(name, place);
     if let Some(skills) = row.cell("skills") {
@@ -58,7 +60,7 @@ pub(super) fn parse_robot(row: &TableRow) -> Result<ScenarioRobot, StepFailure> 
         Some("no") => Ok(Some(false)),
         Some(other) => Err(StepFailure::Invalid(format!("{column}: {other:?} is neither yes nor no"))),
     };
-    robot.chassis = row.cell("chassis").map(chassis).transpose()?;
+    robot.chassis = row.cell("chassis").map(|kind| chassis(kind, extensions)).transpose()?;
     (robot.arm, robot.drawer) = (yes("arm")?, yes("drawer")?);
     (robot.payload_max_kg, robot.reach_m) = (row.number("lifts")?, row.number("reach")?);
     robot.charges_per_s = percent("charges")?;
@@ -81,15 +83,18 @@ fn attributes(text: &str) -> Result<Attributes, StepFailure> {
     Attributes::try_from(values).map_err(StepFailure::invalid)
 }
 
-fn chassis(kind: &str) -> Result<Kinematics, StepFailure> {
+fn chassis(kind: &str, extensions: Extensions) -> Result<Kinematics, StepFailure> {
+    let own = SimulatorExtension::of(extensions).map_or(&[][..], |own| own.chassis);
     Ok(match kind {
+        name if own.iter().any(|(known, _)| *known == name) => Kinematics::Own(OwnSettings::named(name)),
         "differential" => Kinematics::Differential(DifferentialSettings::default()),
         "omnidirectional" => Kinematics::Omnidirectional(OmnidirectionalSettings::default()),
         "ackermann" => Kinematics::Ackermann(AckermannSettings::default()),
         "aerial" => Kinematics::Aerial(AerialSettings::default()),
         other => {
-            let known = "differential, omnidirectional, ackermann and aerial";
-            return Err(StepFailure::Invalid(format!("{other:?} is no chassis; there are {known}")));
+            let own: String = own.iter().map(|(name, _)| format!(", {name}")).collect();
+            let known = "differential, omnidirectional, ackermann, aerial";
+            return Err(StepFailure::Invalid(format!("{other:?} is no chassis; there are {known}{own}")));
         }
     })
 }

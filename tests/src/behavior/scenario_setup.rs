@@ -70,7 +70,7 @@ impl ScenarioRobot {
 
     fn body(&self) -> Result<RobotSetup, StepFailure> {
         let mut body = self.setup.robot_body();
-        body.kinematics = self.chassis;
+        body.kinematics.clone_from(&self.chassis);
         body.sensors.clone_from(&self.sensors);
         body.has_arm = self.arm.unwrap_or(body.has_arm);
         body.has_drawer = self.drawer.unwrap_or(body.has_drawer);
@@ -113,7 +113,7 @@ impl ScenarioSetup {
 
     /// Creates the world.
     pub(super) fn world(&self) -> Result<SharedWorld, StepFailure> {
-        let mut setup = self.extensions.files().fold(WorldSetup::new(self.map()?, self.seed), WorldSetup::domain);
+        let mut setup = WorldSetup::new(self.map()?, self.seed).extended(self.extensions);
         for part in &self.robots {
             setup = setup.robot(part.body()?);
         }

@@ -158,7 +158,7 @@ fn arm_at() -> SettingStep {
 fn robot_table() -> SettingStep {
     setting("these robots:", "these robots:", |setup, arguments| {
         for row in arguments.rows(&robot_table::COLUMNS)? {
-            setup.robots.push(robot_table::parse_robot(&row)?);
+            setup.robots.push(robot_table::parse_robot(&row, setup.extensions)?);
         }
         Ok(())
     })

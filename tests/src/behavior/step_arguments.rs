@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 /// Arguments of a step.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct StepArguments {
+pub struct StepArguments {
     pub(super) values: Vec<String>,
     pub(super) table: Option<Vec<Vec<String>>>,
     pub(super) docstring: Option<String>,
@@ -14,23 +14,26 @@ pub(super) struct StepArguments {
 
 impl StepArguments {
     /// Returns a value without its quotes.
-    pub(super) fn value(&self, index: usize) -> &str {
+    pub fn value(&self, index: usize) -> &str {
         self.values[index].trim_matches('"')
     }
 
     /// Parses a value as a name.
-    pub(super) fn parse_name<T: FromStr<Err: Display>>(&self, index: usize) -> Result<T, StepFailure> {
+    ///
+    /// # Errors
+    /// [`StepFailure::Invalid`] if it is no such name.
+    pub fn parse_name<T: FromStr<Err: Display>>(&self, index: usize) -> Result<T, StepFailure> {
         name(self.value(index))
     }
 
     /// Parses a value as a number, with any unit.
-    pub(super) fn number(&self, index: usize) -> f64 {
+    pub fn number(&self, index: usize) -> f64 {
         let digits = self.value(index).split([' ', '%']).next().unwrap_or_default();
         digits.parse().expect("the phrase's own pattern lets numbers through alone")
     }
 
     /// Parses a value as a time in seconds.
-    pub(super) fn seconds(&self, index: usize) -> f64 {
+    pub fn seconds(&self, index: usize) -> f64 {
         let unit = self.value(index).split(' ').nth(1).unwrap_or_default();
         let seconds = match unit {
             "ms" => 0.001,
@@ -42,12 +45,12 @@ impl StepArguments {
     }
 
     /// Parses a value in percent as a share from 0 to 1.
-    pub(super) fn share(&self, index: usize) -> f64 {
+    pub fn share(&self, index: usize) -> f64 {
         self.number(index) / 100.0
     }
 
     /// Parses a value as names separated by commas or `and`.
-    pub(super) fn names(&self, index: usize) -> Vec<String> {
+    pub fn names(&self, index: usize) -> Vec<String> {
         split_list(self.value(index))
     }
 

@@ -43,7 +43,7 @@ pub(super) type SettingFn = fn(&mut ScenarioSetup, &StepArguments) -> StepResult
 /// Function of an action.
 pub(super) type ActionFn = Box<dyn for<'a> Fn(&'a mut Fixture, &'a StepArguments) -> ActionFuture<'a> + Send + Sync>;
 /// Function of a fact.
-pub(super) type FactFn = fn(&Fixture, &StepArguments) -> StepResult;
+pub type FactFn = fn(&Fixture, &StepArguments) -> StepResult;
 
 /// A setting with its phrase.
 pub(super) type SettingStep = StepPattern<SettingFn>;

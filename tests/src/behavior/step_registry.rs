@@ -1,10 +1,12 @@
 //! All step patterns, and the resolution of steps.
 
+use super::own_steps::OwnSteps;
 use super::step_arguments::StepArguments;
 use super::step_meaning::{FactCheck, StepMeaning};
 use super::step_pattern::{ActionStep, FactStep, SettingStep, StepPattern};
 use super::{
-    fleet_actions, fleet_facts, goal_actions, item_facts, mission_requests, passage_facts, robot_facts, settings,
+    fleet_actions, fleet_facts, goal_actions, item_facts, mission_requests, own_steps, passage_facts, robot_facts,
+    settings,
 };
 use cucumber::gherkin::{Step, StepType};
 use std::sync::OnceLock;
@@ -12,8 +14,9 @@ use std::sync::OnceLock;
 /// The patterns.
 pub(super) struct StepRegistry {
     settings: Vec<SettingStep>,
-    actions: Vec<ActionStep>,
-    facts: Vec<FactStep>,
+    shipped_actions: Vec<ActionStep>,
+    shipped_facts: Vec<FactStep>,
+    own: &'static OwnSteps,
 }
 
 /// Documentation of a step pattern.
@@ -48,15 +51,24 @@ impl StepRegistry {
         static REGISTRY: OnceLock<StepRegistry> = OnceLock::new();
         REGISTRY.get_or_init(|| StepRegistry {
             settings: settings::steps(),
-            actions: [mission_requests::steps(), fleet_actions::steps(), goal_actions::steps()]
+            shipped_actions: [mission_requests::steps(), fleet_actions::steps(), goal_actions::steps()]
                 .into_iter()
                 .flatten()
                 .collect(),
-            facts: [fleet_facts::steps(), robot_facts::steps(), item_facts::steps(), passage_facts::steps()]
+            shipped_facts: [fleet_facts::steps(), robot_facts::steps(), item_facts::steps(), passage_facts::steps()]
                 .into_iter()
                 .flatten()
                 .collect(),
+            own: own_steps::added(),
         })
+    }
+
+    fn actions(&self) -> impl Iterator<Item = &ActionStep> {
+        self.shipped_actions.iter().chain(&self.own.actions)
+    }
+
+    fn facts(&self) -> impl Iterator<Item = &FactStep> {
+        self.shipped_facts.iter().chain(&self.own.facts)
     }
 
     /// Resolves a step.
@@ -71,11 +83,11 @@ impl StepRegistry {
             docstring: step.docstring.clone(),
         };
         let checks = |text: &str| -> Vec<FactCheck> {
-            let matching = self.facts.iter().filter_map(|fact| Some((fact.function, fact.parse(text)?)));
+            let matching = self.facts().filter_map(|fact| Some((fact.function, fact.parse(text)?)));
             matching.map(|(fact, values)| FactCheck { fact, arguments: more(values), text: text.to_owned() }).collect()
         };
         let actions = |text: &str| -> Vec<(&'static ActionStep, StepArguments)> {
-            let matching = self.actions.iter().filter_map(|action| Some((action, action.parse(text)?)));
+            let matching = self.actions().filter_map(|action| Some((action, action.parse(text)?)));
             matching.map(|(action, values)| (action, more(values))).collect()
         };
         let mut candidates = vec![];
@@ -188,13 +200,13 @@ const FACTS: &str = "Facts";
 
 /// Returns the documentation of all steps.
 pub fn step_docs() -> Vec<StepDoc> {
-    fn list<T>(kind: &'static str, patterns: &[StepPattern<T>]) -> Vec<StepDoc> {
+    fn list<'a, T: 'a>(kind: &'static str, patterns: impl Iterator<Item = &'a StepPattern<T>>) -> Vec<StepDoc> {
         let doc = |step: &StepPattern<T>| StepDoc {
             kind,
             pattern: step.pattern.to_owned(),
             example: step.example.to_owned(),
         };
-        patterns.iter().map(doc).collect()
+        patterns.map(doc).collect()
     }
     let registry = StepRegistry::get();
     let form = |(pattern, example): (&str, &str)| StepDoc {
@@ -203,8 +215,8 @@ pub fn step_docs() -> Vec<StepDoc> {
         example: example.to_owned(),
     };
     let mut all: Vec<StepDoc> = FORMS.into_iter().map(form).collect();
-    all.extend(list(SETTINGS, &registry.settings));
-    all.extend(list(ACTIONS, &registry.actions));
-    all.extend(list(FACTS, &registry.facts));
+    all.extend(list(SETTINGS, registry.settings.iter()));
+    all.extend(list(ACTIONS, registry.actions()));
+    all.extend(list(FACTS, registry.facts()));
     all
 }

@@ -4,7 +4,7 @@ use std::fmt;
 
 /// Reason why a step fails.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum StepFailure {
+pub enum StepFailure {
     /// The fact does not hold. Contains the actual state.
     NotMet(String),
     /// The step is invalid here, whatever happens.
@@ -13,15 +13,15 @@ pub(super) enum StepFailure {
 
 impl StepFailure {
     /// Creates an error for an invalid step.
-    pub(super) fn invalid(text: impl fmt::Display) -> StepFailure {
+    pub fn invalid(text: impl fmt::Display) -> StepFailure {
         StepFailure::Invalid(text.to_string())
     }
 }
 
 /// Result of a step.
-pub(super) type StepResult = Result<(), StepFailure>;
+pub type StepResult = Result<(), StepFailure>;
 
 /// Returns `Ok` if the fact holds, otherwise the actual state.
-pub(super) fn expect_that(is: bool, instead: impl FnOnce() -> String) -> StepResult {
+pub fn expect_that(is: bool, instead: impl FnOnce() -> String) -> StepResult {
     if is { Ok(()) } else { Err(StepFailure::NotMet(instead())) }
 }

@@ -452,7 +452,7 @@ fn note(observed: &TrialState, killed_after_s: Option<f64>) -> String {
 fn world(setup: &ExperimentSetup, scenario: &Scenario, seed: u64) -> SharedWorld {
     let checked = "scenarios are validated";
     let world_setup = WorldSetup::new(setup.map.clone(), seed);
-    let mut world_setup = setup.workload.extensions.files().fold(world_setup, WorldSetup::domain);
+    let mut world_setup = world_setup.extended(setup.workload.extensions);
     for robot in &scenario.robots {
         let sim_robot = RobotSetup::carrier(
             robot.name.clone(),

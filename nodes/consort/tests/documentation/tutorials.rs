@@ -4,6 +4,7 @@ use super::page::{Page, repository};
 use super::shell::{OUTPUT_MARKER, run_page, substitute_program};
 use consort_nodes::cli;
 use consort_skills::extensions::Extensions;
+use consort_tests::behavior::add_steps;
 use std::ffi::OsString;
 use std::io::Write;
 use std::path::Path;
@@ -14,6 +15,10 @@ use std::process::ExitCode;
 #[path = "../../../../examples/look_around.rs"]
 #[expect(dead_code, reason = "its `main` is for the program alone")]
 mod look_around;
+
+#[path = "../../../../examples/gas_leak.rs"]
+#[expect(dead_code, reason = "its `main` is for the program alone")]
+mod gas_leak;
 
 #[path = "../../../../examples/rover.rs"]
 #[expect(dead_code, reason = "its `main` is for the program alone")]
@@ -41,6 +46,10 @@ fn it_runs_as_a_program() {
         }
         (Some("lab"), args) => run_lab(Extensions::default(), args),
         (Some("look_around_lab"), args) => run_lab(look_around::EXTENSIONS, args),
+        (Some("gas_leak"), args) => {
+            add_steps(gas_leak::steps());
+            run_lab(gas_leak::EXTENSIONS, args)
+        }
         (Some("rover"), [file, robot, place]) => rover::adapt(file, robot, place).is_ok(),
         (Some("round_planner"), args) => round_planner::run(args).is_ok(),
         other => panic!("no tutorial has a program {other:?}"),
@@ -88,6 +97,13 @@ fn the_skill_tutorial_works() {
             ("cargo run --example look_around_lab --", |args| substitute_program("look_around_lab", args)),
         ],
     );
+}
+
+#[test]
+fn the_simulator_tutorial_works() {
+    let page = tutorial("simulator");
+    shows(&page, "gas_leak.rs");
+    run_page(&page, &[("cargo run --example gas_leak --", |args| substitute_program("gas_leak", args))]);
 }
 
 #[test]

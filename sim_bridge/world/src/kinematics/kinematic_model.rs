@@ -3,6 +3,7 @@
 use super::ackermann::Ackermann;
 use super::aerial::Aerial;
 use super::avoidance::Neighbour;
+use super::chassis::{ChassisSettings, NamedChassis, OwnChassis, build_chassis};
 use super::differential::Differential;
 use super::motion_math::TIME_EPSILON_S;
 use super::omnidirectional::Omnidirectional;
@@ -10,7 +11,7 @@ use super::settings::Kinematics;
 use nalgebra::{Isometry2, Vector3};
 
 /// A moving robot. It takes a target and elapsed time, and reports its arrival.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug)]
 pub(crate) struct KinematicModel {
     chassis: Chassis,
     period_s: f64,
@@ -18,12 +19,13 @@ pub(crate) struct KinematicModel {
     decides_in_s: f64,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug)]
 enum Chassis {
     Differential(Differential),
     Omnidirectional(Omnidirectional),
     Ackermann(Ackermann),
     Aerial(Aerial),
+    Own(OwnChassis),
 }
 
 /// Applies the same expression to whichever model it is.
@@ -34,6 +36,7 @@ macro_rules! any {
             Chassis::Omnidirectional($model) => $does,
             Chassis::Ackermann($model) => $does,
             Chassis::Aerial($model) => $does,
+            Chassis::Own(OwnChassis($model)) => $does,
         }
     };
 }
@@ -41,19 +44,33 @@ macro_rules! any {
 impl KinematicModel {
     /// Creates a robot at standstill. `max_mps` is its top speed in metres per second, `radius_m`
     /// the distance from its centre to its outermost part in metres.
-    pub(crate) fn new(kinematics: &Kinematics, max_mps: f64, radius_m: f64, pose: Isometry2<f64>) -> KinematicModel {
-        let (chassis, period_s) = match *kinematics {
+    ///
+    /// # Panics
+    /// If the program has no chassis of the name, or if its settings are invalid: setups are checked before.
+    pub(crate) fn new(
+        kinematics: &Kinematics,
+        max_mps: f64,
+        radius_m: f64,
+        pose: Isometry2<f64>,
+        own_chassis: &[NamedChassis],
+    ) -> KinematicModel {
+        let (chassis, period_s) = match kinematics {
             Kinematics::Differential(settings) => {
-                (Chassis::Differential(Differential::new(settings, max_mps, pose)), settings.control_period_s)
+                (Chassis::Differential(Differential::new(*settings, max_mps, pose)), settings.control_period_s)
             }
             Kinematics::Omnidirectional(settings) => {
-                (Chassis::Omnidirectional(Omnidirectional::new(settings, max_mps, pose)), settings.control_period_s)
+                (Chassis::Omnidirectional(Omnidirectional::new(*settings, max_mps, pose)), settings.control_period_s)
             }
             Kinematics::Ackermann(settings) => {
-                (Chassis::Ackermann(Ackermann::new(settings, max_mps, pose)), settings.control_period_s)
+                (Chassis::Ackermann(Ackermann::new(*settings, max_mps, pose)), settings.control_period_s)
             }
             Kinematics::Aerial(settings) => {
-                (Chassis::Aerial(Aerial::new(settings, max_mps, radius_m, &pose)), settings.control_period_s)
+                (Chassis::Aerial(Aerial::new(*settings, max_mps, radius_m, &pose)), settings.control_period_s)
+            }
+            Kinematics::Own(own) => {
+                let settings = ChassisSettings { numbers: own.settings.clone(), max_mps, radius_m, pose };
+                let chassis = build_chassis(own_chassis, &own.name, &settings).expect("checked: the chassis is known");
+                (Chassis::Own(chassis.expect("checked: the settings are valid")), own.control_period_s)
             }
         };
         KinematicModel { chassis, period_s, decides_in_s: 0.0 }
@@ -70,13 +87,19 @@ impl KinematicModel {
         match &mut self.chassis {
             Chassis::Differential(model) => model.set_target_backward(target),
             Chassis::Ackermann(model) => model.set_target_backward(target),
-            Chassis::Omnidirectional(_) | Chassis::Aerial(_) => self.set_target(target),
+            Chassis::Omnidirectional(_) | Chassis::Aerial(_) | Chassis::Own(_) => self.set_target(target),
         }
     }
 
     /// Limits the speed from now on, in metres per second.
     pub(crate) fn set_max_speed(&mut self, max_mps: f64) {
-        any!(&mut self.chassis, model => model.max_mps = max_mps);
+        match &mut self.chassis {
+            Chassis::Differential(model) => model.max_mps = max_mps,
+            Chassis::Omnidirectional(model) => model.max_mps = max_mps,
+            Chassis::Ackermann(model) => model.max_mps = max_mps,
+            Chassis::Aerial(model) => model.max_mps = max_mps,
+            Chassis::Own(OwnChassis(model)) => model.set_max_speed(max_mps),
+        }
     }
 
     /// Sets the heading of a robot at standstill, in radians, at once.
@@ -119,6 +142,7 @@ impl KinematicModel {
             Chassis::Omnidirectional(model) => model.control_step(self.period_s),
             Chassis::Ackermann(model) => model.control_step(self.period_s),
             Chassis::Aerial(model) => model.control_step(self.period_s, around),
+            Chassis::Own(OwnChassis(model)) => model.control_step(self.period_s),
         }
     }
 
@@ -134,6 +158,7 @@ impl KinematicModel {
             Chassis::Omnidirectional(model) => *model.pose(),
             Chassis::Ackermann(model) => *model.pose(),
             Chassis::Aerial(model) => model.pose_above(),
+            Chassis::Own(OwnChassis(model)) => model.pose(),
         }
     }
 
@@ -141,7 +166,7 @@ impl KinematicModel {
     pub(crate) fn position(&self) -> Vector3<f64> {
         match &self.chassis {
             Chassis::Aerial(model) => *model.position(),
-            Chassis::Differential(_) | Chassis::Omnidirectional(_) | Chassis::Ackermann(_) => {
+            Chassis::Differential(_) | Chassis::Omnidirectional(_) | Chassis::Ackermann(_) | Chassis::Own(_) => {
                 let at = self.pose().translation.vector;
                 Vector3::new(at.x, at.y, 0.0)
             }
@@ -158,7 +183,7 @@ impl KinematicModel {
     pub(crate) fn neighbour_range_m(&self, radius_m: f64) -> Option<f64> {
         match &self.chassis {
             Chassis::Aerial(model) => Some(model.neighbour_range_m(radius_m)),
-            Chassis::Differential(_) | Chassis::Omnidirectional(_) | Chassis::Ackermann(_) => None,
+            Chassis::Differential(_) | Chassis::Omnidirectional(_) | Chassis::Ackermann(_) | Chassis::Own(_) => None,
         }
     }
 
@@ -172,6 +197,19 @@ impl KinematicModel {
     /// Checks whether the robot is in the air and holds its position there.
     pub(crate) fn is_hovering(&self) -> bool {
         matches!(&self.chassis, Chassis::Aerial(model) if model.is_holding())
+    }
+
+    /// Returns a copy of a shipped model.
+    #[cfg(test)]
+    pub(crate) fn copy(&self) -> KinematicModel {
+        let chassis = match &self.chassis {
+            Chassis::Differential(model) => Chassis::Differential(*model),
+            Chassis::Omnidirectional(model) => Chassis::Omnidirectional(*model),
+            Chassis::Ackermann(model) => Chassis::Ackermann(*model),
+            Chassis::Aerial(model) => Chassis::Aerial(*model),
+            Chassis::Own(_) => unreachable!("not a shipped model"),
+        };
+        KinematicModel { chassis, ..*self }
     }
 
     /// The differential drive, if this model is a differential drive.

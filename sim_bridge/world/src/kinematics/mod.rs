@@ -6,6 +6,7 @@
 //! | [`Omnidirectional`](Kinematics::Omnidirectional) | in every direction, turning at the same time | the same |
 //! | [`Ackermann`](Kinematics::Ackermann) | forward or in reverse along arcs and straight lines, as a car does | speed, acceleration, turning radius |
 //! | [`Aerial`](Kinematics::Aerial) | in space, climbing and sinking at its own rate | speed, acceleration, climb rate, climb acceleration, turn rate |
+//! | [`Own`](Kinematics::Own) | as the [`Chassis`] of the program decides | its own |
 //!
 //! A `KinematicModel` is any of them with a clock. A model *decides* at the instants of its own
 //! control loop, as the computer of a robot does. Between two decisions its speeds are constant and
@@ -18,6 +19,7 @@
 mod ackermann;
 mod aerial;
 mod avoidance;
+mod chassis;
 mod differential;
 mod dubins;
 mod kinematic_model;
@@ -30,8 +32,11 @@ mod tests;
 mod trapezoid_profile;
 
 pub(crate) use avoidance::Neighbour;
+pub(crate) use chassis::build_chassis;
+pub use chassis::{Chassis, ChassisBuilder, ChassisSettings, NamedChassis};
 pub(crate) use kinematic_model::KinematicModel;
 pub use settings::{
     AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, KinematicsError, OmnidirectionalSettings,
+    OwnSettings,
 };
 pub(crate) use trapezoid_profile::{ProfileLimits, TrapezoidProfile};

@@ -3,11 +3,12 @@
 use super::pid::PidGains;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Kinematics of a robot, as a setup names it:
 /// `kinematics = { kind = "differential", acceleration_mps2 = 0.8 }`. The top speed is the robot's
 /// own. Omitted fields have their default values.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Kinematics {
     /// Two driven wheels: turns on the spot, drives forward.
@@ -18,6 +19,41 @@ pub enum Kinematics {
     Ackermann(AckermannSettings),
     /// A drone.
     Aerial(AerialSettings),
+    /// A chassis of the program itself.
+    Own(OwnSettings),
+}
+
+/// Settings of a chassis of the program itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OwnSettings {
+    /// Name of the chassis.
+    pub name: String,
+    /// Its settings, by name.
+    #[serde(default)]
+    pub settings: BTreeMap<String, f64>,
+    /// Acceleration, in metres per second squared: for estimates of the remaining time.
+    #[serde(default = "usual_acceleration")]
+    pub acceleration_mps2: f64,
+    /// Period of the control loop, in seconds.
+    #[serde(default = "usual_period")]
+    pub control_period_s: f64,
+}
+
+impl OwnSettings {
+    /// Returns a chassis with the usual period and acceleration, and without settings of its own.
+    pub fn named(name: &str) -> OwnSettings {
+        let (acceleration_mps2, control_period_s) = (usual_acceleration(), usual_period());
+        OwnSettings { name: name.to_owned(), settings: BTreeMap::new(), acceleration_mps2, control_period_s }
+    }
+}
+
+fn usual_acceleration() -> f64 {
+    DifferentialSettings::default().acceleration_mps2
+}
+
+fn usual_period() -> f64 {
+    DifferentialSettings::default().control_period_s
 }
 
 /// Settings of a [differential](Kinematics::Differential) chassis. The defaults are those of a
@@ -147,6 +183,7 @@ impl Kinematics {
             Kinematics::Omnidirectional(settings) => settings.acceleration_mps2,
             Kinematics::Ackermann(settings) => settings.acceleration_mps2,
             Kinematics::Aerial(settings) => settings.acceleration_mps2,
+            Kinematics::Own(settings) => settings.acceleration_mps2,
         }
     }
 
@@ -190,6 +227,10 @@ impl Kinematics {
                 limit("turn_acceleration_rps2", settings.turn_acceleration_rps2)?;
                 gain("height_m", settings.height_m)?;
                 gain("margin_m", settings.margin_m)?;
+                period(settings.control_period_s)
+            }
+            Kinematics::Own(settings) => {
+                limit("acceleration_mps2", settings.acceleration_mps2)?;
                 period(settings.control_period_s)
             }
         }

@@ -22,8 +22,12 @@ fn pose(x: f64, y: f64, yaw: f64) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(x, y), yaw)
 }
 
+fn built(kinematics: &Kinematics, max_mps: f64, radius_m: f64, pose: Isometry2<f64>) -> KinematicModel {
+    KinematicModel::new(kinematics, max_mps, radius_m, pose, &[])
+}
+
 fn still(kinematics: &Kinematics) -> KinematicModel {
-    KinematicModel::new(kinematics, MAX_MPS, 0.25, Isometry2::identity())
+    built(kinematics, MAX_MPS, 0.25, Isometry2::identity())
 }
 
 /// Drives to the poses in turn with time steps of `dt_s`; returns the arrival time at the last.
@@ -128,10 +132,8 @@ fn a_drone_climbs_at_its_rate_and_holds_its_position() {
 #[test]
 fn two_drones_pass_each_other_and_both_arrive() {
     let kinematics = Kinematics::Aerial(AerialSettings::default());
-    let mut drones = [
-        KinematicModel::new(&kinematics, 3.0, 0.25, pose(0.0, 0.0, 0.0)),
-        KinematicModel::new(&kinematics, 3.0, 0.25, pose(12.0, 0.0, 0.0)),
-    ];
+    let mut drones =
+        [built(&kinematics, 3.0, 0.25, pose(0.0, 0.0, 0.0)), built(&kinematics, 3.0, 0.25, pose(12.0, 0.0, 0.0))];
     drones[0].set_target(pose(12.0, 0.0, 0.0));
     drones[1].set_target(pose(0.0, 0.0, 0.0));
     let mut arrived = [false; 2];
@@ -178,7 +180,7 @@ proptest! {
             let mut mover = still(&kinematics);
             mover.set_target(pose(-4.0, 3.0, 1.0));
             let period = if name == "aerial" { 0.05 } else { 0.02 };
-            let (mut before, mut now, mut arrived) = (mover, 0.0, false);
+            let (mut before, mut now, mut arrived) = (mover.copy(), 0.0, false);
             let mut told = false;
             while !(told && arrived) && now < 120.0 {
                 if !told && now >= changed {
@@ -187,7 +189,7 @@ proptest! {
                 }
                 arrived = mover.advance(period, &[]).is_some();
                 check_limits(name, &before, &mover, period)?;
-                (before, now) = (mover, now + period);
+                (before, now) = (mover.copy(), now + period);
             }
             prop_assert!(arrived, "{name} never arrived");
             let missed = (mover.pose().translation.vector - Vector2::new(x, y)).norm();
@@ -207,9 +209,9 @@ proptest! {
 
     #[test]
     fn an_omnidirectional_chassis_takes_equal_times_both_ways(x in -8.0..8.0, y in -8.0..8.0, yaw in -3.0..3.0) {
-        let (kinematics, target) = (all()[1].1, pose(x, y, yaw));
+        let (kinematics, target) = (all()[1].1.clone(), pose(x, y, yaw));
         let there = course(&mut still(&kinematics), &[target], 0.02);
-        let mut back = KinematicModel::new(&kinematics, MAX_MPS, 0.25, target);
+        let mut back = built(&kinematics, MAX_MPS, 0.25, target);
         let back = course(&mut back, &[Isometry2::identity()], 0.02);
         prop_assert!((there - back).abs() < 0.05, "{there} s there, {back} s back");
     }

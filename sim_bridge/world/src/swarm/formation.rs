@@ -54,11 +54,11 @@ impl Swarm {
     pub(super) fn world(&self) -> Result<World, SwarmError> {
         let map = self.field().check("field")?;
         let mut setup = WorldSetup::new(map, self.seed);
-        let kinematics = Some(Kinematics::Aerial(AerialSettings::default()));
         for n in 0..self.drones {
             let (speed, discharge) = (MetresPerSecond::new(SPEED_MPS), SharePerSecond::new(0.0));
             let (speed, discharge) = (speed.expect("a speed"), discharge.expect("a rate"));
             let drone = RobotSetup::carrier(robot(n), pad(n), speed, BatteryShare::FULL, discharge);
+            let kinematics = Some(Kinematics::Aerial(AerialSettings::default()));
             setup.robots.push(RobotSetup { has_drawer: false, radius_m: RADIUS_M, kinematics, ..drone });
         }
         setup.systems = ["steering", "driving", "collisions", "wind"].map(str::to_owned).to_vec();

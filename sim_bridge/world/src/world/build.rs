@@ -5,13 +5,20 @@ use super::goal_history::GoalHistory;
 use super::location::{MapPosition, RobotLocation};
 use super::samples::{HandoverCount, HolderEntity, PayloadData};
 use super::setup::environment;
-use super::setup::{Durations, RobotSetup, SetupError, SetupErrors, WorldLimits, WorldSetup, default_step_s};
+use super::setup::{
+    Durations, ProgramParts, RobotSetup, SetupError, SetupErrors, WorldLimits, WorldSetup, default_step_s,
+};
 use super::sim_state::SimState;
 use super::simulation::World;
+use super::system::System;
 use super::systems;
+use crate::kinematics::{ChassisSettings, Kinematics, OwnSettings, build_chassis};
 use crate::map::Map;
-use consort_protocol::ids::PlaceId;
+use consort_protocol::ids::{ActionName, PlaceId};
 use consort_skills::domain::standard_domain;
+use consort_skills::domain_file::{ActionForm, DomainFile};
+use consort_skills::extensions::Extensions;
+use nalgebra::Isometry2;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
@@ -26,7 +33,7 @@ impl WorldSetup {
         let systems = systems::system_names().map(str::to_owned).collect();
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
         let (doors, obstacles) = (Vec::new(), Vec::new());
-        let (step_s, wind) = (default_step_s(), None);
+        let (step_s, wind, program) = (default_step_s(), None, ProgramParts::default());
         let (actions, readings) = (BTreeMap::new(), BTreeMap::new());
         let setup = Self {
             map,
@@ -43,6 +50,7 @@ impl WorldSetup {
             systems,
             step_s,
             wind,
+            program,
         };
         setup.domain(standard_domain())
     }
@@ -58,8 +66,9 @@ impl World {
         if !errors.is_empty() {
             return Err(SetupErrors(errors));
         }
-        let systems = setup.systems.iter().filter_map(|name| systems::by_name(name)).collect();
+        let systems = setup.systems.iter().filter_map(|name| system(setup.program, name)).collect();
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
+        state.own_chassis = setup.program.chassis();
         state.insert_resource(HandoverCount::default());
         let mut world = World::with(state, systems);
         world.for_each_system(|system, state| system.init_world(state, &setup));
@@ -99,7 +108,8 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
     }
     check_numbers(&setup.durations, &setup.limits, &mut errors);
     check_step(setup, &mut errors);
-    check_systems(&setup.systems, &mut errors);
+    check_systems(setup, &mut errors);
+    errors.extend(unknown_action_systems(&setup.actions, setup.program));
     environment::check(&setup.map, &setup.doors, &setup.obstacles, &mut errors);
     let mut seen = BTreeSet::new();
     for robot in &setup.robots {
@@ -192,8 +202,34 @@ fn check_kinematics(setup: &WorldSetup, robot: &RobotSetup, subject: &str, error
     if let Err(error) = kinematics.check() {
         errors.push(SetupError::Kinematics { subject: subject.to_owned(), error });
     }
+    if let Kinematics::Own(own) = kinematics {
+        check_own_chassis(setup, robot, own, subject, errors);
+    }
     if !["driving", "steering"].iter().all(|needed| setup.systems.iter().any(|name| name == needed)) {
         errors.push(SetupError::MissingSystems { subject: subject.to_owned(), systems: setup.systems.join(", ") });
+    }
+}
+
+fn check_own_chassis(
+    setup: &WorldSetup,
+    robot: &RobotSetup,
+    own: &OwnSettings,
+    subject: &str,
+    errors: &mut Vec<SetupError>,
+) {
+    let (numbers, max_mps, radius_m) = (own.settings.clone(), robot.speed.get(), robot.radius_m);
+    let settings = ChassisSettings { numbers, max_mps, radius_m, pose: Isometry2::identity() };
+    let (subject, name) = (subject.to_owned(), own.name.clone());
+    let known = setup.program.chassis();
+    match build_chassis(known, &name, &settings) {
+        Some(Ok(_)) => {}
+        Some(Err(problem)) => errors.push(SetupError::InvalidChassis { subject, name, problem }),
+        None => {
+            let names = || known.iter().map(|(name, _)| *name);
+            let hint = crate::suggest::did_you_mean(&name, names());
+            let known = names().collect::<Vec<_>>().join(", ");
+            errors.push(SetupError::UnknownChassis { subject, name, known, hint });
+        }
     }
 }
 
@@ -247,12 +283,43 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, errors: &mut Vec<S
     }
 }
 
-fn check_systems(chosen: &[String], errors: &mut Vec<SetupError>) {
+/// Returns the system with this name, of the program itself or shipped.
+fn system(program: ProgramParts, name: &str) -> Option<&'static dyn System> {
+    program.systems().find(|system| system.name() == name).or_else(|| systems::by_name(name))
+}
+
+fn known_systems(program: ProgramParts) -> impl Iterator<Item = &'static str> {
+    systems::system_names().chain(program.systems().map(System::name))
+}
+
+/// Checks that this program simulates the actions of a domain.
+///
+/// # Errors
+/// [`SetupErrors`] with each action that names an unknown system.
+pub fn check_simulated_actions(domain: &DomainFile, extensions: Extensions) -> Result<(), SetupErrors> {
+    let actions = domain.simulated_actions().collect();
+    let errors = unknown_action_systems(&actions, ProgramParts(extensions.simulator));
+    if errors.is_empty() { Ok(()) } else { Err(SetupErrors(errors)) }
+}
+
+fn unknown_action_systems(actions: &BTreeMap<ActionName, ActionForm>, program: ProgramParts) -> Vec<SetupError> {
+    let named = actions.iter().filter_map(|(action, form)| Some((action, form.simulate.system.as_deref()?)));
+    let unknown = named.filter(|(_, name)| system(program, name).is_none());
+    let error = |(action, name): (&ActionName, &str)| SetupError::UnknownActionSystem {
+        action: action.clone(),
+        name: name.to_owned(),
+        known: known_systems(program).collect::<Vec<_>>().join(", "),
+        hint: crate::suggest::did_you_mean(name, known_systems(program)),
+    };
+    unknown.map(error).collect()
+}
+
+fn check_systems(setup: &WorldSetup, errors: &mut Vec<SetupError>) {
     let mut seen = BTreeSet::new();
-    for name in chosen {
-        if systems::by_name(name).is_none() {
-            let hint = crate::suggest::did_you_mean(name, systems::system_names());
-            let known = systems::system_names().collect::<Vec<_>>().join(", ");
+    for name in &setup.systems {
+        if system(setup.program, name).is_none() {
+            let hint = crate::suggest::did_you_mean(name, known_systems(setup.program));
+            let known = known_systems(setup.program).collect::<Vec<_>>().join(", ");
             errors.push(SetupError::UnknownSystem { name: name.clone(), known, hint });
         }
         check_unique(format!("system {name}"), &mut seen, errors);

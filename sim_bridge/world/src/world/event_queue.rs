@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 /// Identifies a scheduled entry, so that it can be canceled. Ordered by time, then by the order of
 /// scheduling.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct TimerId {
+pub struct TimerId {
     pub(crate) time: f64,
     number: u64,
 }

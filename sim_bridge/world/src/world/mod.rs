@@ -64,6 +64,7 @@ mod goals;
 mod location;
 mod motion_state;
 mod names;
+mod own_parts;
 mod preconditions;
 mod report;
 mod routing;
@@ -80,16 +81,21 @@ mod systems;
 #[cfg(test)]
 mod tests;
 
+pub use build::check_simulated_actions;
 pub use event::{LoggedEvent, SampleHolder, WorldEvent};
 pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};
+pub use own_parts::SimulatorExtension;
 pub use report::{DoorReport, PersonReport, RobotReport, WorldReport};
 pub use samples::SampleReport;
 pub use sensing::{DetectedObject, Detection, SensorReading};
 pub use setup::{
-    DoorSetup, Durations, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, RobotSetup, SetupError,
-    SetupErrors, SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
+    DoorSetup, Durations, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, ProgramParts, RobotSetup,
+    SetupError, SetupErrors, SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
 };
+pub use sim_state::SimState;
 pub use simulation::World;
+pub use system::{END_UNKNOWN, System};
+pub use system_access::{ComponentType, SystemTimer};
 pub use systems::power::STOPPING_SHARE;
 pub use systems::system_names;

@@ -37,7 +37,7 @@ impl World {
                 robot: robot.clone(),
                 level: self.state.map.place_at(location.map_position(now).last_place()).level,
                 pose: location.pose(now),
-                height_m: self.kinematic_model(robot).map_or(0.0, |mover| mover.position().z),
+                height_m: self.with_kinematic_model(robot, |model| model.position().z).unwrap_or_default(),
             }
         })
     }

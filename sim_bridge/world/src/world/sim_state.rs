@@ -5,12 +5,15 @@
 
 use super::event::{EventLog, WorldEvent};
 use super::event_queue::{EventQueue, TimerId};
+use super::location::RobotLocation;
 use super::names::{PersonName, SampleId};
 use super::setup::{Durations, WorldLimits};
 use super::system_access::{ComponentType, RunningSystem, SystemIndex, SystemTimer};
+use crate::kinematics::NamedChassis;
 use crate::map::Map;
 use crate::space::WallGrid;
 use consort_protocol::ids::RobotId;
+use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, BackendEvent};
 use hecs::{Component, Entity, Fetch, Query, QueryMut, Ref, RefMut};
 use std::collections::{BTreeMap, VecDeque};
@@ -39,8 +42,8 @@ pub(crate) enum SimCommand {
     CompleteGoal(Entity),
 }
 
-/// See the [module](self).
-pub(crate) struct SimState {
+/// The simulation state, as systems access it.
+pub struct SimState {
     pub(crate) map: Map,
     /// Walls by level.
     pub(crate) walls: Vec<WallGrid>,
@@ -51,6 +54,8 @@ pub(crate) struct SimState {
     pub(crate) samples: BTreeMap<SampleId, Entity>,
     pub(crate) durations: Durations,
     pub(crate) limits: WorldLimits,
+    /// Chassis of the program itself.
+    pub(crate) own_chassis: &'static [NamedChassis],
     pub(crate) queue: EventQueue<ScheduledEvent>,
     pub(crate) commands: VecDeque<SimCommand>,
     /// Events that the systems have not observed yet.
@@ -80,6 +85,7 @@ impl SimState {
             samples: BTreeMap::new(),
             durations,
             limits,
+            own_chassis: &[],
             queue: EventQueue::new(),
             commands: VecDeque::new(),
             unobserved_events: VecDeque::new(),
@@ -100,59 +106,89 @@ impl SimState {
         done
     }
 
+    /// Returns the time since the world began, in seconds.
+    pub fn now_s(&self) -> f64 {
+        self.now
+    }
+
+    /// Returns the map.
+    pub fn map(&self) -> &Map {
+        &self.map
+    }
+
+    /// Returns the robots with their entities, ordered by name.
+    pub fn robots(&self) -> impl Iterator<Item = (&RobotId, Entity)> {
+        self.robots.iter().map(|(id, entity)| (id, *entity))
+    }
+
+    /// Returns the present pose of a robot. No declaration is necessary.
+    pub fn robot_pose(&self, robot: Entity) -> Pose {
+        self.peek::<RobotLocation>(robot).expect("a robot has a location").pose(self.now)
+    }
+
     /// Creates an entity without components.
-    pub(crate) fn spawn(&mut self) -> Entity {
+    pub fn spawn(&mut self) -> Entity {
         self.store.spawn(())
     }
 
     /// Sets a component of an entity, replacing any of the same type.
-    pub(crate) fn insert<T: Component>(&mut self, entity: Entity, component: T) {
+    pub fn insert<T: Component>(&mut self, entity: Entity, component: T) {
         self.check(ComponentType::of::<T>(), true);
         self.store.insert_one(entity, component).expect("entities are never removed");
     }
 
     /// Reads a component that the entity always has.
-    pub(crate) fn get<T: Component>(&self, entity: Entity) -> Ref<'_, T> {
+    pub fn get<T: Component>(&self, entity: Entity) -> Ref<'_, T> {
         self.find(entity).unwrap_or_else(|| panic!("an entity has no component {}", ComponentType::of::<T>().name()))
     }
 
     /// Writes a component that the entity always has.
-    pub(crate) fn get_mut<T: Component>(&self, entity: Entity) -> RefMut<'_, T> {
+    pub fn get_mut<T: Component>(&self, entity: Entity) -> RefMut<'_, T> {
         self.find_mut(entity)
             .unwrap_or_else(|| panic!("an entity has no component {}", ComponentType::of::<T>().name()))
     }
 
     /// Reads a component, if the entity has it.
-    pub(crate) fn find<T: Component>(&self, entity: Entity) -> Option<Ref<'_, T>> {
+    pub fn find<T: Component>(&self, entity: Entity) -> Option<Ref<'_, T>> {
         self.check(ComponentType::of::<T>(), false);
         self.store.get::<&T>(entity).ok()
     }
 
     /// Writes a component, if the entity has it.
-    pub(crate) fn find_mut<T: Component>(&self, entity: Entity) -> Option<RefMut<'_, T>> {
+    pub fn find_mut<T: Component>(&self, entity: Entity) -> Option<RefMut<'_, T>> {
         self.check(ComponentType::of::<T>(), true);
         self.store.get::<&mut T>(entity).ok()
     }
 
     /// Reads a resource.
-    pub(crate) fn resource<T: Component>(&self) -> Ref<'_, T> {
+    pub fn resource<T: Component>(&self) -> Ref<'_, T> {
         self.get(self.resource_entity)
     }
 
     /// Writes a resource.
-    pub(crate) fn resource_mut<T: Component>(&self) -> RefMut<'_, T> {
+    pub fn resource_mut<T: Component>(&self) -> RefMut<'_, T> {
         self.get_mut(self.resource_entity)
     }
 
     /// Adds a resource.
-    pub(crate) fn insert_resource<T: Component>(&mut self, component: T) {
+    pub fn insert_resource<T: Component>(&mut self, component: T) {
         self.insert(self.resource_entity, component);
     }
 
     /// Checks whether a resource exists, that is, whether the system that adds it is part of this
     /// world.
-    pub(crate) fn has_resource<T: Component>(&self) -> bool {
+    pub fn has_resource<T: Component>(&self) -> bool {
         self.store.satisfies::<&T>(self.resource_entity)
+    }
+
+    /// Reads a component of a shipped system without a declaration.
+    pub(super) fn peek<T: Component>(&self, entity: Entity) -> Option<Ref<'_, T>> {
+        self.store.get::<&T>(entity).ok()
+    }
+
+    /// Writes a component of a shipped system without a declaration.
+    pub(super) fn poke<T: Component>(&self, entity: Entity) -> Option<RefMut<'_, T>> {
+        self.store.get::<&mut T>(entity).ok()
     }
 
     /// The entity that holds the resources.
@@ -161,13 +197,13 @@ impl SimState {
     }
 
     /// Schedules a timer of the running system.
-    pub(crate) fn schedule(&mut self, time: f64, about: Entity, number: u64) -> TimerId {
+    pub fn schedule(&mut self, time: f64, about: Entity, number: u64) -> TimerId {
         let index = self.running.as_ref().expect("only systems schedule timers").index;
         self.queue.schedule(time, ScheduledEvent::SystemTimer(index, SystemTimer { entity: about, number }))
     }
 
     /// Lets the world step from the next grid instant on, until no system needs another step.
-    pub(crate) fn start_stepping(&mut self) {
+    pub fn start_stepping(&mut self) {
         if !std::mem::replace(&mut self.step_scheduled, true) {
             // An instant closer than the rounding error is the previous instant.
             let next = (self.now / self.step_s + 1e-6).floor() + 1.0;
@@ -186,7 +222,7 @@ impl SimState {
     }
 
     /// Returns all entities that match a query, always in the same order.
-    pub(crate) fn query<Q: Query>(&mut self) -> QueryMut<'_, Q> {
+    pub fn query<Q: Query>(&mut self) -> QueryMut<'_, Q> {
         if let Some(running) = self.running.as_ref().filter(|_| cfg!(debug_assertions)) {
             <Q::Fetch as Fetch>::for_each_borrow(|id, writes| running.check_id(id, writes));
         }
@@ -194,12 +230,12 @@ impl SimState {
     }
 
     /// Aborts the active goal of a robot, if any.
-    pub(crate) fn abort_goal(&mut self, robot: Entity, error: ActionError) {
+    pub fn abort_goal(&mut self, robot: Entity, error: ActionError) {
         self.commands.push_back(SimCommand::AbortGoal(robot, error));
     }
 
     /// Completes the active goal of a robot, if any: for goals that began without a known end.
-    pub(crate) fn complete_goal(&mut self, robot: Entity) {
+    pub fn complete_goal(&mut self, robot: Entity) {
         self.commands.push_back(SimCommand::CompleteGoal(robot));
     }
 

@@ -22,6 +22,11 @@ impl World {
         &self.state.map
     }
 
+    /// The state of the simulation, for reading.
+    pub fn state(&self) -> &SimState {
+        &self.state
+    }
+
     pub(super) fn system(&self, index: SystemIndex) -> &'static dyn System {
         self.systems[index.0]
     }

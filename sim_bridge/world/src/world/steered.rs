@@ -2,6 +2,7 @@
 
 use super::components::SimRobot;
 use super::location::{MapPosition, RobotLocation, StraightDrive};
+use super::setup::RobotSetup;
 use super::sim_state::SimState;
 use super::simulation::World;
 use crate::kinematics::{KinematicModel, Kinematics, Neighbour, ProfileLimits, TrapezoidProfile};
@@ -116,11 +117,15 @@ impl BodyIndex {
 }
 
 impl World {
-    /// Returns the kinematic model of a robot as of the latest step; `None` for a robot without
+    /// Reads the kinematic model of a robot as of the latest step; `None` for a robot without
     /// kinematics or an unknown robot.
-    pub(crate) fn kinematic_model(&self, robot: &RobotId) -> Option<KinematicModel> {
+    pub(crate) fn with_kinematic_model<T>(
+        &self,
+        robot: &RobotId,
+        read: impl FnOnce(&KinematicModel) -> T,
+    ) -> Option<T> {
         let robot = *self.state.robots.get(robot)?;
-        self.state.find::<Steered>(robot).map(|steered| steered.model)
+        self.state.find::<Steered>(robot).map(|steered| read(&steered.model))
     }
 }
 
@@ -188,13 +193,18 @@ impl SimState {
         }
     }
 
+    /// Creates the kinematic model of a robot at standstill.
+    pub(crate) fn kinematic_model(&self, kinematics: &Kinematics, body: &RobotSetup, pose: Pose) -> KinematicModel {
+        KinematicModel::new(kinematics, body.speed.get(), body.radius_m, isometry(pose), self.own_chassis)
+    }
+
     /// Moves a robot to another position at once.
     pub(crate) fn place_robot(&mut self, robot: Entity, position: MapPosition, pose: Pose) {
         *self.get_mut::<RobotLocation>(robot) = RobotLocation::Standing { position, pose };
         let level = self.level_of(position);
         let body = &self.get::<SimRobot>(robot).0;
         if let (Some(kinematics), Some(mut steered)) = (&body.kinematics, self.find_mut::<Steered>(robot)) {
-            let model = KinematicModel::new(kinematics, body.speed.get(), body.radius_m, isometry(pose));
+            let model = self.kinematic_model(kinematics, body, pose);
             *steered = Steered { model, since: self.now, part: None, notify_at_m: None, level };
         }
     }
@@ -207,8 +217,9 @@ impl SimState {
     /// Remaining driving distance of a steered robot's current part, with an estimated time.
     pub(crate) fn steered_remaining(&self, robot: Entity, speed_mps: f64) -> (f64, f64) {
         let remaining_m = self.find::<Steered>(robot).map_or(0.0, |steered| steered.model.remaining_m());
-        let kinematics = self.get::<SimRobot>(robot).0.kinematics;
-        (remaining_m, kinematics.map_or(0.0, |kinematics| estimated_time_s(&kinematics, speed_mps, remaining_m)))
+        let kinematics = &self.get::<SimRobot>(robot).0.kinematics;
+        let time_s = kinematics.as_ref().map_or(0.0, |kinematics| estimated_time_s(kinematics, speed_mps, remaining_m));
+        (remaining_m, time_s)
     }
 
     /// Returns the end of a drive: its target, or a point before a robot that stands there.

@@ -3,7 +3,8 @@
 //! A system has no state of its own: its state is in components of entities, or in resources. It
 //! declares the components that it reads and writes, and can access no others ([`SimState`]
 //! enforces this while debug assertions are on). A world consists of the systems that its setup
-//! names. A new system is a file in `systems/` and a line in [`systems::ALL`].
+//! names. A new system of the simulator is a file in `systems/` and a line in [`systems::ALL`]; a program
+//! can add systems of its own (see [`extend`](crate::extend)).
 //!
 //! | method | called when |
 //! |---|---|
@@ -25,10 +26,10 @@ use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, GoalResult, P
 use hecs::Entity;
 
 /// End time of a goal with an unknown end.
-pub(crate) const END_UNKNOWN: f64 = f64::INFINITY;
+pub const END_UNKNOWN: f64 = f64::INFINITY;
 
 /// A rule of the simulator that advances a single aspect of the world.
-pub(crate) trait System: Sync {
+pub trait System: Send + Sync {
     /// Name of the system in setups.
     fn name(&self) -> &'static str;
 

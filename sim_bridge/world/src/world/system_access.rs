@@ -9,14 +9,14 @@ pub(crate) struct SystemIndex(pub(super) usize);
 
 /// Type of a component.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct ComponentType {
+pub struct ComponentType {
     id: TypeId,
     name: &'static str,
 }
 
 impl ComponentType {
     /// Returns the component type of `T`.
-    pub(crate) fn of<T: Component>() -> ComponentType {
+    pub fn of<T: Component>() -> ComponentType {
         ComponentType { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
     }
 
@@ -32,18 +32,18 @@ impl ComponentType {
 }
 
 /// Expands to a list of [`ComponentType`]s.
+#[macro_export]
 macro_rules! component_types {
-    ($($component:ty),* $(,)?) => { vec![$($crate::world::system_access::ComponentType::of::<$component>()),*] };
+    ($($component:ty),* $(,)?) => { vec![$($crate::world::ComponentType::of::<$component>()),*] };
 }
-pub(crate) use component_types;
 
 /// A timer that a system scheduled for itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct SystemTimer {
+pub struct SystemTimer {
     /// The entity concerned.
-    pub(crate) entity: Entity,
+    pub entity: Entity,
     /// Number by which the system distinguishes its timers.
-    pub(crate) number: u64,
+    pub number: u64,
 }
 
 /// The system that is running: its index in this world, and the components it may access.

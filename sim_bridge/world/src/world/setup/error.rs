@@ -1,7 +1,7 @@
 //! Mistakes in a setup.
 
 use crate::kinematics::KinematicsError;
-use consort_protocol::ids::PlaceId;
+use consort_protocol::ids::{ActionName, PlaceId};
 
 /// A mistake in a setup.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -69,6 +69,40 @@ pub enum SetupError {
         known: String,
         /// Suggestion, as text; may be empty.
         hint: String,
+    },
+    /// A domain names an unknown system for an action.
+    #[error("actions.{action}.simulate.system: there is no system {name:?}{hint}; there are: {known}")]
+    UnknownActionSystem {
+        /// The action.
+        action: ActionName,
+        /// The name as given.
+        name: String,
+        /// The known systems.
+        known: String,
+        /// Suggestion, as text; may be empty.
+        hint: String,
+    },
+    /// The program has no chassis of this name.
+    #[error("{subject}: this program has no chassis {name:?}{hint}; there are: {known}")]
+    UnknownChassis {
+        /// `robot ada`.
+        subject: String,
+        /// The name as given.
+        name: String,
+        /// The chassis of the program.
+        known: String,
+        /// Suggestion, as text; may be empty.
+        hint: String,
+    },
+    /// A chassis of the program rejects its settings.
+    #[error("{subject}: chassis {name}: {problem}")]
+    InvalidChassis {
+        /// `robot ada`.
+        subject: String,
+        /// The chassis.
+        name: String,
+        /// The reason.
+        problem: String,
     },
     /// A person's action does not fit its trigger.
     #[error("{subject}: the trigger does not fit the action; allowed is {allowed}")]

@@ -4,6 +4,7 @@ pub(super) mod environment;
 mod error;
 mod limits;
 mod person;
+mod program_parts;
 mod robot;
 mod world;
 
@@ -11,5 +12,6 @@ pub use environment::{DoorSetup, ObjectSetup, Obstacle};
 pub use error::{SetupError, SetupErrors};
 pub use limits::{Durations, WorldLimits};
 pub use person::{PersonAction, PersonSetup, PersonTrigger, SpontaneousAction};
+pub use program_parts::ProgramParts;
 pub use robot::RobotSetup;
 pub use world::{WindSettings, WorldSetup, default_step_s};

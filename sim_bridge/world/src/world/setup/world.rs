@@ -3,6 +3,7 @@
 use super::environment::{DoorSetup, ObjectSetup, Obstacle};
 use super::limits::{Durations, WorldLimits};
 use super::person::PersonSetup;
+use super::program_parts::ProgramParts;
 use super::robot::RobotSetup;
 use crate::map::Map;
 use consort_protocol::ids::ActionName;
@@ -43,6 +44,8 @@ pub struct WorldSetup {
     pub step_s: f64,
     /// Gusts that push hovering drones; `None` indoors.
     pub wind: Option<WindSettings>,
+    /// Systems and chassis of the program itself.
+    pub program: ProgramParts,
 }
 
 /// Default time between two steps of a world: 0.05 s. Longer steps are quicker to compute, but

@@ -1,6 +1,7 @@
 //! Arms: they take objects out of drawers and off tables, within their reach and payload, and put
 //! them down.
 
+use crate::component_types;
 use crate::world::actions::{Deposit, Grasp, PickUp};
 use crate::world::components::{CoPresence, DepartureCount, DrawerOpen, PersonInfo, SampleLabel, SimRobot};
 use crate::world::location::RobotLocation;
@@ -8,7 +9,7 @@ use crate::world::preconditions::action_error;
 use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
 use hecs::Entity;

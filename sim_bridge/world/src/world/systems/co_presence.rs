@@ -1,5 +1,6 @@
 //! Co-presence: approaching people and robots, and authenticating people.
 
+use crate::component_types;
 use crate::world::actions::{ApproachPerson, ApproachRobot, AuthenticatePerson};
 use crate::world::components::{CoPresence, DepartureCount, HandsBusy, PersonInfo, SimRobot};
 use crate::world::event::WorldEvent;
@@ -8,7 +9,7 @@ use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};

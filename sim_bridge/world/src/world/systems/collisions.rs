@@ -5,6 +5,7 @@
 //! new collision. Robots that drive in straight lines computed ahead pass through everything, but
 //! steered robots can collide with them.
 
+use crate::component_types;
 use crate::space::WallGrid;
 use crate::world::components::SimRobot;
 use crate::world::event::WorldEvent;
@@ -14,7 +15,7 @@ use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
 use crate::world::steered::{BodyIndex, Footprint, Steered};
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_skills::actions::ErrorCode;
 use hecs::Entity;
 use std::collections::BTreeSet;

@@ -1,12 +1,13 @@
 //! Actions and readings that domain files declare. An action takes a random time; at its end it fails, or
 //! returns random results and changes the readings of its robot.
 
+use crate::component_types;
 use crate::world::components::SimRobot;
 use crate::world::preconditions::action_error;
 use crate::world::setup::{RobotSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_protocol::ids::ActionName;
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
@@ -26,6 +27,13 @@ pub(crate) struct ActionModels {
     actions: BTreeMap<ActionName, ActionForm>,
     readings: BTreeMap<String, ReadingForm>,
     chance: ChaCha8Rng,
+}
+
+impl ActionModels {
+    /// Returns a value in the type of a declared reading, and within its range.
+    pub(crate) fn fit_reading(&self, name: &str, value: Scalar) -> Option<Scalar> {
+        of_type(&self.readings.get(name)?.value, Some(value))
+    }
 }
 
 /// Current readings of a robot, by name.
@@ -105,6 +113,23 @@ impl System for DeclaredActions {
             }
         }
         Ok(results)
+    }
+}
+
+impl SimState {
+    /// Returns a reading of a robot, if a domain declares it. No declaration of components is necessary.
+    pub fn reading(&self, robot: Entity, name: &str) -> Option<Scalar> {
+        self.peek::<Readings>(robot)?.0.get(name).cloned()
+    }
+
+    /// Sets a reading of a robot, in the type and within the range that its domain declares: a sensor. Returns
+    /// false if no domain declares it, or if the value does not fit. No declaration of components is necessary.
+    pub fn set_reading(&mut self, robot: Entity, name: &str, value: Scalar) -> bool {
+        let Some(models) = self.peek::<ActionModels>(self.resource_entity()) else { return false };
+        let Some(value) = models.fit_reading(name, value) else { return false };
+        let Some(mut readings) = self.poke::<Readings>(robot) else { return false };
+        readings.0.insert(name.to_owned(), value);
+        true
     }
 }
 

@@ -1,5 +1,6 @@
 //! Chargers: a docked robot charges until it undocks or drives off.
 
+use crate::component_types;
 use crate::map::PlaceKind;
 use crate::world::components::SimRobot;
 use crate::world::event::WorldEvent;
@@ -9,7 +10,7 @@ use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
 use consort_skills::actions::{ActionError, Dock, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Undock};

@@ -9,6 +9,7 @@
 //! Robots are admitted in the order of arrival. A robot that stops in a doorway keeps the door open
 //! and its slot taken.
 
+use crate::component_types;
 use crate::world::components::SimRobot;
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
@@ -16,7 +17,7 @@ use crate::world::setup::DoorSetup;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use consort_protocol::ids::RobotId;
 use hecs::Entity;
 use std::collections::{BTreeMap, VecDeque};

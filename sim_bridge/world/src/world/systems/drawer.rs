@@ -1,5 +1,6 @@
 //! Drawers that people and arms reach into.
 
+use crate::component_types;
 use crate::world::actions::OperateDrawer;
 use crate::world::components::{DrawerOpen, SimRobot};
 use crate::world::event::WorldEvent;
@@ -7,7 +8,7 @@ use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
 use hecs::Entity;
 

@@ -11,13 +11,14 @@
 //! is room, but they leave a slot free if an earlier caller waits elsewhere. Every caller is
 //! therefore served.
 
+use crate::component_types;
 use crate::map::PlaceIndex;
 use crate::world::components::SimRobot;
 use crate::world::event::WorldEvent;
 use crate::world::setup::WorldSetup;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use consort_protocol::ids::PlaceId;
 use hecs::Entity;
 use std::collections::BTreeMap;

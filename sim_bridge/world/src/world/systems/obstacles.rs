@@ -5,6 +5,7 @@
 //! ([`Durations::closure_memory_s`](crate::world::Durations)), then it regards the lane as open
 //! again.
 
+use crate::component_types;
 use crate::map::PlaceIndex;
 use crate::world::event::WorldEvent;
 use crate::world::setup::Obstacle;
@@ -12,7 +13,7 @@ use crate::world::setup::{RobotSetup, SetupError, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::simulation::World;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use consort_protocol::ids::PlaceId;
 use hecs::Entity;
 use std::collections::BTreeMap;

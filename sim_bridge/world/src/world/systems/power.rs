@@ -5,6 +5,7 @@
 //! Between two such changes the charge is linear, so the instant at which it crosses the stopping
 //! share is known in advance and is scheduled.
 
+use crate::component_types;
 use crate::world::components::SimRobot;
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
@@ -14,7 +15,7 @@ use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
 use crate::world::simulation::World;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use crate::world::systems::docking::Docked;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::BatteryShare;

@@ -5,6 +5,7 @@
 //! handover times. Actions are logged as events. [`people`](super::people) observes them and
 //! interrupts handovers.
 
+use crate::component_types;
 use crate::world::components::{PersonInfo, SimRobot};
 use crate::world::event::{SampleHolder, WorldEvent};
 use crate::world::names::PersonName;
@@ -13,7 +14,7 @@ use crate::world::setup::{PersonAction, PersonTrigger, SpontaneousAction};
 use crate::world::sim_state::SimState;
 use crate::world::simulation::World;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::BackendEvent;
 use rand::RngExt;

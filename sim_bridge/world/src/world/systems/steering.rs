@@ -1,17 +1,17 @@
 //! Steering: driving or flying with kinematics.
 //!
 //! Routes, and the points at which a robot waits, are the same as for robots that drive in straight
-//! lines ([`Driving`]). A [`KinematicModel`] drives each part. Its arrival time is not known in
+//! lines ([`Driving`]). A [`KinematicModel`](crate::kinematics) drives each part. Its arrival time is not known in
 //! advance, so the world steps while any such robot moves.
 
 use super::driving::Driving;
-use crate::kinematics::KinematicModel;
+use crate::component_types;
 use crate::world::location::RobotLocation;
 use crate::world::setup::{RobotSetup, WorldSetup};
 use crate::world::sim_state::SimState;
-use crate::world::steered::{BodyIndex, Footprint, Steered, isometry};
+use crate::world::steered::{BodyIndex, Footprint, Steered};
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use hecs::Entity;
 
 /// See the [module](self).
@@ -39,8 +39,8 @@ impl System for Steering {
     fn init_robot(&self, state: &mut SimState, robot: Entity, body: &RobotSetup) {
         state.insert(robot, Footprint(body.radius_m));
         if let Some(kinematics) = &body.kinematics {
-            let pose = isometry(state.get::<RobotLocation>(robot).pose(state.now));
-            let model = KinematicModel::new(kinematics, body.speed.get(), body.radius_m, pose);
+            let pose = state.get::<RobotLocation>(robot).pose(state.now);
+            let model = state.kinematic_model(kinematics, body, pose);
             let level = state.level_of(state.map_position(robot));
             state.insert(robot, Steered { model, since: state.now, part: None, notify_at_m: None, level });
         }

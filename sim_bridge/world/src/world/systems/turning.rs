@@ -1,12 +1,13 @@
 //! Turning on the spot.
 
+use crate::component_types;
 use crate::world::components::SimRobot;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::sim_state::SimState;
 use crate::world::steered::Steered;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Spin};
 use hecs::Entity;

@@ -1,8 +1,9 @@
 //! Waiting at standstill.
 
+use crate::component_types;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_skills::actions::{ActionError, Goal, Wait};
 use hecs::Entity;
 

@@ -1,10 +1,11 @@
 //! Wind: gusts push hovering drones, which have to correct their position (thesis 5.6.1).
 
+use crate::component_types;
 use crate::world::setup::{WindSettings, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::steered::Steered;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

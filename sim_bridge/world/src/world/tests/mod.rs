@@ -7,6 +7,7 @@ mod gripping;
 mod lab_samples;
 mod lifts;
 mod obstacles;
+mod own_parts;
 mod person_requests;
 mod power;
 mod preconditions;

@@ -33,8 +33,8 @@ fn a_new_speed_applies_from_the_next_drive() {
 #[test]
 fn a_speed_change_affects_robots_with_kinematics() {
     for kinematics in all() {
-        let (there, back) = there_and_back(steered("r1", "A", kinematics), 0.5);
-        let (same, slow) = there_and_back(steered("r1", "A", kinematics), 0.25);
+        let (there, back) = there_and_back(steered("r1", "A", kinematics.clone()), 0.5);
+        let (same, slow) = there_and_back(steered("r1", "A", kinematics.clone()), 0.25);
         assert_eq!(same, there, "{kinematics:?}");
         // Ten metres take 20 s more. Accelerating, braking and turning on the spot take the same
         // time. Turning in a curve takes longer in proportion to the length of the curve.

@@ -20,7 +20,7 @@ fn waypoint(world: &World, name: &str) -> Waypoint {
 #[test]
 fn every_chassis_waits_at_a_door_and_passes_it() {
     for kinematics in all() {
-        let mut world = World::new(passage().robot(steered("r1", "A", kinematics))).unwrap();
+        let mut world = World::new(passage().robot(steered("r1", "A", kinematics.clone()))).unwrap();
         set_off(&mut world, "r1", 1, "B");
         let (mut passed, mut closed) = (false, false);
         while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
@@ -59,7 +59,9 @@ fn a_door_does_not_stop_an_admitted_robot() {
         let due = world.next_due().expect("under way");
         world.advance(due);
         if (5.2..6.5).contains(&x(&world, "r1")) {
-            slowest = slowest.min(world.kinematic_model(&robot("r1")).unwrap().as_differential().unwrap().speeds().0);
+            slowest = slowest.min(
+                world.with_kinematic_model(&robot("r1"), |model| model.as_differential().unwrap().speeds().0).unwrap(),
+            );
         }
     }
     assert!(slowest > 0.4, "{slowest} m/s where it leaves the doorway");
@@ -97,7 +99,7 @@ fn a_canceled_robot_frees_the_door_unless_it_stands_in_it() {
 #[test]
 fn every_chassis_stops_before_an_obstacle() {
     for kinematics in all() {
-        let mut setup = corridor().robot(steered("r1", "A", kinematics));
+        let mut setup = corridor().robot(steered("r1", "A", kinematics.clone()));
         setup.obstacles.push(trolley());
         let mut world = World::new(setup).unwrap();
         let goal = drive_goal(&world, "B");
@@ -144,7 +146,7 @@ fn a_removed_obstacle_does_not_stop_a_chassis() {
 #[test]
 fn every_chassis_rides_the_lift_and_drives_on() {
     for kinematics in all() {
-        let mut world = World::new(tower(1).robot(steered("r1", "L0", kinematics))).unwrap();
+        let mut world = World::new(tower(1).robot(steered("r1", "L0", kinematics.clone()))).unwrap();
         set_off(&mut world, "r1", 1, "L2");
         assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded(), "{kinematics:?}");
         assert_eq!((world.now(), world.telemetry(&robot("r1")).unwrap().place), (at(17.0), place("L2")));
@@ -162,7 +164,7 @@ fn every_chassis_rides_the_lift_and_drives_on() {
 
 #[test]
 fn a_robot_in_a_lift_blocks_no_other() {
-    let quick = RobotSetup { speed: MetresPerSecond::new(1.0).unwrap(), ..steered("r2", "Room", all()[1]) };
+    let quick = RobotSetup { speed: MetresPerSecond::new(1.0).unwrap(), ..steered("r2", "Room", all()[1].clone()) };
     let setup = tower(2).robot(differential("r1", "L0")).robot(quick);
     let mut world = World::new(setup).unwrap();
     set_off(&mut world, "r1", 1, "L2");
@@ -194,7 +196,8 @@ fn a_steered_robot_keeps_limits_and_drives_backward() {
     let text = "{name: two, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}], \
         lanes: [{between: [A, B], speed_limit_mps: 0.2, facing: backward}]}";
     for (kinematics, backward) in all().into_iter().zip([true, false, true, false]) {
-        let setup = WorldSetup::new(map::read(text, "two.yaml").unwrap(), 1).robot(steered("r1", "A", kinematics));
+        let setup =
+            WorldSetup::new(map::read(text, "two.yaml").unwrap(), 1).robot(steered("r1", "A", kinematics.clone()));
         let mut world = World::new(setup).unwrap();
         let goal =
             Goal::from(NavigateToPose { pose: Pose::new(10.0, 0.0, std::f64::consts::PI), place: Some(place("B")) });
@@ -217,7 +220,7 @@ fn a_steered_robot_keeps_limits_and_drives_backward() {
 #[test]
 fn a_steered_robot_departs_with_its_turned_heading() {
     for kinematics in all() {
-        let mut world = World::new(corridor().robot(steered("r1", "A", kinematics))).unwrap();
+        let mut world = World::new(corridor().robot(steered("r1", "A", kinematics.clone()))).unwrap();
         run_to_success(&mut world, "r1", 1, Goal::from(Spin { angle_rad: 2.0 }));
         assert!((pose_of(&world, "r1").yaw - 2.0).abs() < 1e-9, "{kinematics:?}");
         set_off(&mut world, "r1", 2, "B");

@@ -20,7 +20,7 @@ pub(super) fn steered(name: &str, at: &str, kinematics: Kinematics) -> RobotSetu
 }
 
 pub(super) fn differential(name: &str, at: &str) -> RobotSetup {
-    steered(name, at, all()[0])
+    steered(name, at, all()[0].clone())
 }
 
 /// A hall without walls: A at the origin, B 10 m east of it, C 10 m north of B.
@@ -57,7 +57,7 @@ pub(super) fn until_ended(world: &mut World, name: &str, id: u64) -> GoalStatus 
 #[test]
 fn every_chassis_drives_the_lanes_and_then_the_world_rests() {
     for kinematics in all() {
-        let mut world = World::new(WorldSetup::new(hall(), 1).robot(steered("r1", "A", kinematics))).unwrap();
+        let mut world = World::new(WorldSetup::new(hall(), 1).robot(steered("r1", "A", kinematics.clone()))).unwrap();
         for (id, to) in [(1, "B"), (2, "C"), (3, "B")] {
             let goal = drive_goal(&world, to);
             world.start(&robot("r1"), GoalId(id), goal);
@@ -77,7 +77,7 @@ fn steps_of_any_length_give_the_same_arrival() {
     for kinematics in all() {
         let [coarse, fine] = [0.1, 1.0 / 60.0].map(|step_s| {
             let setup = WorldSetup { step_s, ..WorldSetup::new(hall(), 1) };
-            let mut world = World::new(setup.robot(steered("r1", "A", kinematics))).unwrap();
+            let mut world = World::new(setup.robot(steered("r1", "A", kinematics.clone()))).unwrap();
             let goal = drive_goal(&world, "B");
             world.start(&robot("r1"), GoalId(1), goal);
             assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
@@ -98,8 +98,8 @@ fn a_driving_robot_reports_progress_at_any_time() {
     let Some(GoalStatus::Executing(feedback)) = world.status(&robot("r1"), GoalId(1)) else { panic!("under way") };
     assert!((feedback.distance_remaining.get() - (10.0 - x)).abs() < 0.05, "{feedback:?} at {x}");
     assert!((10.0..14.0).contains(&feedback.time_remaining.get()), "{feedback:?}");
-    assert!(world.kinematic_model(&robot("r1")).unwrap().is_moving());
-    assert!(world.kinematic_model(&robot("r2")).is_none());
+    assert!(world.with_kinematic_model(&robot("r1"), |model| model.is_moving()).unwrap());
+    assert!(world.with_kinematic_model(&robot("r2"), |_| ()).is_none());
 }
 
 #[test]
@@ -157,7 +157,8 @@ fn two_robots_that_meet_on_a_lane_collide() {
 
 #[test]
 fn drones_avoid_each_other_on_a_lane() {
-    let drone = |name, at| RobotSetup { speed: MetresPerSecond::new(3.0).unwrap(), ..steered(name, at, all()[3]) };
+    let drone =
+        |name, at| RobotSetup { speed: MetresPerSecond::new(3.0).unwrap(), ..steered(name, at, all()[3].clone()) };
     let setup = WorldSetup::new(hall(), 1).robot(drone("r1", "A")).robot(drone("r2", "B"));
     let mut world = World::new(setup).unwrap();
     let (there, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
@@ -183,7 +184,7 @@ fn a_robot_arrives_next_to_a_robot_at_its_target() {
 fn gusts_push_only_hovering_robots() {
     let wind = Some(WindSettings { interval_s: 0.7, probability: 1.0, max_speed_change_mps: 0.5 });
     let setup = WorldSetup { wind, ..WorldSetup::new(hall(), 1) };
-    let setup = setup.robot(steered("r1", "A", all()[3])).robot(differential("r2", "B"));
+    let setup = setup.robot(steered("r1", "A", all()[3].clone())).robot(differential("r2", "B"));
     let mut world = World::new(setup).unwrap();
     let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal.clone());

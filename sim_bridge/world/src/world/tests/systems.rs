@@ -1,12 +1,13 @@
 //! Component access is limited to a system's declarations.
 
 use super::*;
+use crate::component_types;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::samples::Custody;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, component_types};
+use crate::world::system_access::ComponentType;
 use consort_skills::actions::Wait;
 use hecs::Entity;
 

@@ -17,6 +17,7 @@ mod drive;
 mod task;
 mod waits;
 
+use crate::component_types;
 use crate::world::components::{CoPresence, DepartureCount, SimRobot};
 use crate::world::event::WorldEvent;
 use crate::world::location::RobotLocation;
@@ -26,7 +27,7 @@ use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
 use crate::world::steered::{BodyIndex, Footprint, Steered};
 use crate::world::system::{END_UNKNOWN, System};
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use crate::world::systems::doors::{DoorState, DoorsByName};
 use crate::world::systems::lifts::LiftsByName;
 use crate::world::systems::obstacles::{ActiveObstacles, KnownClosures};

@@ -14,6 +14,7 @@ mod requests;
 
 pub(crate) use requests::PersonRequests;
 
+use crate::component_types;
 use crate::world::components::{CoPresence, DrawerOpen, HandoverRng, HandsBusy, PersonInfo, SampleLabel, SimRobot};
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
@@ -25,7 +26,7 @@ use crate::world::setup::environment::sample_kg;
 use crate::world::setup::{PersonSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
-use crate::world::system_access::{ComponentType, SystemTimer, component_types};
+use crate::world::system_access::{ComponentType, SystemTimer};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, PersonRequest};
