@@ -232,3 +232,27 @@ fn a_wait_of_a_person_that_the_ledger_contains_has_ended() {
         ]}"#,
     );
 }
+
+/// The leader stepped down while it replaced a voter, was elected again, and completed the change without an event
+/// before it replaced another voter. The check took both for a single change.
+#[test]
+fn an_interrupted_change_of_voters_precedes_the_next() {
+    holds_closed(
+        1234,
+        2.0,
+        r#"{"steps": [
+            {"at_ms": 5179, "action": "partition", "groups": [["clove", "indigo", "aster", "lab-arm", "basil", "hazel", "client"], ["garnet", "world"]], "for_ms": 5769},
+            {"at_ms": 9253, "action": "submit", "request": "r0", "mission": "lab-samples-watched", "room": "IC Room 6", "priority": 0},
+            {"at_ms": 9736, "action": "partition", "groups": [["aster", "basil", "clove", "garnet", "hazel", "indigo", "lab-arm", "client"], ["carrier of r0", "world"]], "for_ms": 1297},
+            {"at_ms": 10629, "action": "crash", "node": "carrier of r0", "disk": "kept", "for_ms": 19366},
+            {"at_ms": 14646, "action": "slow_disk", "node": "garnet", "write_ms": 148, "for_ms": 3336},
+            {"at_ms": 17882, "action": "crash", "node": "garnet", "disk": "torn", "for_ms": 162},
+            {"at_ms": 36468, "action": "slow_disk", "node": "lab-arm", "write_ms": 144, "for_ms": 125},
+            {"at_ms": 37551, "action": "hostile", "role": "voter", "for_ms": 11771},
+            {"at_ms": 40377, "action": "crash", "node": "lab-arm", "disk": "torn", "for_ms": 12816},
+            {"at_ms": 45348, "action": "weather", "loss": 0.23, "duplication": 0.0, "reordering": 0.0, "delay_ms": 3, "for_ms": 11611},
+            {"at_ms": 51367, "action": "crash", "node": "clove", "disk": "damaged", "for_ms": 614},
+            {"at_ms": 52216, "action": "submit", "request": "r1", "mission": "lab-samples", "room": "PC Room 1", "priority": 0}
+        ]}"#,
+    );
+}

@@ -11,6 +11,9 @@ use std::time::Duration;
 pub(super) struct SingleVoterChange {
     /// Voters, as published by the last coordinator that was elected or changed them.
     voters: BTreeSet<NodeId>,
+    /// They are the old and the new voters of a change that an election interrupted. The change is completed
+    /// later, possibly without an event.
+    interrupted: bool,
 }
 
 impl Invariant for SingleVoterChange {
@@ -20,19 +23,25 @@ impl Invariant for SingleVoterChange {
 
     fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
         match entry.event_kind() {
-            // A leader that is elected during a membership change may list the old and the new
-            // voters together. It completes the change.
+            // A leader that is elected during a membership change lists the old and the new voters
+            // together.
             Some(EventKind::Elected { voters, .. }) => {
-                self.voters = voters.iter().cloned().collect();
+                let voters: BTreeSet<NodeId> = voters.iter().cloned().collect();
+                if voters != self.voters {
+                    self.interrupted = !self.voters.is_empty() && self.voters.is_subset(&voters);
+                    self.voters = voters;
+                }
                 Ok(())
             }
             Some(EventKind::Voters { voters, reason }) => {
                 let voters: BTreeSet<NodeId> = voters.iter().cloned().collect();
                 let removed: Vec<_> = self.voters.difference(&voters).map(NodeId::as_str).collect();
-                if removed.len() > 1 {
+                if removed.len() > 1 + usize::from(self.interrupted) {
                     return Err(format!("{} were removed in a single change: {reason}", removed.join(" and ")).into());
                 }
-                self.voters = voters;
+                if voters != self.voters {
+                    (self.interrupted, self.voters) = (false, voters);
+                }
                 Ok(())
             }
             _ => Ok(()),
