@@ -377,7 +377,7 @@ mod tests {
 
     #[test]
     fn the_name_of_an_event_kind_equals_its_json_name() {
-        let mission: MissionId = "lab-samples-1".parse().unwrap();
+        let mission: MissionId = "vital-signs-1".parse().unwrap();
         let (role, task): (RoleId, TaskId) = ("r1".parse().unwrap(), "go".parse().unwrap());
         let kinds = [
             EventKind::SteppedDown { term: 1 },

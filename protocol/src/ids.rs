@@ -145,17 +145,17 @@ names! {
     PersonId, "person", SLUG;
     /// Identifier of a request, chosen by the client, so that a repeated request is executed once.
     RequestId, "request", SLUG;
-    /// Role within a mission (`r1`, `lab_arm`, `nurse`).
+    /// Role within a mission (`r1`, `lab_arm`, `clerk`).
     RoleId, "role", SLUG;
     /// Task within a mission; unique in its tree.
     TaskId, "task", SLUG;
-    /// Type of task (`navigation`, `operate_drawer`); also the name of the skill that executes it.
+    /// Type of task (`navigation`, `wait`); also the name of the skill that executes it.
     TaskType, "task type", SLUG;
     /// Name of an action that drivers of robots perform, such as `navigate_to_pose`.
     ActionName, "action", SLUG;
     /// Name of a domain: a file of actions and task types.
     DomainId, "domain", SLUG;
-    /// Item that is handed over in a mission (`sample`).
+    /// Item that is handed over in a mission (`parcel`).
     ItemId, "item", SLUG;
     /// Ensemble, as named in the fleet file.
     EnsembleId, "ensemble", SLUG;

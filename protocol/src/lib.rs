@@ -15,13 +15,13 @@
 //! let file = r#"
 //! mission: greet
 //! parameters: { room: { kind: place } }
-//! roles: { r1: { kind: managed }, nurse: { kind: unmanaged } }
+//! roles: { r1: { kind: managed }, clerk: { kind: unmanaged } }
 //! root:
 //!   task: greet
 //!   method: sequential
 //!   tasks:
 //!     - { task: go, type: navigation, roles: [r1], parameters: { to: "${room}" } }
-//!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }
+//!     - { task: meet, type: wait, roles: [r1, clerk], parameters: { seconds: "5" } }
 //! "#;
 //! let task_types = [
 //!     ("navigation", TaskSchema::default().required("to", ValueKind::Place)),
@@ -34,9 +34,9 @@
 //! let room = [("room".to_owned(), "IC Room 6".to_owned())].into();
 //! let mission = template.instantiate(&room, &domain)?;
 //! let division = divide_and_check(&mission)?;
-//! // Division adds messages between the roles: the robot notifies the nurse when it arrives.
+//! // Division adds messages between the roles: the robot notifies the clerk when it arrives.
 //! let steps = |role: &str| division.plans.iter().find(|(id, _)| id.as_str() == role).map(|(_, plan)| plan.steps.len());
-//! assert!(steps("r1") > Some(2) && steps("nurse") > Some(1));
+//! assert!(steps("r1") > Some(2) && steps("clerk") > Some(1));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

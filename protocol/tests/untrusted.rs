@@ -90,7 +90,7 @@ fn deeply_nested_input_is_rejected() {
     assert!(in_time(&alias_bomb, || MissionTemplate::parse(&alias_bomb, Format::Yaml)).is_err());
 }
 
-const FETCH_SAMPLE: &str = include_str!("data/fetch-sample.yaml");
+const FETCH_PARCEL: &str = include_str!("data/fetch-parcel.yaml");
 
 fn edits() -> impl Strategy<Value = Vec<(Index, usize, String)>> {
     prop::collection::vec((any::<Index>(), 0_usize..40, "[ -~\n]{0,6}"), 1..8)
@@ -126,13 +126,13 @@ fn plan(text: &str, format: Format) {
 proptest! {
     #[test]
     fn a_mutated_mission_is_planned_or_rejected(edits in edits()) {
-        let text = edited(FETCH_SAMPLE, &edits);
+        let text = edited(FETCH_PARCEL, &edits);
         in_time(&text, || plan(&text, Format::Yaml));
     }
 
     #[test]
     fn a_mutated_request_is_planned_or_rejected(edits in edits()) {
-        let json = MissionTemplate::request(FETCH_SAMPLE, Format::Yaml).expect("the mission is valid").to_string();
+        let json = MissionTemplate::request(FETCH_PARCEL, Format::Yaml).expect("the mission is valid").to_string();
         let text = edited(&json, &edits);
         in_time(&text, || plan(&text, Format::Json));
     }

@@ -142,7 +142,7 @@ fn an_invalid_request_is_rejected_with_a_hint() {
     for_each_seed(SEEDS, async |seed| {
         let fleet = fleet(seed, ROOM).await;
         let cases: [(ApiCall, &str, &[&str]); 10] = [
-            (ApiCall::Submit, "{", &["an example is", "lab-samples"]),
+            (ApiCall::Submit, "{", &["an example is", "vital-signs"]),
             (ApiCall::Submit, "", &["an example is"]),
             (ApiCall::Submit, r#"{"mision": "lab-samples"}"#, &["unknown field `mision`", "expected one of `mission`"]),
             (

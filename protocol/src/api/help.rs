@@ -39,13 +39,13 @@ pub struct CallHelp {
 pub fn example(call: ApiCall) -> Option<Value> {
     match call {
         ApiCall::Submit => {
-            Some(json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": "my-7" }))
+            Some(json!({ "mission": "vital-signs", "parameters": { "room_a": "IC Room 6" }, "request": "my-7" }))
         }
-        ApiCall::Cancel => Some(json!({ "mission": "lab-samples-1", "by": "a nurse" })),
-        ApiCall::Resolve => Some(json!({ "mission": "lab-samples-1", "by": "Nia" })),
-        ApiCall::Get | ApiCall::Explain => Some(json!({ "mission": "lab-samples-1" })),
+        ApiCall::Cancel => Some(json!({ "mission": "vital-signs-1", "by": "a clerk" })),
+        ApiCall::Resolve => Some(json!({ "mission": "vital-signs-1", "by": "Nia" })),
+        ApiCall::Get | ApiCall::Explain => Some(json!({ "mission": "vital-signs-1" })),
         ApiCall::Answer => {
-            Some(json!({ "request": "lab-samples-1.1", "answer": "done", "results": { "dust_g": 3 }, "by": "Nia" }))
+            Some(json!({ "request": "vital-signs-1.1", "answer": "done", "results": { "dust_g": 3 }, "by": "Nia" }))
         }
         ApiCall::List | ApiCall::Requests => Some(json!({ "linearizable": true })),
         ApiCall::Upgrade => Some(json!({ "finish": false })),

@@ -2,16 +2,16 @@
 //!
 //! | call | request | reply |
 //! |---|---|---|
-//! | `submit` | `{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; optional: `request`, `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be completed) | `{"mission": "lab-samples-1", "again": false}` |
-//! | `cancel` | `{"mission": "lab-samples-1", "by": "a nurse"}` | `{"mission": …, "state": …}` |
-//! | `resolve` | `{"mission": "lab-samples-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
-//! | `answer` | `{"request": "lab-samples-1.1", "answer": "done", "results": {"dust_g": 3}, "by": "Nia"}`; `answer` may also be `declined`, `cannot` or `later` (with `minutes`); optional: `note` | `{"request": …, "phase": …}` |
+//! | `submit` | `{"mission": "vital-signs", "parameters": {"room_a": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; optional: `request`, `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be completed) | `{"mission": "vital-signs-1", "again": false}` |
+//! | `cancel` | `{"mission": "vital-signs-1", "by": "a clerk"}` | `{"mission": …, "state": …}` |
+//! | `resolve` | `{"mission": "vital-signs-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
+//! | `answer` | `{"request": "vital-signs-1.1", "answer": "done", "results": {"dust_g": 3}, "by": "Nia"}`; `answer` may also be `declined`, `cannot` or `later` (with `minutes`); optional: `note` | `{"request": …, "phase": …}` |
 //! | `backup` | nothing | a copy of the ledger, with everything acknowledged before the request: with key figures as plain text |
 //! | `upgrade` | `{"finish": false}`: the wire versions that each node reads; with `true` the fleet writes the next version from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
-//! | `get` | `{"mission": "lab-samples-1"}`; optional: `linearizable` | the mission, as in `view/mission/{id}` |
+//! | `get` | `{"mission": "vital-signs-1"}`; optional: `linearizable` | the mission, as in `view/mission/{id}` |
 //! | `list` | nothing, or `{"linearizable": true}` | `{"missions": […]}`, as in `view/missions` |
 //! | `requests` | nothing, or `{"linearizable": true}` | `{"requests": […]}`, as in `view/requests` |
-//! | `explain` | `{"mission": "lab-samples-1"}`; optional: `linearizable` | why each robot did or did not get each role |
+//! | `explain` | `{"mission": "vital-signs-1"}`; optional: `linearizable` | why each robot did or did not get each role |
 //! | `help` | nothing | `{"calls": […]}`: all calls, with JSON Schemas; `api/{call}/help` returns a single call |
 //!
 //! Only the coordinator replies to the first 6 calls. All of them except `backup` may change state.

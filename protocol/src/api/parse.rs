@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn a_request_above_the_size_limit_is_rejected() {
-        let long = format!("{{\"mission\": \"lab-samples-1\", \"by\": \"{}\"}}", "x".repeat(REQUEST_MAX));
+        let long = format!("{{\"mission\": \"vital-signs-1\", \"by\": \"{}\"}}", "x".repeat(REQUEST_MAX));
         let error =
             parse_request::<MissionChangeRequest>(ApiCall::Cancel, long.as_bytes()).map(drop).unwrap_err().to_string();
         assert_eq!(error, format!("the request has {} bytes; the limit is {REQUEST_MAX}", long.len()));

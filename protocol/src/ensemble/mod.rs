@@ -253,16 +253,16 @@ mod tests {
         Record { owner: node(name), stamp: RecordStamp::default(), knowledge, proof: None }
     }
 
-    fn drawers() -> EnsembleSpec {
-        let skills = BTreeSet::from([TaskType::new("operate_drawer").unwrap()]);
-        EnsembleSpec::with_any_skill_of(EnsembleId::new("samples").unwrap(), skills)
+    fn boxes() -> EnsembleSpec {
+        let skills = BTreeSet::from([TaskType::new("operate_box").unwrap()]);
+        EnsembleSpec::with_any_skill_of(EnsembleId::new("parcels").unwrap(), skills)
     }
 
     #[test]
     fn a_robot_with_a_needed_skill_is_a_member_until_its_record_is_stale() {
-        let ensemble = Ensemble::compile(drawers()).unwrap();
+        let ensemble = Ensemble::compile(boxes()).unwrap();
         let mut base = KnowledgeBase::default();
-        base.merge(record("ada", &["navigation", "operate_drawer"]), at(0));
+        base.merge(record("ada", &["navigation", "operate_box"]), at(0));
         base.merge(record("bob", &["navigation"]), at(0));
         let membership = |name: &str, now| ensemble.membership_of(&node(name), &node("ada"), &base, now);
 
@@ -281,15 +281,15 @@ mod tests {
     #[test]
     fn an_invalid_condition_is_rejected_when_it_is_compiled() {
         for (condition, expected) in [
-            ("member.skills.", "ensemble samples: condition `member.skills.`:"),
+            ("member.skills.", "ensemble parcels: condition `member.skills.`:"),
             (
                 "member.wheels > 3",
-                "ensemble samples: condition `member.wheels > 3`: `member` has no field `wheels`; allowed: attributes",
+                "ensemble parcels: condition `member.wheels > 3`: `member` has no field `wheels`; allowed: attributes",
             ),
             ("member.battery", "it must be true or false"),
-            ("wheels", "ensemble samples"),
+            ("wheels", "ensemble parcels"),
         ] {
-            let spec = EnsembleSpec { membership: vec![condition.to_owned()], ..drawers() };
+            let spec = EnsembleSpec { membership: vec![condition.to_owned()], ..boxes() };
             let error = Ensemble::compile(spec).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");
         }
@@ -297,10 +297,10 @@ mod tests {
 
     #[test]
     fn conditions_on_the_coordinator_are_checked() {
-        let spec = EnsembleSpec { coordinator: vec!["coordinator.mains_powered".to_owned()], ..drawers() };
+        let spec = EnsembleSpec { coordinator: vec!["coordinator.mains_powered".to_owned()], ..boxes() };
         let ensemble = Ensemble::compile(spec).unwrap();
         let mut base = KnowledgeBase::default();
-        base.merge(record("ada", &["operate_drawer"]), at(0));
+        base.merge(record("ada", &["operate_box"]), at(0));
         let verdict = ensemble.membership_of(&node("ada"), &node("ada"), &base, at(0));
         assert_eq!(verdict.reason, "`coordinator.mains_powered` is false for ada");
     }

@@ -32,7 +32,7 @@ pub(super) const PERSON_BYTES_MAX: usize = 256;
 pub const NOTE_BYTES_MAX: usize = 512;
 
 /// Id of a request to a person: the mission, and its number among the requests of the mission, as in
-/// `lab-samples-1.2`.
+/// `vital-signs-1.2`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct PersonRequestId {
@@ -44,7 +44,7 @@ pub struct PersonRequestId {
 
 /// Error: a text is not the id of a request to a person.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a request to a person; an id is a mission, a dot and a number, as in lab-samples-1.2")]
+#[error("{0:?} is not a request to a person; an id is a mission, a dot and a number, as in vital-signs-1.2")]
 pub struct PersonRequestIdError(String);
 
 impl FromStr for PersonRequestId {
@@ -238,7 +238,7 @@ mod tests {
         let mut request = PersonRequestEntry {
             number: 1,
             branch: Branch::Main,
-            role: RoleId::new("nurse").unwrap(),
+            role: RoleId::new("clerk").unwrap(),
             step: 0,
             task: TaskId::new("deposit").unwrap(),
             robots: BTreeMap::new(),
@@ -254,12 +254,12 @@ mod tests {
 
     #[test]
     fn an_id_is_a_mission_and_a_number() {
-        let id: PersonRequestId = "lab-samples-1.2".parse().unwrap();
+        let id: PersonRequestId = "vital-signs-1.2".parse().unwrap();
         assert_eq!(
             (id.mission.as_str(), id.number, id.to_string()),
-            ("lab-samples-1", 2, "lab-samples-1.2".to_owned())
+            ("vital-signs-1", 2, "vital-signs-1.2".to_owned())
         );
-        for wrong in ["lab-samples-1", "lab-samples-1.", ".1", "a.0", "a.01", "a.+1", "a.4294967296", "a b.1"] {
+        for wrong in ["vital-signs-1", "vital-signs-1.", ".1", "a.0", "a.01", "a.+1", "a.4294967296", "a b.1"] {
             let problem = wrong.parse::<PersonRequestId>().unwrap_err().to_string();
             assert!(problem.contains("an id is a mission, a dot and a number"), "{problem}");
         }

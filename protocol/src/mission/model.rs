@@ -18,7 +18,7 @@ pub type TaskIndex = u32;
 /// after its parent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Mission {
-    /// Name of the kind of mission (`lab-samples`), not of this instance.
+    /// Name of the kind of mission (`vital-signs`), not of this instance.
     pub name: TaskId,
     /// Participating roles.
     pub roles: BTreeMap<RoleId, Role>,

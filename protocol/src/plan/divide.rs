@@ -12,9 +12,9 @@
 //!   that they are ready.
 //!
 //! ```text
-//! sequential: open (r1), deposit (nurse), close (r1)         sequential: walk (r1), open (r2), carry (r1, r2)
+//! sequential: open (r1), deposit (clerk), close (r1)         sequential: walk (r1), open (r2), carry (r1, r2)
 //!
-//!   r1                        nurse                            r1                         r2
+//!   r1                        clerk                            r1                         r2
 //!   open                                                       walk ─ done ─────────────► open
 //!   send done:open ─────────► wait                             send ready:carry ────────► wait ready
 //!                             deposit                          wait ready ◄────────────── send ready:carry

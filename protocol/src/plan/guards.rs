@@ -1,12 +1,12 @@
 //! Write-ahead of custody: guarded steps, which wait until the ledger contains their predecessors.
 //!
 //! A robot may be lost at any moment, and with it all progress that it has not reported. It must
-//! still be certain whether the sample is in its drawer. So a task that moves an item cannot begin
+//! still be certain whether the parcel is in its box. So a task that moves an item cannot begin
 //! before the ledger is known to contain a preceding step, the predecessor of a *guard*. If the
 //! ledger lacks a predecessor of a guard, the item was not moved.
 //!
 //! ```text
-//!   r1                                   nurse                 deposit gives the sample to r1:
+//!   r1                                   clerk                 deposit gives the parcel to r1:
 //!   open ─ [ledger has `open`] ─ done ─► wait, deposit         the guard is r1's `done:open`
 //! ```
 //!

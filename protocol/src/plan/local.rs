@@ -96,7 +96,7 @@ pub enum SignalKind {
 }
 
 impl fmt::Display for Signal {
-    /// `done:open_drawer:r1:nurse`: kind, task, sender, receiver.
+    /// `done:open_box:r1:clerk`: kind, task, sender, receiver.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = match self.kind {
             SignalKind::Done => "done",

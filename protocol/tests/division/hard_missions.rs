@@ -9,7 +9,7 @@ use consort_protocol::plan::{
 };
 use std::time::{Duration, Instant};
 
-/// Formats the steps: `open_drawer`, `!done:…` for a send, `?done:…` for a wait, each with its
+/// Formats the steps: `open_box`, `!done:…` for a send, `?done:…` for a wait, each with its
 /// predecessors.
 fn steps_text(plan: &LocalPlan) -> Vec<String> {
     let line = |step: &consort_protocol::plan::Step| match &step.action {

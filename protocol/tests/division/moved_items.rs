@@ -23,7 +23,7 @@ fn mission_with_moves(tree: &Tree, seed: u64) -> Mission {
     let before = reference_order(tree);
     let mut mission = mission(tree);
     let roles: Vec<_> = mission.roles.keys().cloned().collect();
-    for item in ["sample", "tray"] {
+    for item in ["parcel", "tray"] {
         let item = ItemId::new(item).unwrap();
         let (mut task, mut last) = (0, None::<usize>);
         for node in &mut mission.tasks {
@@ -172,13 +172,13 @@ fn unordered_moves_of_an_item_are_rejected_and_both_tasks_named() {
     let mut mission = mission(&tree);
     for node in &mut mission.tasks {
         if let TaskBody::Elementary(spec) = &mut node.body {
-            spec.releases.insert(ItemId::new("sample").unwrap());
+            spec.releases.insert(ItemId::new("parcel").unwrap());
         }
     }
     let problems = mission.check(&domain()).unwrap_err().diagnostics;
     let custody: Vec<String> = problems.iter().map(ToString::to_string).collect();
     assert_eq!(
         custody,
-        ["t1: touches the item `sample`, as does t0, and the two tasks are unordered; put them in sequence"]
+        ["t1: touches the item `parcel`, as does t0, and the two tasks are unordered; put them in sequence"]
     );
 }

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 const MISSION: &str = r#"{"mission": "m", "roles": {"r": {"kind": "managed"}},
-  "root": {"task": "t", "type": "operate_drawer", "roles": ["r"], "parameters": {"action": "open"}}}"#;
+  "root": {"task": "t", "type": "wait", "roles": ["r"], "parameters": {"seconds": "1"}}}"#;
 
 /// What stays the same in all states.
 #[derive(Debug)]

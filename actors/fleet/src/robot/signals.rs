@@ -188,9 +188,9 @@ mod tests {
     use consort_protocol::plan::SignalKind;
     use std::sync::Arc;
 
-    /// Returns the size of the nurse's signal history in a mission; `None` without a reply.
+    /// Returns the size of the clerk's signal history in a mission; `None` without a reply.
     async fn history_size(bus: &dyn Bus, keys: &Keys, mission: &MissionId) -> Option<usize> {
-        let key = keys.write(&Key::SignalHistory(mission.clone(), RoleId::new("nurse").unwrap()));
+        let key = keys.write(&Key::SignalHistory(mission.clone(), RoleId::new("clerk").unwrap()));
         let mut replies = bus.query(&key, Bytes::new(), Duration::from_millis(500)).await.unwrap();
         let bytes = replies.recv().await?.payload.unwrap();
         Some(codec::decode::<SignalHistory>(&bytes).unwrap().signals.len())
@@ -203,24 +203,24 @@ mod tests {
         let other = network.bus(NodeId::new("amber").unwrap());
         let keys = Keys::new(&FleetId::new("fleet").unwrap());
         let mut exchange = SignalExchange::new(Arc::new(bus), keys.clone());
-        let nurse = RoleId::new("nurse").unwrap();
+        let clerk = RoleId::new("clerk").unwrap();
         let missions: Vec<_> = (0..2 * ENDED_ROLES_KEPT + 3)
             .map(|number| MissionId::new(format!("mission-{number:02}")).unwrap())
             .collect();
         for mission in &missions {
-            exchange.start_role(mission, &nurse, Epoch::default(), BTreeSet::new());
+            exchange.start_role(mission, &clerk, Epoch::default(), BTreeSet::new());
             // The service is declared in the background.
             while history_size(&other, &keys, mission).await.is_none() {}
         }
         for mission in &missions {
             let (task, to) = (TaskId::new("deposit").unwrap(), RoleId::new("r1").unwrap());
-            exchange.send(mission, &Signal { kind: SignalKind::Done, task, from: nurse.clone(), to });
+            exchange.send(mission, &Signal { kind: SignalKind::Done, task, from: clerk.clone(), to });
             assert_eq!(history_size(&other, &keys, mission).await, Some(1), "{mission} is active");
         }
         let (ended_missions, active) = missions.split_at(ENDED_ROLES_KEPT + 2);
         // The order differs from the order in which the roles started.
         for mission in ended_missions.iter().rev() {
-            exchange.end_role(mission, &nurse);
+            exchange.end_role(mission, &clerk);
         }
         for mission in active.iter().chain(&ended_missions[..ENDED_ROLES_KEPT]) {
             assert_eq!(history_size(&other, &keys, mission).await, Some(1), "{mission} is active or ended lately");

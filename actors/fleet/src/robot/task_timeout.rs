@@ -18,7 +18,7 @@ pub(crate) struct TaskTimeout {
     pub(crate) margin: Seconds,
     /// World time for a task that needs another participant: a joint task, or a task whose
     /// parameters name another role (`person_role`, `robot_role`, `from_role`, …). No estimate
-    /// predicts the duration for people. Default 600 s (a guess: a nurse is called away, and
+    /// predicts the duration for people. Default 600 s (a guess: a clerk is called away, and
     /// returns).
     pub(crate) cooperative: Seconds,
     /// Node time without a report of the driver. Default 60 s: longer than a restart of its server
@@ -118,7 +118,7 @@ mod tests {
     #[test]
     fn a_cooperative_task_has_a_longer_limit() {
         let timeout = TaskTimeout::default();
-        assert_eq!(timeout.limit(&task(&[("person_role", "nurse")]), Some(seconds(2.0))), seconds(600.0));
+        assert_eq!(timeout.limit(&task(&[("person_role", "clerk")]), Some(seconds(2.0))), seconds(600.0));
         let mut joint = task(&[]);
         joint.roles.push("arm".parse().unwrap());
         assert_eq!(timeout.limit(&joint, Some(seconds(2.0))), seconds(600.0));

@@ -215,13 +215,13 @@ mod tests {
         let set = |names: &[&str]| names.iter().map(|name| MissionId::new(*name).unwrap()).collect();
         let robots = BTreeSet::from([RobotId::new("lab-arm").unwrap(), RobotId::new("amber").unwrap()]);
         let request = PersonRequestId { mission: MissionId::new("m-1").unwrap(), number: 2 };
-        let requests = vec![(request, RoleId::new("nurse").unwrap())];
+        let requests = vec![(request, RoleId::new("clerk").unwrap())];
         let one = Blocking { robots: robots.clone(), waiting: set(&["m-2"]), requests };
         let many = Blocking { robots, waiting: set(&["m-2", "m-4", "m-5"]), requests: vec![] };
         let blocking = [("m-1", one), ("m-3", many)].map(|(id, blocking)| (MissionId::new(id).unwrap(), blocking));
         let inputs = HealthInputs { blocking: blocking.into(), ..healthy() };
         let expected = [
-            "m-1 holds amber, lab-arm, for which m-2 waits; it waits for the answer of nurse to m-1.2",
+            "m-1 holds amber, lab-arm, for which m-2 waits; it waits for the answer of clerk to m-1.2",
             "m-3 holds amber, lab-arm, for which 3 missions wait",
         ];
         assert_eq!(texts(&inputs), expected.map(|text| (HealthLevel::Warning, text.to_owned())));
@@ -234,7 +234,7 @@ mod tests {
         inputs.out_of_service = vec![(node("e"), "its battery is empty".to_owned())];
         inputs.suspended = vec![(node("f"), "r1 of m-1".to_owned())];
         inputs.pending = vec![("m-2".to_owned(), "no viable bid for r1".to_owned())];
-        inputs.needs_intervention = vec![("m-3".to_owned(), "g was lost with the sample".to_owned())];
+        inputs.needs_intervention = vec![("m-3".to_owned(), "g was lost with the parcel".to_owned())];
         inputs.foreign = vec![(ClusterId(0xff), node("z"))];
         let health = health(&inputs);
         let levels: Vec<(HealthLevel, &str)> =
@@ -253,7 +253,7 @@ mod tests {
         assert_eq!(
             text,
             [
-                "m-3 needs intervention: g was lost with the sample",
+                "m-3 needs intervention: g was lost with the parcel",
                 "d is down; last contact 9.0 s ago",
                 "e is out of service: its battery is empty",
                 "f is suspended as r1 of m-1: its lease expired",

@@ -126,7 +126,7 @@ fn step_text(part: &BidPart) -> String {
 
 impl RobotExplanation {
     /// Formats the cost of each step that is not negligible:
-    /// `navto_room 37.0 s 2.2 %, approach_nurse 1.0 s 0.1 %`. `None` if the steps are not in the
+    /// `navto_room 37.0 s 2.2 %, approach_clerk 1.0 s 0.1 %`. `None` if the steps are not in the
     /// record.
     pub fn parts_text(&self) -> Option<String> {
         let takes = |part: &&BidPart| part.time.get() >= 0.05 || part.energy >= 0.0005;

@@ -12,7 +12,7 @@ fn bid(role: &str, robot: &str, seconds: f64) -> AuctionEntry {
 }
 
 /// A bid with these steps: a drive of `seconds`, which uses 0.001 of the charge per second, a
-/// wait, and 60 s with the nurse.
+/// wait, and 60 s with the clerk.
 fn drives(robot: &str, seconds: f64) -> AuctionEntry {
     let part = |step, label: &str, skill, seconds| BidPart {
         step,
@@ -24,9 +24,9 @@ fn drives(robot: &str, seconds: f64) -> AuctionEntry {
     let parts = vec![
         part(0, "navto_room", "navigation", seconds),
         part(1, "done:greet:r2:r1", "wait_message", 0.0),
-        part(2, "done:deposit:nurse:r1", "wait_message", 2.0),
-        part(3, "ready:deposit:r1:nurse", "send_message", 2.0),
-        part(4, "authenticate_nurse", "authenticate_person", 60.0),
+        part(2, "done:deposit:clerk:r1", "wait_message", 2.0),
+        part(3, "ready:deposit:r1:clerk", "send_message", 2.0),
+        part(4, "authenticate_clerk", "authenticate_person", 60.0),
     ];
     AuctionEntry { parts, ..bid("r1", robot, seconds + 64.0) }
 }
@@ -37,7 +37,7 @@ fn refusal(role: &str, robot: &str, reason: RefusalReason) -> AuctionEntry {
 
 fn record(entries: Vec<AuctionEntry>, chosen: &[(&str, &str)], failure: Option<&str>) -> AuctionRecord {
     AuctionRecord {
-        auction: AuctionId { mission: slug("lab-samples-1"), term: 2, round: 3 },
+        auction: AuctionId { mission: slug("vital-signs-1"), term: 2, round: 3 },
         at_ms: 7,
         entries,
         omitted: 0,
@@ -99,7 +99,7 @@ fn an_explanation_lists_steps_and_the_largest_difference() {
     let entries = vec![drives("birch", 37.04), drives("flint", 92.1), bid("r1", "cedar", 103.0)];
     let explained = explain(&record(entries, &[("r1", "birch")], None));
     let [birch, cedar, flint] = &explained.roles[0].robots[..] else { panic!("three robots") };
-    let steps = "navto_room 37.0 s 3.7 %, wait for nurse 2.0 s 0.2 %, signal to nurse 2.0 s 0.2 %, authenticate_nurse \
+    let steps = "navto_room 37.0 s 3.7 %, wait for clerk 2.0 s 0.2 %, signal to clerk 2.0 s 0.2 %, authenticate_clerk \
                  60.0 s 6.0 %";
     assert_eq!(birch.parts_text().as_deref(), Some(steps));
     assert!(cedar.why.ends_with(": outbid, 2.0 s more than birch"), "{}", cedar.why);

@@ -18,7 +18,7 @@ fn robot(name: &str) -> RobotId {
 
 /// `lab_arm` executes a task and then signals `r1`, which waits for it.
 fn submission(request: &str) -> Box<Submission> {
-    let task = TaskId::new("pick_up_sample").unwrap();
+    let task = TaskId::new("pick_up_parcel").unwrap();
     let spec = TaskSpec::of(TaskType::new("pick_up").unwrap(), vec![role("lab_arm")]);
     let signal = Signal { kind: SignalKind::Done, task: task.clone(), from: role("lab_arm"), to: role("r1") };
     let managed = Role::of(RoleKind::Managed);
@@ -155,7 +155,7 @@ fn the_first_outcome_of_a_task_is_kept() {
     log.award(&mission, "arm", "ada");
     let pulse = |bpm: i64| TaskOutcome::Done(BTreeMap::from([("pulse_bpm".to_owned(), Scalar::Integer(bpm))]));
     let report = |log: &mut Log, who: &str, epoch: Epoch, outcome: TaskOutcome| {
-        let outcomes = BTreeMap::from([(TaskId::new("pick_up_sample").unwrap(), outcome)]);
+        let outcomes = BTreeMap::from([(TaskId::new("pick_up_parcel").unwrap(), outcome)]);
         let (mission, role, branch, ended) = (mission.clone(), role(who), Branch::Main, BTreeSet::new());
         log.apply(Command::Progress { mission, role, epoch, branch, ended, outcomes })
     };
@@ -184,7 +184,7 @@ fn the_outcomes_of_a_mission_have_a_bounded_size() {
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
     let results = (0..16).map(|number| (format!("{number}{}", "x".repeat(3_000)), Scalar::Bool(true)));
-    let outcomes = BTreeMap::from([(TaskId::new("pick_up_sample").unwrap(), TaskOutcome::Done(results.collect()))]);
+    let outcomes = BTreeMap::from([(TaskId::new("pick_up_parcel").unwrap(), TaskOutcome::Done(results.collect()))]);
     let (role, branch, ended) = (role("lab_arm"), Branch::Main, BTreeSet::from([0]));
     log.apply(Command::Progress { mission: mission.clone(), role, epoch: epoch(2), branch, ended, outcomes });
     let recorded = &log.0.mission(&mission).unwrap().outcomes;
@@ -289,7 +289,7 @@ fn a_canceled_mission_frees_its_robots_and_rejects_reports() {
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
     assert_eq!(
-        log.apply(Command::Cancel { mission: mission.clone(), by: "a nurse".to_owned(), places: BTreeMap::new() }),
+        log.apply(Command::Cancel { mission: mission.clone(), by: "a clerk".to_owned(), places: BTreeMap::new() }),
         CommandOutcome::Done
     );
     assert!(log.0.held_by(&robot("ada")).is_none());

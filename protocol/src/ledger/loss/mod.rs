@@ -223,7 +223,7 @@ fn in_places(mut held: Vec<HeldItem>, places: &BTreeMap<RobotId, PlaceId>) -> Ve
     held
 }
 
-/// Formats custody: `the sample is with amber at IC Room 6`.
+/// Formats custody: `the parcel is with amber at IC Room 6`.
 fn custody_text(items: &[HeldItem]) -> String {
     let line = |held: &HeldItem| {
         let is = if held.certain { "is" } else { "may be" };

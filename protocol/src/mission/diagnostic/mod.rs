@@ -42,8 +42,8 @@ impl MissionErrors {
 /// Problem with its place in the mission.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissionDiagnostic {
-    /// Place: the tasks from the root down (`root/meet_nurse/navto_room`), or another part of the
-    /// file (`roles/nurse`, `parameters/room`).
+    /// Place: the tasks from the root down (`root/meet_clerk/navto_room`), or another part of the
+    /// file (`roles/clerk`, `parameters/room`).
     pub path: String,
     /// Kind of problem.
     pub kind: MissionErrorKind,

@@ -7,20 +7,20 @@
 //!   room: { kind: place, default: IC Room 6, description: which room }
 //! roles:                             # participants; at least 1 is managed
 //!   r1: { kind: managed }
-//!   nurse: { kind: unmanaged, description: on duty in the room }
+//!   clerk: { kind: unmanaged, description: on duty in the room }
 //! root:                              # an abstract task: `task`, `method`, `tasks`
 //!   task: inspect
 //!   method: sequential               # or `unordered`
 //!   tasks:
 //!     # an elementary task: `task`, `type`, `roles`, and where needed `parameters` and `reaches`
 //!     - { task: navto_room, type: navigation, roles: [r1], parameters: { to: "${room}" }, reaches: { location: "${room}" } }
-//!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }   # two roles: a joint task
+//!     - { task: meet, type: wait, roles: [r1, clerk], parameters: { seconds: "5" } }   # two roles: a joint task
 //! ```
 //!
 //! Optional fields of an elementary task:
 //!
-//! - `acquires: { sample: r1 }`: after the task, `r1` has the sample; `releases: [sample]`: after
-//!   the task, the sample is outside the mission. Tasks that touch the same item must be ordered.
+//! - `acquires: { parcel: r1 }`: after the task, `r1` has the parcel; `releases: [parcel]`: after
+//!   the task, the parcel is outside the mission. Tasks that touch the same item must be ordered.
 //!   The ledger derives from this which items a lost robot carries.
 //! - `attempts: 3`: maximum number of attempts of its skill before the task fails permanently; 1 to
 //!   10, default 2.

@@ -13,7 +13,7 @@
 //! - An action's name is its task type, after [`IhtnNames::actions`]. If the domain lacks that
 //!   type, a name `type-word` is split at the first `-` for which two conditions hold: the domain
 //!   has `type`, and exactly 1 of its parameters is a choice that includes `word`. So
-//!   `operate_drawer-open` is `operate_drawer { action: open }`.
+//!   `operate_box-open` is `operate_box { action: open }`.
 //! - A location stands for a place of the map, after [`IhtnNames::places`]. It becomes the type's
 //!   parameter of kind place (the required parameter if there are several). For the types in
 //!   [`IhtnNames::reaching`] it is also the reached state. Several locations become the parameters

@@ -21,7 +21,7 @@ fn nodes() -> Value {
         "0": { "name": "Fetch", "type": "task", "parent": "-1", "agents": ["r1", "ann", "idler"], "children": ["1"] },
         "1": { "name": "m", "type": "method", "parent": "0", "agents": ["r1", "ann"], "children": ["2", "3", "4", "5"] },
         "2": { "name": "navto", "type": "action", "parent": "1", "locations": ["Ward"], "agents": ["r1"], "children": "" },
-        "3": { "name": "operate_drawer-open", "type": "action", "parent": "1", "locations": "", "agents": ["r1"], "children": "" },
+        "3": { "name": "operate_box-open", "type": "action", "parent": "1", "locations": "", "agents": ["r1"], "children": "" },
         "4": { "name": "deposit", "type": "action", "parent": "1", "locations": "", "agents": ["ann"], "children": "" },
         "5": { "name": "navto", "type": "action", "parent": "1", "locations": ["Laboratory"], "agents": ["r1"], "children": "" },
     })
@@ -48,7 +48,7 @@ fn gaps_of_the_form_are_filled_by_rules() {
         tasks,
         [
             r#"navto navigation {"to": "Ward"} {"location": "Ward"}"#,
-            r#"operate_drawer-open operate_drawer {"action": "open"} {}"#,
+            r#"operate_box-open operate_box {"action": "open"} {}"#,
             r#"deposit deposit {"into_role": "r1"} {}"#,
             r#"navto-2 navigation {"to": "Laboratory"} {"location": "Laboratory"}"#,
         ]
@@ -100,14 +100,14 @@ fn a_malformed_tree_is_reported_precisely() {
             ],
         ),
         (
-            &|n| n["3"]["name"] = "operate_drawer-slam".into(),
+            &|n| n["3"]["name"] = "operate_box-slam".into(),
             &[
-                "node 3 (operate_drawer-slam): unknown task type `operate_drawer-slam`; allowed: approach, deposit, navigation, operate_drawer, pick_up, wait; did you mean `operate_drawer`?",
+                "node 3 (operate_box-slam): unknown task type `operate_box-slam`; allowed: approach, deposit, navigation, operate_box, pick_up, wait; did you mean `operate_box`?",
             ],
         ),
         (
             &|n| n["3"]["locations"] = "Ward".into(),
-            &["node 3 (operate_drawer-open): has the location \"Ward\", but `operate_drawer` has no parameter for \
+            &["node 3 (operate_box-open): has the location \"Ward\", but `operate_box` has no parameter for \
                a place"],
         ),
         (
@@ -228,16 +228,16 @@ fn a_node_with_wrong_fields_is_named() {
     let errors = import(&nodes).unwrap_err();
     assert_eq!(errors.len(), 3, "{errors:?}");
     assert_eq!(errors[0], "node 2 (navto): a list of texts, or a text");
-    assert!(errors[1].starts_with("node 3 (operate_drawer-open): unknown field `colour`"), "{}", errors[1]);
+    assert!(errors[1].starts_with("node 3 (operate_box-open): unknown field `colour`"), "{}", errors[1]);
     assert_eq!(errors[2], "node 4 (deposit): missing field `type`");
 }
 
 #[test]
 fn a_name_with_a_hyphen_is_split_only_if_the_domain_lacks_it() {
-    let own = with_names(domain()).with(TaskType::new("operate_drawer-open").unwrap(), TaskSchema::default());
+    let own = with_names(domain()).with(TaskType::new("operate_box-open").unwrap(), TaskSchema::default());
     let mission = import_in(&nodes(), &own).unwrap();
     let (_, spec) = mission.elementary()[1];
-    assert_eq!((spec.task_type.as_str(), spec.parameters.len()), ("operate_drawer-open", 0));
+    assert_eq!((spec.task_type.as_str(), spec.parameters.len()), ("operate_box-open", 0));
 }
 
 #[test]
@@ -257,7 +257,7 @@ fn a_document_is_recognised_as_a_flat_ihtn() {
     let request = MissionDocument::request(&text, Format::Json, people.clone()).unwrap();
     assert_eq!(request, nodes());
     // A mission file has its own name and people.
-    let file = crate::mission::test_data::FETCH_SAMPLE;
+    let file = crate::mission::test_data::FETCH_PARCEL;
     let error = MissionDocument::parse(file, Format::Yaml, people).unwrap_err().to_string();
     assert!(error.starts_with("`people` belongs to a mission in the flat iHTN form"), "{error}");
     let error = parse("{}", &IhtnFields::default()).unwrap_err().to_string();

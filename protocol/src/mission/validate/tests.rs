@@ -52,21 +52,21 @@ fn every_problem_is_reported_with_its_path_and_allowed_names() {
     let tasks = vec![
         refined("top", &[1, 2, 3]),
         elementary("go", "navigatoin", &["r1"], &[]),
-        elementary("fetch", "pick_up", &["r1", "r9", "r1"], &[("from_role", "nurs"), ("colour", "red")]),
+        elementary("fetch", "pick_up", &["r1", "r9", "r1"], &[("from_role", "cler"), ("colour", "red")]),
         refined("more", &[4]),
-        elementary("shut", "operate_drawer", &["r1"], &[("action", "slam")]),
+        elementary("shut", "operate_box", &["r1"], &[("action", "slam")]),
     ];
-    let roles = &[("r1", RoleKind::Managed), ("nurse", RoleKind::Unmanaged)];
+    let roles = &[("r1", RoleKind::Managed), ("clerk", RoleKind::Unmanaged)];
     assert_eq!(
         diagnostics(&mission(roles, tasks)),
         [
-            "root/fetch: unknown role `r9`; allowed: nurse, r1; did you mean `r1`?",
+            "root/fetch: unknown role `r9`; allowed: clerk, r1; did you mean `r1`?",
             "root/fetch: names the role `r1` twice",
-            "roles/nurse: has no task; add a task for it or remove it",
-            "root/go: unknown task type `navigatoin`; allowed: approach, deposit, navigation, operate_drawer, pick_up, wait; did you mean `navigation`?",
+            "roles/clerk: has no task; add a task for it or remove it",
+            "root/go: unknown task type `navigatoin`; allowed: approach, deposit, navigation, operate_box, pick_up, wait; did you mean `navigation`?",
             "root/fetch: `pick_up` has no parameter `colour`; allowed: from_role, item",
-            "root/fetch: parameter `from_role` names the role `nurs`, which is not declared in the mission; allowed: \
-             nurse, r1; did you mean `nurse`?",
+            "root/fetch: parameter `from_role` names the role `cler`, which is not declared in the mission; allowed: \
+             clerk, r1; did you mean `clerk`?",
             "root/more/shut: parameter `action` is \"slam\"; it must be one of close, open",
         ]
     );
@@ -122,8 +122,8 @@ fn a_malformed_tree_is_rejected() {
 
 #[test]
 fn a_mission_without_managed_roles_is_rejected() {
-    let tasks = vec![elementary("a", "wait", &["nurse"], &[("seconds", "1")])];
-    let roles = &[("nurse", RoleKind::Unmanaged)];
+    let tasks = vec![elementary("a", "wait", &["clerk"], &[("seconds", "1")])];
+    let roles = &[("clerk", RoleKind::Unmanaged)];
     assert_eq!(
         diagnostics(&mission(roles, tasks)),
         ["roles: no role is managed; a mission needs at least 1 role that a robot fills"]

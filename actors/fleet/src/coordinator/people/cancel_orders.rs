@@ -46,7 +46,7 @@ mod tests {
     fn a_repeated_order_keeps_its_mission_and_memory_is_bounded() {
         let order =
             |by: &str, robot: &str, at_ms| CancelOrder { by: by.to_owned(), robot: robot.parse().unwrap(), at_ms };
-        let first = MissionId::new("lab-samples-1").unwrap();
+        let first = MissionId::new("vital-signs-1").unwrap();
         let mut orders = RecentCancelOrders::default();
         orders.add(order("Nia", "amber", 1000), first.clone());
         assert_eq!(orders.mission(&order("Nia", "amber", 1000)), Some(&first));

@@ -68,7 +68,7 @@ pub(super) fn next_step(entry: &MissionEntry, role: &RoleId, now_ms: Option<u64>
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_ledger::{ledger, nurse};
+    use super::super::test_ledger::{clerk, ledger};
     use super::*;
     use consort_protocol::ledger::{AnswerContent, CommandOutcome, Ledger, MissionState, PersonAnswer};
     use consort_protocol::scalar::Scalar;
@@ -81,10 +81,10 @@ mod tests {
     }
 
     fn next(ledger: &Ledger) -> Option<PersonStep> {
-        next_step(ledger.missions().next().unwrap(), &nurse(), Some(NOW_MS))
+        next_step(ledger.missions().next().unwrap(), &clerk(), Some(NOW_MS))
     }
 
-    /// Applies the commands of the nurse's role until it waits. Returns their names.
+    /// Applies the commands of the clerk's role until it waits. Returns their names.
     fn advance(ledger: &mut Ledger) -> Vec<&'static str> {
         let mut names = vec![];
         while let Some(step) = next(ledger) {
@@ -92,7 +92,7 @@ mod tests {
             let (name, command) = match step {
                 PersonStep::Progress(command) => ("progress", command),
                 PersonStep::Ask { branch, step } => {
-                    ("ask", Command::AskPerson { mission, branch, role: nurse(), step, asked_ms: NOW_MS })
+                    ("ask", Command::AskPerson { mission, branch, role: clerk(), step, asked_ms: NOW_MS })
                 }
                 other => panic!("{other:?}"),
             };
@@ -102,7 +102,7 @@ mod tests {
         names
     }
 
-    /// The robot has opened its drawer and signals it.
+    /// The robot has opened its box and signals it.
     fn robot_opens(ledger: &mut Ledger, branch: Branch) {
         let entry = ledger.missions().next().unwrap();
         let (role, holder) = entry.role_holders().pop_first().expect("a holder");
@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn a_person_is_asked_once_the_robot_is_ready_and_the_first_answer_counts() {
         let (mut ledger, _) = ledger(false);
-        assert_eq!(next(&ledger), None, "the drawer is closed");
+        assert_eq!(next(&ledger), None, "the box is closed");
         robot_opens(&mut ledger, Branch::Main);
         assert_eq!(advance(&mut ledger), ["progress", "ask"]);
         let open = ledger.open_person_requests();
@@ -146,7 +146,7 @@ mod tests {
         }
         assert_eq!(advance(&mut ledger), ["progress"], "the robot is told");
         let state = &ledger.missions().next().unwrap().state;
-        assert_eq!(*state, MissionState::Running, "the robot closes its drawer");
+        assert_eq!(*state, MissionState::Running, "the robot closes its box");
     }
 
     #[test]
@@ -156,12 +156,12 @@ mod tests {
         advance(&mut ledger);
         assert_eq!(answer(&mut ledger, 1, "Nia", AnswerContent::Declined), CommandOutcome::Done);
         let MissionState::Failed { cause } = &ledger.mission(&mission).unwrap().state else { panic!("it continues") };
-        assert_eq!(cause, "Nia as nurse declined to do deposit");
+        assert_eq!(cause, "Nia as clerk declined to do deposit");
         let refused = answer(&mut ledger, 1, "Ria", done());
         assert!(matches!(refused, CommandOutcome::Refused(_)), "{refused:?}");
     }
 
-    /// The sample is lost: another robot meets the nurse. An answer to the former request does not
+    /// The parcel is lost: another robot meets the clerk. An answer to the former request does not
     /// count for the new request.
     #[test]
     fn a_request_is_withdrawn_when_the_robot_is_lost() {
@@ -204,10 +204,10 @@ mod tests {
         let Some(PersonStep::Progress(progress)) = next(&ledger) else { panic!("no progress") };
         apply(&mut ledger, progress);
         let entry = ledger.mission(&mission).unwrap();
-        assert_eq!(next_step(entry, &nurse(), None), None, "without the time nobody is asked");
+        assert_eq!(next_step(entry, &clerk(), None), None, "without the time nobody is asked");
         advance(&mut ledger);
         let entry = ledger.mission(&mission).unwrap();
-        let step = next_step(entry, &nurse(), Some(u64::MAX));
+        let step = next_step(entry, &clerk(), Some(u64::MAX));
         assert_eq!(step, None, "a request without patience does not expire");
         let request = PersonRequestId { mission: mission.clone(), number: 1 };
         let expire = Command::ExpirePersonRequest { request, now_ms: u64::MAX, places: BTreeMap::new() };

@@ -140,11 +140,11 @@ mod tests {
     use consort_protocol::mission::TaskSpec;
 
     fn id(number: u32) -> PersonRequestId {
-        format!("lab-samples-1.{number}").parse().unwrap()
+        format!("vital-signs-1.{number}").parse().unwrap()
     }
 
     fn sent(cluster: u64) -> SentRequest {
-        let role = RoleId::new("nurse").unwrap();
+        let role = RoleId::new("clerk").unwrap();
         let task = TaskSpec::of(TaskType::new("deposit").unwrap(), vec![role.clone()]);
         let request = PersonRequest { role, task, holders: BTreeMap::new() };
         SentRequest { cluster: Some(ClusterId(cluster)), turn: 0, request, left_to_others: false }

@@ -1,4 +1,4 @@
-//! A ledger with a mission in which a nurse takes part.
+//! A ledger with a mission in which a clerk takes part.
 
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{MissionId, RequestId, RobotId, RoleId};
@@ -9,24 +9,24 @@ use consort_protocol::plan::divide_and_check;
 use consort_skills::domain::hospital;
 use std::collections::BTreeMap;
 
-/// The nurse has a plan in both branches: she inserts a sample, and another sample if the first is
+/// The clerk has a plan in both branches: she inserts a parcel, and another parcel if the first is
 /// lost.
 const MISSION: &str = r#"{"mission": "fetch", "roles": {
-    "nurse": {"kind": "unmanaged"}, "r1": {"kind": "managed"}, "r2": {"kind": "managed"}},
+    "clerk": {"kind": "unmanaged"}, "r1": {"kind": "managed"}, "r2": {"kind": "managed"}},
   "root": {"task": "fetch", "method": "sequential", "tasks": [
-    {"task": "open", "type": "operate_drawer", "roles": ["r1"], "parameters": {"action": "open"}},
-    {"task": "deposit", "type": "deposit", "roles": ["nurse"], "parameters": {"into_role": "r1"}, "acquires": {"sample": "r1"}},
-    {"task": "close", "type": "operate_drawer", "roles": ["r1"], "parameters": {"action": "close"}}]},
+    {"task": "open", "type": "wait", "roles": ["r1"], "parameters": {"seconds": "1"}},
+    {"task": "deposit", "type": "deposit", "roles": ["clerk"], "parameters": {"into_role": "r1"}, "acquires": {"parcel": "r1"}},
+    {"task": "close", "type": "wait", "roles": ["r1"], "parameters": {"seconds": "1"}}]},
   "recovery": {"task": "again", "method": "sequential", "tasks": [
-    {"task": "open-2", "type": "operate_drawer", "roles": ["r2"], "parameters": {"action": "open"}},
-    {"task": "deposit-2", "type": "deposit", "roles": ["nurse"], "parameters": {"into_role": "r2"}},
-    {"task": "close-2", "type": "operate_drawer", "roles": ["r2"], "parameters": {"action": "close"}}]}}"#;
+    {"task": "open-2", "type": "wait", "roles": ["r2"], "parameters": {"seconds": "1"}},
+    {"task": "deposit-2", "type": "deposit", "roles": ["clerk"], "parameters": {"into_role": "r2"}},
+    {"task": "close-2", "type": "wait", "roles": ["r2"], "parameters": {"seconds": "1"}}]}}"#;
 
-pub(in crate::coordinator) fn nurse() -> RoleId {
-    RoleId::new("nurse").unwrap()
+pub(in crate::coordinator) fn clerk() -> RoleId {
+    RoleId::new("clerk").unwrap()
 }
 
-/// Ledger with the mission in progress; `lost` means that the sample is lost in the drawer of `r1`.
+/// Ledger with the mission in progress; `lost` means that the parcel is lost in the box of `r1`.
 pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
     let template = MissionTemplate::parse(MISSION, Format::Json).unwrap();
     let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &hospital()).unwrap();

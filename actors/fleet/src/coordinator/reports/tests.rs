@@ -1,5 +1,5 @@
 use super::*;
-use crate::coordinator::people::test_ledger::{ledger, nurse};
+use crate::coordinator::people::test_ledger::{clerk, ledger};
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::lease::Epoch;
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,7 +9,7 @@ fn report(mission: &MissionId, ended: &[u32]) -> Report {
         robot: RobotId::new("ward").unwrap(),
         incarnation: 0,
         mission: mission.clone(),
-        role: nurse(),
+        role: clerk(),
         epoch: Epoch::default(),
         ended: BTreeSet::from_iter(ended.iter().copied()),
         outcomes: BTreeMap::new(),

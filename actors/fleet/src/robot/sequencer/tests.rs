@@ -72,11 +72,11 @@ fn a_task_waits_until_the_role_it_names_has_a_holder_again() {
 #[test]
 fn a_task_waits_for_the_first_holder_of_the_role_it_names() {
     let step = |named: &str| {
-        let spec = json!({ "type": "deposit", "roles": ["nurse"], "parameters": { "into_role": named } });
+        let spec = json!({ "type": "deposit", "roles": ["clerk"], "parameters": { "into_role": named } });
         json!({ "action": { "Task": { "id": "deposit", "spec": spec } }, "after": [] })
     };
     let sequencer_with = |named| {
-        let plan = plan(json!({ "role": "nurse", "steps": [step(named)] }));
+        let plan = plan(json!({ "role": "clerk", "steps": [step(named)] }));
         let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("arm", 5)])).unwrap();
         sequencer.set_vacant_roles(&BTreeSet::from(["r1".parse().unwrap()]));
         sequencer

@@ -2,7 +2,7 @@ use super::*;
 
 #[test]
 fn a_released_award_counts_only_if_it_was_confirmed() {
-    let mut log = Log::of(&fetch_sample());
+    let mut log = Log::of(&fetch_parcel());
     let first = log.award_with_energy(&[("r1", "amber", 0.25), ("lab_arm", "arm", 0.5)]);
     assert_eq!(log.energy(), 0.75);
     log.lose("r1", first, false);
@@ -30,11 +30,11 @@ fn a_completed_mission_keeps_the_energy_of_its_awards() {
 
 #[test]
 fn estimates_that_are_no_energies_are_bounded() {
-    let mut log = Log::of(&fetch_sample());
+    let mut log = Log::of(&fetch_parcel());
     log.award_with_energy(&[("r1", "amber", -1.0), ("lab_arm", "arm", 0.5)]);
     assert_eq!(log.energy(), 0.5);
     for estimate in [f64::NAN, f64::INFINITY, 1e300] {
-        let mut log = Log::of(&fetch_sample());
+        let mut log = Log::of(&fetch_parcel());
         log.award_with_energy(&[("r1", "amber", estimate), ("lab_arm", "arm", estimate)]);
         assert!(log.energy().is_finite() && log.energy() > 1e8, "{estimate}: {}", log.energy());
     }

@@ -10,7 +10,7 @@ use crate::ids::RequestId;
 use crate::lease::RoleHolder;
 use crate::ledger::Command;
 use crate::ledger::HistoryLimits;
-use crate::mission::test_data::{FETCH_SAMPLE, domain};
+use crate::mission::test_data::{FETCH_PARCEL, domain};
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::{StepIndex, divide_and_check};
 use crate::units::Seconds;
@@ -39,8 +39,8 @@ const RELAY: &str = r#"{"mission": "relay", "roles": {"a": {"kind": "managed"}, 
       {"task": "t-b", "type": "wait", "roles": ["b"], "parameters": {"seconds": "1"}},
       {"task": "t-a2", "type": "wait", "roles": ["a"], "parameters": {"seconds": "1"}}]}]}}"#;
 
-fn fetch_sample() -> MissionTemplate {
-    MissionTemplate::parse(FETCH_SAMPLE, Format::Yaml).unwrap()
+fn fetch_parcel() -> MissionTemplate {
+    MissionTemplate::parse(FETCH_PARCEL, Format::Yaml).unwrap()
 }
 
 fn submission(request: &str, template: &MissionTemplate) -> Submission {
@@ -63,9 +63,9 @@ impl Log {
         log
     }
 
-    /// The mission `fetch-sample`, held by amber and arm under epoch 2, confirmed.
+    /// The mission `fetch-parcel`, held by amber and arm under epoch 2, confirmed.
     fn held_by_two() -> Log {
-        let mut log = Log::of(&fetch_sample());
+        let mut log = Log::of(&fetch_parcel());
         log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
         log
     }
@@ -191,18 +191,14 @@ impl Log {
 }
 
 #[test]
-fn custody_of_the_sample_follows_the_reports() {
+fn custody_of_the_parcel_follows_the_reports() {
     let mut log = Log::held_by_two();
     assert_eq!(log.custodians(), [""; 0]);
     log.ended("r1", epoch(2), 0..3);
-    assert_eq!(
-        log.custodians(),
-        [""; 0],
-        "the ledger does not contain the open drawer, so the nurse was not signalled"
-    );
+    assert_eq!(log.custodians(), [""; 0], "the ledger does not contain the open box, so the clerk was not signalled");
     log.ended("r1", epoch(2), 0..4);
-    assert_eq!(log.custodians(), ["amber?"], "the nurse may have been signalled");
-    log.ended("nurse", Epoch::default(), 0..2);
+    assert_eq!(log.custodians(), ["amber?"], "the clerk may have been signalled");
+    log.ended("clerk", Epoch::default(), 0..2);
     assert_eq!(log.custodians(), ["amber!"]);
     log.ended("r1", epoch(2), 0..11);
     assert_eq!(log.custodians(), ["amber!"]);
@@ -217,7 +213,7 @@ fn custody_of_the_sample_follows_the_reports() {
 #[test]
 fn a_reported_wait_implies_the_awaited_step() {
     let mut log = Log::held_by_two();
-    log.ended("r1", epoch(2), 5..6); // only its wait for the nurse's deposit was reported
+    log.ended("r1", epoch(2), 5..6); // only its wait for the clerk's deposit was reported
     assert_eq!(log.custodians(), ["amber!"]);
 }
 
@@ -231,16 +227,16 @@ fn a_carrier_lost_before_its_guard_is_replaced() {
 }
 
 #[test]
-fn a_carrier_lost_with_the_sample_needs_intervention_until_resolved() {
+fn a_carrier_lost_with_the_parcel_needs_intervention_until_resolved() {
     for (reported, certain, has) in [(0..4, false, "may have"), (0..8, true, "has")] {
         let mut log = Log::held_by_two();
         log.ended("r1", epoch(2), reported);
         log.lose("r1", epoch(2), false);
-        let lost_cause = format!("amber was lost as r1 and {has} the sample: silent for 7 s");
+        let lost_cause = format!("amber was lost as r1 and {has} the parcel: silent for 7 s");
         assert_eq!(log.intervention(), (lost_cause.as_str(), vec![("amber", Some(&place()), certain)]));
         assert!(log.entry().state.is_final());
         for number in 0..HistoryLimits::LARGEST.missions_max + 3 {
-            let mission = log.submit(&format!("more{number}"), &fetch_sample());
+            let mission = log.submit(&format!("more{number}"), &fetch_parcel());
             let (cause, places) = ("test".to_owned(), BTreeMap::new());
             log.apply(Command::Fail { mission, cause, branch: None, places });
         }
@@ -248,7 +244,7 @@ fn a_carrier_lost_with_the_sample_needs_intervention_until_resolved() {
 
         // Meanwhile the robot gets no other role.
         let waiting = log.2.clone();
-        log.2 = log.submit("next", &fetch_sample());
+        log.2 = log.submit("next", &fetch_parcel());
         let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
         assert!(matches!(full, CommandOutcome::Refused(CommandError::CarriesItem { .. })), "{full:?}");
         let by = "Nia".to_owned();
@@ -267,7 +263,7 @@ fn a_carrier_lost_with_the_sample_needs_intervention_until_resolved() {
 }
 
 #[test]
-fn a_mission_that_ends_with_the_sample_in_a_drawer_needs_intervention() {
+fn a_mission_that_ends_with_the_parcel_in_a_box_needs_intervention() {
     let places = BTreeMap::from([(robot("amber"), place())]);
     let end = |log: &Log, canceled| match canceled {
         true => Command::Cancel { mission: log.2.clone(), by: "Nia".to_owned(), places: places.clone() },
@@ -280,7 +276,7 @@ fn a_mission_that_ends_with_the_sample_in_a_drawer_needs_intervention() {
         let mut log = Log::held_by_two();
         log.ended("r1", epoch(2), 0..8);
         assert_eq!(log.apply(end(&log, canceled)), CommandOutcome::Done);
-        let cause = format!("{cause}; the sample is with amber at IC Room 6");
+        let cause = format!("{cause}; the parcel is with amber at IC Room 6");
         assert_eq!(log.intervention(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
     }
     // A repeated cancellation does not close the mission: the client may have missed the reply.
@@ -288,34 +284,34 @@ fn a_mission_that_ends_with_the_sample_in_a_drawer_needs_intervention() {
     log.ended("r1", epoch(2), 0..8);
     log.apply(end(&log, true));
     log.apply(end(&log, true));
-    assert_eq!(log.intervention().0, "canceled by Nia; the sample is with amber at IC Room 6");
+    assert_eq!(log.intervention().0, "canceled by Nia; the parcel is with amber at IC Room 6");
 }
 
 #[test]
-fn a_carrier_that_has_passed_the_sample_on_counts_as_ended() {
+fn a_carrier_that_has_passed_the_parcel_on_counts_as_ended() {
     let mut log = Log::held_by_two();
     log.ended("r1", epoch(2), 0..11);
     log.ended("lab_arm", epoch(2), 0..3);
-    log.lose("r1", epoch(2), false); // closing its drawer
-    assert_eq!(log.entry().state, MissionState::Running, "the nurse has not ended");
-    log.ended("nurse", Epoch::default(), 0..3);
+    log.lose("r1", epoch(2), false); // closing its box
+    assert_eq!(log.entry().state, MissionState::Running, "the clerk has not ended");
+    log.ended("clerk", Epoch::default(), 0..3);
     assert_eq!(log.entry().state, MissionState::Completed);
     assert_eq!(log.entry().releases.len(), 1, "the release is recorded");
 }
 
 #[test]
-fn an_arm_lost_at_the_drawer_makes_custody_uncertain() {
+fn an_arm_lost_at_the_box_makes_custody_uncertain() {
     let mut log = Log::held_by_two();
     log.ended("r1", epoch(2), 0..11);
     log.ended("lab_arm", epoch(2), 0..1);
     log.lose("lab_arm", epoch(2), false);
     let (cause, items) = log.intervention();
-    assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
+    assert_eq!(cause, "arm was lost as lab_arm and may have the parcel: silent for 7 s");
     assert_eq!(items, [("amber", None, false), ("arm", Some(&place()), false)]);
 }
 
 #[test]
-fn an_arm_that_has_moved_nothing_is_replaced_at_the_drawer() {
+fn an_arm_that_has_moved_nothing_is_replaced_at_the_box() {
     let mut log = Log::held_by_two();
     log.ended("r1", epoch(2), 0..11);
     log.ended("lab_arm", epoch(2), 0..1);
@@ -337,7 +333,7 @@ fn a_move_in_the_ledger_has_happened() {
     log.ended("r1", epoch(2), 0..11);
     log.ended("lab_arm", epoch(2), 0..3);
     log.release("r1", epoch(2), None, true);
-    assert_eq!(log.entry().state, MissionState::Running, "only the nurse has not ended");
+    assert_eq!(log.entry().state, MissionState::Running, "only the clerk has not ended");
 }
 
 #[test]
@@ -350,13 +346,13 @@ fn a_mission_that_no_robot_can_do_fails_at_once() {
     log.ended("r1", epoch(2), 0..8);
     log.release("lab_arm", epoch(2), Some(CauseClass::Task), true);
     let (cause, items) = log.intervention();
-    assert_eq!(cause, "silent for 7 s; the sample is with amber");
+    assert_eq!(cause, "silent for 7 s; the parcel is with amber");
     assert_eq!(items, [("amber", None, true)]);
 }
 
 #[test]
 fn a_robot_with_a_transient_failure_may_bid_again() {
-    let mut log = Log::of(&fetch_sample());
+    let mut log = Log::of(&fetch_parcel());
     for count in 1..RELEASES_MAX {
         let epoch = log.hold(&[("r1", "amber"), ("lab_arm", "arm")][..if count == 1 { 2 } else { 1 }]);
         log.release("r1", epoch, Some(CauseClass::Transient), true);
@@ -369,7 +365,7 @@ fn a_robot_with_a_transient_failure_may_bid_again() {
 }
 
 #[test]
-fn an_arm_lost_earlier_is_replaced_while_the_carrier_keeps_the_sample() {
+fn an_arm_lost_earlier_is_replaced_while_the_carrier_keeps_the_parcel() {
     let mut log = Log::held_by_two();
     log.ended("r1", epoch(2), 0..8);
     log.lose("lab_arm", epoch(2), false);
@@ -391,7 +387,7 @@ fn a_repeated_cancellation_has_the_same_outcome() {
 
 #[test]
 fn robots_that_failed_are_excluded_until_the_mission_fails() {
-    let mut log = Log::of(&fetch_sample());
+    let mut log = Log::of(&fetch_parcel());
     for (count, name) in (1..).zip(["amber", "birch", "cedar", "dogwood", "elm"]) {
         let epoch = log.hold(&[("r1", name), ("lab_arm", "arm")][..if count == 1 { 2 } else { 1 }]);
         assert_eq!(log.entry().excluded(&role("r1")).len(), count - 1);
@@ -403,7 +399,7 @@ fn robots_that_failed_are_excluded_until_the_mission_fails() {
 
 #[test]
 fn releases_before_confirmation_are_not_counted() {
-    let mut log = Log::of(&fetch_sample());
+    let mut log = Log::of(&fetch_parcel());
     for _ in 0..3 * RELEASES_MAX {
         let CommandOutcome::Awarded { epoch } = log.award(&[("r1", "amber"), ("lab_arm", "arm")]) else {
             panic!("no award")

@@ -1,8 +1,8 @@
 use super::*;
 
-/// The mission `fetch-sample`, with a helper that drives to the carrier if it is lost.
+/// The mission `fetch-parcel`, with a helper that drives to the carrier if it is lost.
 fn with_recovery() -> MissionTemplate {
-    let text = FETCH_SAMPLE.replace("roles:\n  nurse", "roles:\n  helper: { kind: managed }\n  nurse")
+    let text = FETCH_PARCEL.replace("roles:\n  clerk", "roles:\n  helper: { kind: managed }\n  clerk")
         + "recovery: { task: go_and_look, type: navigation, roles: [helper], parameters: { to: \"${lost.place}\" } }\n";
     MissionTemplate::parse(&text, Format::Yaml).unwrap()
 }
@@ -31,9 +31,9 @@ fn a_mission_continues_with_its_recovery_branch() {
     let arm = RoleHolder { robot: robot("arm"), epoch: epoch(2) };
     assert_eq!(entry.former_holders, [arm], "and may still be acting");
 
-    // The robot with the sample gets no other role meanwhile, in case it returns.
+    // The robot with the parcel gets no other role meanwhile, in case it returns.
     let recovering = log.2.clone();
-    log.2 = log.submit("next", &fetch_sample());
+    log.2 = log.submit("next", &fetch_parcel());
     let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
     assert!(matches!(full, CommandOutcome::Refused(CommandError::CarriesItem { .. })), "{full:?}");
     log.2 = recovering;
@@ -42,7 +42,7 @@ fn a_mission_continues_with_its_recovery_branch() {
     assert_eq!(log.entry().former_holders, []);
     log.ended("helper", then, 0..1);
     let (cause, items) = log.intervention();
-    assert_eq!(cause, "the recovery branch was completed; the sample is with amber at IC Room 6");
+    assert_eq!(cause, "the recovery branch was completed; the parcel is with amber at IC Room 6");
     assert_eq!(items, [("amber", Some(&place()), true)]);
 }
 
@@ -69,7 +69,7 @@ fn a_robot_lost_in_the_recovery_branch_without_an_item_is_replaced() {
     let entry = log.entry();
     assert_eq!((entry.branch, &entry.state), (Branch::Recovery, &MissionState::Pending));
     assert_eq!(entry.open_roles(), [role("helper")].into());
-    assert_eq!((log.custodians(), entry.release_count), (vec!["amber!".to_owned()], 2), "the sample is where it was");
+    assert_eq!((log.custodians(), entry.release_count), (vec!["amber!".to_owned()], 2), "the parcel is where it was");
     // After the last release the mission needs a person, and the first loss is still recorded.
     for name in ["cedar", "dogwood", "elm"] {
         let then = log.hold(&[("helper", name)]);
@@ -77,14 +77,14 @@ fn a_robot_lost_in_the_recovery_branch_without_an_item_is_replaced() {
     }
     let (cause, items) = log.intervention();
     assert!(cause.starts_with("its roles were given up 5 times: silent for 7 s (r1); "), "{cause}");
-    assert!(cause.ends_with("; the sample is with amber at IC Room 6"), "{cause}");
+    assert!(cause.ends_with("; the parcel is with amber at IC Room 6"), "{cause}");
     assert_eq!(items, [("amber", Some(&place()), true)]);
 }
 
 #[test]
 fn a_robot_lost_with_the_item_in_the_recovery_needs_intervention() {
-    let text = FETCH_SAMPLE.to_owned()
-        + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" }, acquires: { sample: lab_arm } }\n";
+    let text = FETCH_PARCEL.to_owned()
+        + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" }, acquires: { parcel: lab_arm } }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
@@ -92,7 +92,7 @@ fn a_robot_lost_with_the_item_in_the_recovery_needs_intervention() {
     let then = log.hold(&[("lab_arm", "arm")]);
     log.lose("lab_arm", then, false);
     let (cause, items) = log.intervention();
-    assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
+    assert_eq!(cause, "arm was lost as lab_arm and may have the parcel: silent for 7 s");
     assert_eq!(items, [("amber", Some(&place()), false), ("arm", Some(&place()), false)]);
 }
 
@@ -116,45 +116,45 @@ fn a_branch_that_needs_an_unknown_place_is_not_taken() {
 
 #[test]
 fn an_item_released_by_the_recovery_branch_needs_no_intervention() {
-    let text = FETCH_SAMPLE.to_owned()
-        + "recovery: { task: hand_over, type: wait, roles: [nurse, lab_arm], parameters: { seconds: \"5\" }, releases: [sample] }\n";
+    let text = FETCH_PARCEL.to_owned()
+        + "recovery: { task: hand_over, type: wait, roles: [clerk, lab_arm], parameters: { seconds: \"5\" }, releases: [parcel] }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
     log.lose("r1", epoch(2), false);
     let then = log.hold(&[("lab_arm", "arm")]);
-    log.ended("nurse", Epoch::default(), 0..3);
+    log.ended("clerk", Epoch::default(), 0..3);
     log.ended("lab_arm", then, 0..3);
     assert_eq!(log.entry().state, MissionState::Completed);
 }
 
 #[test]
 fn progress_of_a_person_does_not_count_in_the_recovery_branch() {
-    // The nurse has as many steps in the branch as in the mission, and moves the same sample.
-    let text = FETCH_SAMPLE.to_owned()
-        + "recovery: { task: hand_over, type: wait, roles: [nurse, lab_arm], parameters: { seconds: \"5\" }, releases: [sample] }\n";
+    // The clerk has as many steps in the branch as in the mission, and moves the same parcel.
+    let text = FETCH_PARCEL.to_owned()
+        + "recovery: { task: hand_over, type: wait, roles: [clerk, lab_arm], parameters: { seconds: \"5\" }, releases: [parcel] }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
-    log.ended("nurse", Epoch::default(), 0..2);
+    log.ended("clerk", Epoch::default(), 0..2);
     log.lose("r1", epoch(2), false);
     let before = log.0.clone();
-    let late = log.ended_in(Branch::Main, "nurse", Epoch::default(), 0..3);
+    let late = log.ended_in(Branch::Main, "clerk", Epoch::default(), 0..3);
     let refused =
         CommandOutcome::Refused(CommandError::WrongBranch { mission: log.2.clone(), taken: Branch::Recovery });
     assert_eq!(late, refused);
-    let (mission, cause, places) = (log.2.clone(), "the nurse has no sample".to_owned(), BTreeMap::new());
+    let (mission, cause, places) = (log.2.clone(), "the clerk has no parcel".to_owned(), BTreeMap::new());
     let late = log.apply(Command::Fail { mission, cause, branch: Some(Branch::Main), places });
     assert_eq!(late, refused);
     assert_eq!(log.0, before, "the ledger must be unchanged");
-    assert_eq!(log.ended_in(Branch::Recovery, "nurse", Epoch::default(), 0..1), CommandOutcome::Done);
-    assert_eq!(log.entry().roles[&role("nurse")].ended, [0].into());
+    assert_eq!(log.ended_in(Branch::Recovery, "clerk", Epoch::default(), 0..1), CommandOutcome::Done);
+    assert_eq!(log.entry().roles[&role("clerk")].ended, [0].into());
 }
 
 #[test]
 fn an_auction_of_a_branch_has_no_effect_in_the_other_branch() {
     // Both branches need an arm; the arm of the mission is lost while an arm is sought for it.
-    let text = FETCH_SAMPLE.to_owned()
+    let text = FETCH_PARCEL.to_owned()
         + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" } }\n";
     let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
     let auction = |log: &Log, branch| {
@@ -182,7 +182,7 @@ fn an_auction_of_a_branch_has_no_effect_in_the_other_branch() {
     };
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
-    log.ended("nurse", Epoch::default(), 0..2);
+    log.ended("clerk", Epoch::default(), 0..2);
     log.lose("lab_arm", epoch(2), false);
     assert_eq!(log.entry().open_roles(), [role("lab_arm")].into());
     expect_rejected(&mut log, Branch::Recovery, Branch::Main);

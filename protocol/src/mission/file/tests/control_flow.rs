@@ -200,7 +200,7 @@ fn a_request_for_a_yaml_file_is_the_same_mission() {
     let file = "
 mission: polish
 parameters: { repeat: { kind: number, default: 2 }, room: { kind: place, default: Dock } }
-roles: { r1: { kind: managed }, nurse: { kind: unmanaged }, head: { kind: unmanaged } }
+roles: { r1: { kind: managed }, clerk: { kind: unmanaged }, head: { kind: unmanaged } }
 root:
   task: all
   method: sequential
@@ -209,7 +209,7 @@ root:
     - { task: go, type: navigation, roles: [r1], parameters: { to: \"${room}\" }, attempts: 4 }
     - task: hand_over
       type: deposit
-      roles: [nurse]
+      roles: [clerk]
       parameters: { into_role: r1 }
       patience_s: 60
       escalate: { to: head, after_s: 30 }

@@ -13,7 +13,7 @@ parameters:
   pause: { kind: seconds }
 roles:
   r1: { kind: managed }
-  nurse: { kind: unmanaged, description: on duty }
+  clerk: { kind: unmanaged, description: on duty }
 root:
   task: inspect
   method: sequential
@@ -22,8 +22,8 @@ root:
     - task: meet
       method: unordered
       tasks:
-        - { task: stay, type: wait, roles: [r1, nurse], parameters: { seconds: "${pause}" } }
-        - { task: sit, type: wait, roles: [nurse], parameters: { seconds: 2.50 } }
+        - { task: stay, type: wait, roles: [r1, clerk], parameters: { seconds: "${pause}" } }
+        - { task: sit, type: wait, roles: [clerk], parameters: { seconds: 2.50 } }
 "#;
 
 fn given(entries: &[(&str, &str)]) -> BTreeMap<String, String> {
@@ -123,8 +123,8 @@ fn every_problem_of_a_file_is_reported_with_its_path() {
     let file = FILE
         .replace("to: \"${room}\"", "to: \"${roon}\"")
         .replace("in ${room}", "in ${room")
-        .replace("task: stay, type: wait, roles: [r1, nurse]", "task: st/ay, type: wait, roles: [r 1, nurse]")
-        .replace("{ task: sit, type: wait, roles: [nurse]", "{ task: sit, roles: [nurse]");
+        .replace("task: stay, type: wait, roles: [r1, clerk]", "task: st/ay, type: wait, roles: [r 1, clerk]")
+        .replace("{ task: sit, type: wait, roles: [clerk]", "{ task: sit, roles: [clerk]");
     assert_eq!(
         diagnostics_of(&file, &[("pause", "1")]),
         [

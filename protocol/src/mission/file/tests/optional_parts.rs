@@ -13,7 +13,7 @@ mission: fetch-key
 roles:
   r1: { kind: managed, on_loss: restart }
   r2: { kind: managed }
-  nurse: { kind: unmanaged }
+  clerk: { kind: unmanaged }
 root:
   task: fetch
   method: sequential
@@ -25,7 +25,7 @@ root:
       alternatives:
         - { method: sequential, tasks: [{ task: go_round, type: navigation, roles: [r1], parameters: { to: Laboratory } }, { task: go_then, type: navigation, roles: [r1], parameters: { to: Dock } }] }
         - { method: sequential, tasks: [{ task: rest, type: wait, roles: [r1], parameters: { seconds: "60" }, attempts: 1 }] }
-    - { task: take, type: deposit, roles: [nurse], parameters: { into_role: r1 }, acquires: { key: r1 } }
+    - { task: take, type: deposit, roles: [clerk], parameters: { into_role: r1 }, acquires: { key: r1 } }
     - { task: pass_on, type: wait, roles: [r1, r2], parameters: { seconds: "5" }, acquires: { key: r2 } }
     - { task: lay_down, type: deposit, roles: [r2], releases: [key] }
 recovery:
@@ -105,7 +105,7 @@ fn attempts_range_from_1_to_10() {
 #[test]
 fn items_belong_to_roles_and_move_in_a_definite_order() {
     let unknown = diagnostics_with("acquires: { key: r1 }", "acquires: { key: r11 }");
-    let expected = "root/take: unknown role `r11`; allowed: nurse, r1, r2; did you mean `r1`?";
+    let expected = "root/take: unknown role `r11`; allowed: clerk, r1, r2; did you mean `r1`?";
     assert_eq!(unknown, [expected]);
     assert_eq!(
         diagnostics_with("releases: [key]", "releases: [key], acquires: { key: r2 }"),
@@ -134,7 +134,7 @@ fn alternatives_are_local_sequences_of_elementary_tasks() {
     let rule = "has alternatives, so a single managed role must execute its tasks and theirs, and none may touch an item; but ";
     for (from, to, problem) in [
         ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [r2]", "root/find"),
-        ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [nurse]", "root/find"),
+        ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [clerk]", "root/find"),
         ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [r1, r2]", "root/find"),
         ("attempts: 1 }", "attempts: 1, releases: [key] }", "root/find"),
         ("parameters: { to: Dock }, attempts: 5", "parameters: { to: Dock }, acquires: { key: r1 }", "root/find"),

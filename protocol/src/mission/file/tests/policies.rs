@@ -17,8 +17,8 @@ root:
   task: visit
   method: sequential
   tasks:
-    - { task: take, type: wait, roles: [r1], parameters: { seconds: 1 }, acquires: { sample: r1 } }
-    - { task: give, type: wait, roles: [r1], parameters: { seconds: 1 }, releases: [sample] }
+    - { task: take, type: wait, roles: [r1], parameters: { seconds: 1 }, acquires: { parcel: r1 } }
+    - { task: give, type: wait, roles: [r1], parameters: { seconds: 1 }, releases: [parcel] }
 recovery: { task: inspect, type: wait, roles: [r1], parameters: { seconds: 1 } }
 "#;
 
@@ -92,9 +92,9 @@ fn problems_of_policies_are_reported_once_with_their_place() {
         let found: Vec<_> = found.into_iter().filter(|text| !text.starts_with("parameters/charge")).collect();
         assert!(found.len() == 1 && found[0].starts_with(expected), "{to}: {found:?}");
     }
-    let person = "mission: m\nroles:\n  r1: { kind: managed }\n  nurse: { kind: unmanaged, eligible: 'true' }\n\
-        root: { task: rest, type: wait, roles: [r1, nurse], parameters: { seconds: 1 } }\n";
-    assert_eq!(problems(person), ["roles/nurse/eligible: `true`: only a managed role has a condition on its robot"]);
+    let person = "mission: m\nroles:\n  r1: { kind: managed }\n  clerk: { kind: unmanaged, eligible: 'true' }\n\
+        root: { task: rest, type: wait, roles: [r1, clerk], parameters: { seconds: 1 } }\n";
+    assert_eq!(problems(person), ["roles/clerk/eligible: `true`: only a managed role has a condition on its robot"]);
     let many = VISIT.replace("[icu, hospital]", &format!("[{}]", ["icu"; 17].join(", ")));
     assert_eq!(problems(&many), ["ensembles: 17 ensembles; at most 16 are allowed"]);
 }
