@@ -16,6 +16,7 @@ pub mod history;
 pub mod host_network;
 mod inspection;
 mod robot_spec;
+pub mod scale;
 mod station_fleet;
 mod stolen_key;
 mod ward;

@@ -29,6 +29,7 @@ mod repeated_missions;
 mod requests;
 mod restart;
 mod results;
+mod scale;
 mod stalls;
 mod supervision;
 mod support;

@@ -79,7 +79,9 @@ words! {
         DriverCommand = "driver/command",
         /// States published by driver servers.
         DriverState = "driver/state",
-        /// Auctions, awards and reports.
+        /// Calls for bids, and bids.
+        Bid = "bid",
+        /// Awards and reports.
         Work = "work",
         /// Signals of missions, and queries for them.
         Signal = "signal",
@@ -125,7 +127,8 @@ impl KeyKind {
                 ("beacon", _) => KeyKind::Beacon,
                 ("driver", Some("state")) => KeyKind::DriverState,
                 ("driver", _) => KeyKind::DriverCommand,
-                ("bid" | "award" | "report", _) => KeyKind::Work,
+                ("bid", _) => KeyKind::Bid,
+                ("award" | "report", _) => KeyKind::Work,
                 ("signal" | "signal_history", _) => KeyKind::Signal,
                 ("ensemble", _) => KeyKind::Ensemble,
                 ("people" | "world", _) => KeyKind::People,

@@ -5,7 +5,7 @@ use crate::trust::Fingerprint;
 pub(super) fn all() -> Vec<Key> {
     let node = NodeId::new("lab-1").unwrap();
     let robot = RobotId::new("ada").unwrap();
-    let mission = MissionId::new("lab-samples-3").unwrap();
+    let mission = MissionId::new("vital-signs-3").unwrap();
     let role = RoleId::new("r1").unwrap();
     let mut keys = vec![
         Key::Certificate(Fingerprint([0xc0; 16])),
@@ -71,7 +71,7 @@ fn every_key_except_tokens_has_a_category() {
         counted.insert(kind);
     }
     assert_eq!(counted.len(), KeyKind::ALL.len());
-    assert_eq!(KeyKind::of(&keys.any_bid()), KeyKind::Work);
+    assert_eq!(KeyKind::of(&keys.any_bid()), KeyKind::Bid);
     assert_eq!(KeyKind::of(&keys.any_driver_command()), KeyKind::DriverCommand);
     assert_eq!(KeyKind::of(&keys.any_driver_state()), KeyKind::DriverState);
     assert_eq!(KeyKind::of("consort"), KeyKind::Other);

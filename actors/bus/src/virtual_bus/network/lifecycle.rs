@@ -29,7 +29,7 @@ impl Network {
         };
         self.nodes[index].alive = true;
         self.nodes[index].paused = false;
-        self.refresh_reachability();
+        self.refresh_reachability_of(index);
         for other in 0..self.nodes.len() {
             self.send_presence_update(other, index);
             if other != index {
@@ -53,6 +53,7 @@ impl Network {
             held_back: Vec::new(),
             tokens: BTreeMap::new(),
             peers: (0..=index).map(|_| PeerView::default()).collect(),
+            watches: BTreeMap::new(),
             traffic: TrafficByKind::default(),
         });
         self.refresh_models();
@@ -78,6 +79,7 @@ impl Network {
         node.alive = false;
         node.incarnation += 1;
         node.tokens.clear();
+        node.watches.clear();
         for peer in &mut node.peers {
             *peer = PeerView {
                 blocked: peer.blocked,
@@ -88,7 +90,6 @@ impl Network {
         }
         self.subscriptions.remove_node(index);
         self.services.remove_node(index);
-        self.watches.retain(|_, watch| watch.node != index);
         self.queries.retain(|_, query| query.requester != index);
         for other in (0..self.nodes.len()).filter(|other| *other != index) {
             self.send_presence_update(other, index);
@@ -103,7 +104,7 @@ impl Network {
     pub(crate) fn pause(&mut self, id: &NodeId) {
         if let Some(&index) = self.indexes.get(id) {
             self.nodes[index].paused = self.nodes[index].alive;
-            self.refresh_reachability();
+            self.refresh_reachability_of(index);
         }
     }
 
@@ -113,7 +114,7 @@ impl Network {
             // The old times and ids keep their order among themselves and before later events.
             let held_back = std::mem::take(&mut self.nodes[index].held_back);
             self.event_queue.extend(held_back.into_iter().map(Reverse));
-            self.refresh_reachability();
+            self.refresh_reachability_of(index);
         }
     }
 

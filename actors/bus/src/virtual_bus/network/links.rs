@@ -41,29 +41,47 @@ impl Network {
         self.refresh_reachability();
     }
 
-    /// Recomputes the reachability from the faults in force. A lease begins when a node falls
-    /// silent; a presence update is sent when the silence ends.
-    pub(super) fn refresh_reachability(&mut self) {
+    /// Recomputes the reachability of all nodes from the faults in force. A lease begins when a node
+    /// falls silent; a presence update is sent when the silence ends.
+    fn refresh_reachability(&mut self) {
         for at in 0..self.nodes.len() {
-            for of in (0..self.nodes.len()).filter(|of| *of != at) {
-                let cut = self.faults.blocks(&self.nodes[of].id, &self.nodes[at].id);
-                let silent = cut || self.nodes[at].paused || self.nodes[of].paused;
-                let peer = &mut self.nodes[at].peers[of];
-                peer.blocked = cut;
-                if peer.silent == silent {
-                    continue;
-                }
-                peer.silent = silent;
-                peer.silence_changes += 1;
-                let change = peer.silence_changes;
-                if silent {
-                    if let Some(end) = self.now.checked_add(self.lease) {
-                        self.schedule(end, Event::LeaseExpired { at, of, change });
-                    }
-                } else {
-                    self.send_presence_update(at, of);
-                }
+            for of in 0..self.nodes.len() {
+                self.refresh_reachability_between(at, of);
             }
+        }
+    }
+
+    /// Recomputes the reachability of a node, in the same order.
+    pub(super) fn refresh_reachability_of(&mut self, node: NodeIndex) {
+        for at in 0..self.nodes.len() {
+            if at == node {
+                (0..self.nodes.len()).for_each(|of| self.refresh_reachability_between(at, of));
+            } else {
+                self.refresh_reachability_between(at, node);
+            }
+        }
+    }
+
+    fn refresh_reachability_between(&mut self, at: NodeIndex, of: NodeIndex) {
+        if at == of {
+            return;
+        }
+        let cut = self.faults.blocks(&self.nodes[of].id, &self.nodes[at].id);
+        let silent = cut || self.nodes[at].paused || self.nodes[of].paused;
+        let peer = &mut self.nodes[at].peers[of];
+        peer.blocked = cut;
+        if peer.silent == silent {
+            return;
+        }
+        peer.silent = silent;
+        peer.silence_changes += 1;
+        let change = peer.silence_changes;
+        if silent {
+            if let Some(end) = self.now.checked_add(self.lease) {
+                self.schedule(end, Event::LeaseExpired { at, of, change });
+            }
+        } else {
+            self.send_presence_update(at, of);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::event_queue::Event;
 use super::presence_watch::PresenceWatch;
-use super::state::Network;
+use super::state::{Network, Node};
 use crate::bus::Presence;
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
 use std::collections::BTreeMap;
@@ -44,33 +44,34 @@ impl Network {
         mailbox: UnboundedSender<Presence>,
     ) -> EntityId {
         let id = self.next_id();
-        let mut watch = PresenceWatch { node: incarnation.index, key_expr, mailbox, present: BTreeMap::new() };
-        for peer in &self.nodes[incarnation.index].peers {
+        let mut watch = PresenceWatch { key_expr, mailbox, present: BTreeMap::new() };
+        let node = &mut self.nodes[incarnation.index];
+        for peer in &node.peers {
             for key in peer.tokens.values() {
                 watch.update(key, true);
             }
         }
-        self.watches.insert(id, watch);
+        node.watches.insert(id, watch);
         id
     }
 
     pub(crate) fn stop_watching(&mut self, id: EntityId) {
-        self.watches.remove(&id);
+        // The id is known at a single node.
+        self.nodes.iter_mut().any(|node| node.watches.remove(&id).is_some());
     }
 
     /// Sets the view of `of` at `at` to `connected` and `tokens`, and notifies the watchers at
     /// `at`.
     fn update_peer(&mut self, at: NodeIndex, of: NodeIndex, connected: bool, tokens: BTreeMap<EntityId, OwnedKeyExpr>) {
-        let peer = &mut self.nodes[at].peers[of];
+        let Node { peers, watches, .. } = &mut self.nodes[at];
+        let peer = &mut peers[of];
         peer.connected = connected;
         let before = std::mem::replace(&mut peer.tokens, tokens);
-        let after = &self.nodes[at].peers[of].tokens;
+        let after = &peer.tokens;
         let gone = before.iter().filter(|(id, _)| !after.contains_key(id)).map(|(_, key)| (key, false));
         let new = after.iter().filter(|(id, _)| !before.contains_key(id)).map(|(_, key)| (key, true));
         for (key, alive) in gone.chain(new) {
-            for watch in self.watches.values_mut().filter(|watch| watch.node == at) {
-                watch.update(key, alive);
-            }
+            watches.values_mut().for_each(|watch| watch.update(key, alive));
         }
     }
 

@@ -1,14 +1,12 @@
 //! A watcher of presence tokens.
 
 use crate::bus::Presence;
-use crate::virtual_bus::ids::NodeIndex;
 use std::collections::BTreeMap;
 use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// A watcher of presence tokens.
 pub(super) struct PresenceWatch {
-    pub(super) node: NodeIndex,
     pub(super) key_expr: OwnedKeyExpr,
     pub(super) mailbox: UnboundedSender<Presence>,
     /// Number of known tokens per key.

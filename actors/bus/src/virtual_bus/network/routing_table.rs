@@ -7,6 +7,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
+use zenoh_keyexpr::keyexpr_tree::{IKeyExprTree as _, IKeyExprTreeMut as _, IKeyExprTreeNode as _, KeBoxTree};
 
 /// Maximum number of cached keys. Beyond this the whole cache is cleared.
 const ROUTES_MAX: usize = 65_536;
@@ -23,7 +24,11 @@ pub(super) struct Declaration<T> {
 /// Declarations of a single kind, and cached matches for recently used keys.
 pub(super) struct RoutingTable<T> {
     pub(super) declared: BTreeMap<EntityId, Declaration<T>>,
+    /// Ids of the declarations by key expression.
+    by_key: KeBoxTree<Vec<EntityId>>,
     routes: HashMap<String, Arc<Route>>,
+    /// Keys of the cached routes.
+    cached: KeBoxTree<()>,
     /// Incremented when a declaration is added or removed: a route with the same version is still
     /// valid.
     pub(super) version: u64,
@@ -43,29 +48,63 @@ pub(super) struct Route {
 
 impl<T> RoutingTable<T> {
     pub(super) fn new() -> Self {
-        RoutingTable { declared: BTreeMap::new(), routes: HashMap::new(), version: 0 }
+        RoutingTable {
+            declared: BTreeMap::new(),
+            by_key: KeBoxTree::new(),
+            routes: HashMap::new(),
+            cached: KeBoxTree::new(),
+            version: 0,
+        }
     }
 
     pub(super) fn declare(&mut self, id: EntityId, declaration: Declaration<T>) {
         self.invalidate(&declaration.key_expr);
+        match self.by_key.weight_at_mut(&declaration.key_expr) {
+            Some(ids) => ids.push(id),
+            None => drop(self.by_key.insert(&declaration.key_expr, vec![id])),
+        }
         self.declared.insert(id, declaration);
     }
 
     pub(super) fn remove(&mut self, id: EntityId) {
         if let Some(removed) = self.declared.remove(&id) {
+            self.forget(id, &removed.key_expr);
             self.invalidate(&removed.key_expr);
         }
     }
 
     pub(super) fn remove_node(&mut self, index: NodeIndex) {
-        self.declared.retain(|_, declaration| declaration.node != index);
+        let of_node = self.declared.iter().filter(|(_, declaration)| declaration.node == index);
+        for id in of_node.map(|(id, _)| *id).collect::<Vec<_>>() {
+            if let Some(removed) = self.declared.remove(&id) {
+                self.forget(id, &removed.key_expr);
+            }
+        }
         self.version += 1;
-        self.routes.clear();
+        self.clear_routes();
+    }
+
+    fn forget(&mut self, id: EntityId, key_expr: &OwnedKeyExpr) {
+        let Some(ids) = self.by_key.weight_at_mut(key_expr) else { return };
+        ids.retain(|declared| *declared != id);
+        if ids.is_empty() {
+            self.by_key.remove(key_expr);
+        }
     }
 
     fn invalidate(&mut self, key_expr: &OwnedKeyExpr) {
         self.version += 1;
-        self.routes.retain(|_, route| !route.key.intersects(key_expr));
+        let outdated = self.cached.intersecting_nodes(key_expr).filter(|node| node.weight().is_some());
+        let outdated: Vec<OwnedKeyExpr> = outdated.map(|node| node.keyexpr()).collect();
+        for key in outdated {
+            self.cached.remove(&key);
+            self.routes.remove(key.as_str());
+        }
+    }
+
+    fn clear_routes(&mut self) {
+        self.routes.clear();
+        self.cached = KeBoxTree::new();
     }
 
     pub(super) fn cached_route(&self, key: &str) -> Option<Arc<Route>> {
@@ -78,12 +117,14 @@ impl<T> RoutingTable<T> {
         }
         let mut targets: BTreeMap<NodeIndex, Vec<EntityId>> = BTreeMap::new();
         let mut complete = Vec::new();
-        for (id, declaration) in &self.declared {
-            if declaration.key_expr.intersects(key) {
-                targets.entry(declaration.node).or_default().push(*id);
-                if declaration.complete && declaration.key_expr.includes(key) {
-                    complete.push((declaration.node, *id));
-                }
+        let mut matching: Vec<EntityId> =
+            self.by_key.intersecting_nodes(key).filter_map(|node| node.weight()).flatten().copied().collect();
+        matching.sort_unstable();
+        for id in matching {
+            let declaration = &self.declared[&id];
+            targets.entry(declaration.node).or_default().push(id);
+            if declaration.complete && declaration.key_expr.includes(key) {
+                complete.push((declaration.node, id));
             }
         }
         complete.sort_unstable();
@@ -97,8 +138,9 @@ impl<T> RoutingTable<T> {
             complete,
         });
         if self.routes.len() >= ROUTES_MAX {
-            self.routes.clear();
+            self.clear_routes();
         }
+        self.cached.insert(key, ());
         self.routes.insert(key.to_string(), Arc::clone(&route));
         route
     }

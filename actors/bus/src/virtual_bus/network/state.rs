@@ -33,6 +33,8 @@ pub(super) struct Node {
     pub(super) tokens: BTreeMap<EntityId, OwnedKeyExpr>,
     /// This node's view of each node, itself included, by index.
     pub(super) peers: Vec<PeerView>,
+    /// Watchers of presence tokens at this node.
+    pub(super) watches: BTreeMap<EntityId, PresenceWatch>,
     pub(super) traffic: TrafficByKind,
 }
 
@@ -68,7 +70,6 @@ pub(crate) struct Network {
     pub(super) nodes: Vec<Node>,
     pub(super) subscriptions: RoutingTable<Sample>,
     pub(super) services: RoutingTable<Query>,
-    pub(super) watches: BTreeMap<EntityId, PresenceWatch>,
     pub(super) queries: BTreeMap<EntityId, PendingQuery>,
     pub(super) event_queue: BinaryHeap<Reverse<ScheduledEvent>>,
     /// Arrival time of the latest publication, by publisher, receiver and key. Later publications
@@ -96,7 +97,6 @@ impl Network {
             nodes: Vec::new(),
             subscriptions: RoutingTable::new(),
             services: RoutingTable::new(),
-            watches: BTreeMap::new(),
             queries: BTreeMap::new(),
             event_queue: BinaryHeap::new(),
             earliest_arrivals: HashMap::new(),

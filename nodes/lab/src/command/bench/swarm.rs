@@ -1,26 +1,10 @@
-//! `consort-lab bench`: measures the speed of the simulator on this machine.
+//! `consort-lab bench swarm`: measures the speed of the simulator.
 
-use clap::{Args as ClapArgs, Subcommand};
+use clap::Args as ClapArgs;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
 use consort_world::swarm::{Swarm, TABLE_HEADER, run_swarm};
 use std::time::{Duration, Instant};
-
-/// Measures the speed of the simulator on this machine.
-#[derive(Debug, ClapArgs)]
-#[command(after_long_help = "\
-Examples:
-  consort-lab bench swarm --drones 80,200")]
-pub(crate) struct Args {
-    /// The benchmark
-    #[command(subcommand)]
-    what: Benchmark,
-}
-
-#[derive(Debug, Subcommand)]
-enum Benchmark {
-    Swarm(SwarmArgs),
-}
 
 /// Flies a swarm of drones and measures the computing time of a simulated second.
 ///
@@ -39,7 +23,7 @@ Examples:
   consort-lab bench swarm --json | jq .average_s
 
 The same seed and number of drones give the same flight; the times depend on the machine.")]
-struct SwarmArgs {
+pub(super) struct Args {
     /// Number of drones: a swarm for each number, from 1 to 10000
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [20, 40, 60, 80, 100, 150, 200],
         value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=10_000))]
@@ -59,8 +43,8 @@ const UPDATE_EVERY: Duration = Duration::from_millis(500);
 ///
 /// # Errors
 /// [`Failure::Usage`] for an invalid swarm.
-pub(crate) fn run(args: Args) -> Result<(), Failure> {
-    let Benchmark::Swarm(SwarmArgs { drones, seed, json }) = args.what;
+pub(super) fn run(args: Args) -> Result<(), Failure> {
+    let Args { drones, seed, json } = args;
     if !json {
         output::line(TABLE_HEADER)?;
     }

@@ -1,0 +1,44 @@
+//! `consort-lab bench`: measures the simulator and fleets on this machine.
+
+mod relays;
+mod scale;
+mod scale_plot;
+mod swarm;
+
+use clap::{Args as ClapArgs, Subcommand};
+use consort_nodes::exit::Failure;
+
+/// Measures the simulator and fleets on this machine.
+#[derive(Debug, ClapArgs)]
+#[command(after_long_help = "\
+Examples:
+  consort-lab bench swarm --drones 80,200
+  consort-lab bench scale --robots 50,200 --json
+  consort-lab bench relays --robots 100")]
+pub(crate) struct Args {
+    /// The benchmark
+    #[command(subcommand)]
+    what: Benchmark,
+}
+
+#[derive(Debug, Subcommand)]
+enum Benchmark {
+    Swarm(swarm::Args),
+    Scale(scale::Args),
+    Relays(relays::Args),
+    #[command(hide = true)]
+    RelayHost(relays::HostArgs),
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// As those of the benchmark.
+pub(crate) fn run(args: Args) -> Result<(), Failure> {
+    match args.what {
+        Benchmark::Swarm(args) => swarm::run(args),
+        Benchmark::Scale(args) => scale::run(args),
+        Benchmark::Relays(args) => relays::run(&args),
+        Benchmark::RelayHost(args) => relays::run_host(args),
+    }
+}

@@ -1,0 +1,264 @@
+//! `consort-lab bench relays`: measures Zenoh with many sessions.
+//!
+//! ```text
+//!   relay-1 (beacons) ── relay-2 ── relay-3       a process and a host each, all linked with each other
+//!        └──────────┬────────┴──────────┘
+//!     robots-1   robots-2   robots-3              a process and a host each, with a third of the sessions
+//! ```
+
+mod host;
+mod process;
+
+pub(super) use host::{HostArgs, run as run_host};
+
+use clap::{Args as ClapArgs, ValueEnum};
+use consort_bus::zenoh_bus::Mode;
+use consort_nodes::exit::Failure;
+use consort_nodes::output::{self, Progress};
+use consort_tests::host_network::{HostNetwork, is_inside, run_inside};
+use host::Report;
+use process::HostProcess;
+use serde::Serialize;
+use std::time::{Duration, Instant};
+
+/// Programs that the namespaces need.
+const TOOLS: [&str; 1] = ["ip"];
+
+const RELAYS: [&str; 3] = ["relay-1", "relay-2", "relay-3"];
+
+const ROBOT_HOSTS: [&str; 3] = ["robots-1", "robots-2", "robots-3"];
+
+/// Limit for all sessions to receive beacons.
+const START_LIMIT: Duration = Duration::from_secs(180);
+
+/// Duration of each phase.
+const PHASE: Duration = Duration::from_secs(20);
+
+/// Time for which a cable is unplugged.
+const FLAP: Duration = Duration::from_secs(1);
+
+/// Measures Zenoh with three relays and many robots, in network namespaces.
+///
+/// Three relays are processes on hosts of their own, and three more processes contain the sessions of the robots. The
+/// first relay publishes a beacon every 100 ms, which all others receive, and each robot publishes 300 bytes a second,
+/// which the relays receive. After a calm phase the cable of a host with a third of the robots is unplugged for a second,
+/// and then the last relay is killed.
+///
+/// With `--mode client` robots are Zenoh clients of the relays; with `router` they are routers with two neighbours, as the
+/// nodes of a fleet are.
+///
+/// It needs Linux with unprivileged user namespaces, or root, and the program ip (iproute2). Nothing is sent outside of its
+/// own namespaces.
+#[derive(Debug, ClapArgs)]
+#[command(after_long_help = "\
+Examples:
+  consort-lab bench relays                                   # 50, 100 and 300 robots, clients
+  consort-lab bench relays --robots 100,300 --mode router    # as routers
+  consort-lab bench relays --robots 300 --json | jq .kill.longest_gap_ms
+
+longest_gap_ms is the longest time that a robot received no beacon; of the robots behind the unplugged cable it is
+affected_gap_ms. false_takeovers counts the times that a relay missed the beacons for 300 ms, after which a voter of a
+fleet with the timing `lan` campaigns.")]
+pub(super) struct Args {
+    /// Number of robots: a run for each number, from 3 to 1000
+    #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [50, 100, 300],
+        value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(3..=1000))]
+    robots: Vec<usize>,
+    /// Role of the robots' sessions
+    #[arg(long, value_enum, default_value = "client")]
+    mode: RobotMode,
+    /// Print a JSON object for each number
+    #[arg(long)]
+    json: bool,
+}
+
+/// Role of a session towards its neighbours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum RobotMode {
+    /// Sends and receives everything through a relay.
+    Client,
+    /// Relays messages of its neighbours.
+    Router,
+}
+
+impl RobotMode {
+    fn name(self) -> &'static str {
+        match self {
+            RobotMode::Client => "client",
+            RobotMode::Router => "router",
+        }
+    }
+
+    fn mode(self) -> Mode {
+        match self {
+            RobotMode::Client => Mode::Client,
+            RobotMode::Router => Mode::Router,
+        }
+    }
+}
+
+/// Figures of a run.
+#[derive(Debug, Serialize)]
+struct RelayFigures {
+    robots: usize,
+    mode: RobotMode,
+    /// Seconds until all sessions received beacons.
+    start_s: f64,
+    calm: PhaseFigures,
+    /// A cable is unplugged for a second.
+    flap: PhaseFigures,
+    /// A relay is killed.
+    kill: PhaseFigures,
+    /// Computing time of the mean relay in the calm phase, in percent of a core.
+    relay_cpu_percent: f64,
+    /// Computing time of the mean robot in the calm phase, in percent of a core.
+    robot_cpu_percent: f64,
+    /// Memory of the largest relay, in MB.
+    relay_memory_mb: f64,
+}
+
+/// Figures of a phase.
+#[derive(Debug, Serialize)]
+struct PhaseFigures {
+    /// Longest time without a beacon at a robot, in milliseconds.
+    longest_gap_ms: f64,
+    /// The same for the robots behind the unplugged cable.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    affected_gap_ms: Option<f64>,
+    /// Number of times that a relay missed beacons for as long as a voter waits before it campaigns.
+    false_takeovers: u64,
+    /// Robots without a beacon in the last second of the phase.
+    silent_robots: usize,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] if there can be no namespaces here; [`Failure::Unsuccessful`] if a run fails.
+pub(super) fn run(args: &Args) -> Result<(), Failure> {
+    if !is_inside() {
+        let robots = args.robots.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
+        let mut arguments = vec!["bench", "relays", "--robots", &robots, "--mode", args.mode.name()];
+        arguments.extend(args.json.then_some("--json"));
+        let status = run_inside(&arguments, &TOOLS, &std::process::id().to_string())
+            .map_err(|reason| Failure::Usage(format!("there can be no namespaces here: {reason}")))?;
+        let failed = || Failure::Unsuccessful("a run failed".to_owned());
+        return status.success().then_some(()).ok_or_else(failed);
+    }
+    if !args.json {
+        output::line(HEADER)?;
+    }
+    let mut network = HostNetwork::new();
+    for host in RELAYS.into_iter().chain(ROBOT_HOSTS) {
+        network.add(host);
+    }
+    for robots in &args.robots {
+        let figures = measure(&network, *robots, args.mode)?;
+        if args.json {
+            output::json(&figures)?;
+        } else {
+            output::line(row(&figures))?;
+        }
+    }
+    Ok(())
+}
+
+fn measure(network: &HostNetwork, robots: usize, mode: RobotMode) -> Result<RelayFigures, Failure> {
+    let mut progress = Progress::on_terminal();
+    progress.show(format_args!("{robots} robots: the sessions open"));
+    let began = Instant::now();
+    let mut relays = vec![];
+    for (number, host) in RELAYS.iter().enumerate() {
+        relays.push(HostProcess::relay(network, host, &RELAYS[..number])?);
+    }
+    let mut hosts = vec![];
+    for (number, host) in ROBOT_HOSTS.iter().enumerate() {
+        let first = robots * number / ROBOT_HOSTS.len();
+        let sessions = robots * (number + 1) / ROBOT_HOSTS.len() - first;
+        hosts.push(HostProcess::robots(network, host, first, sessions, mode)?);
+    }
+    loop {
+        let receiving = hosts.iter_mut().map(HostProcess::report).collect::<Result<Vec<Report>, _>>()?;
+        if receiving.iter().map(|report| report.receiving).sum::<usize>() == robots {
+            break;
+        }
+        if began.elapsed() > START_LIMIT {
+            let receiving: usize = receiving.iter().map(|report| report.receiving).sum();
+            return Err(Failure::Unsuccessful(format!(
+                "only {receiving} of {robots} robots receive beacons after {START_LIMIT:?}"
+            )));
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    let start_s = began.elapsed().as_secs_f64();
+
+    progress.show(format_args!("{robots} robots: calm"));
+    reset(&mut relays, &mut hosts)?;
+    let cpu = |processes: &[HostProcess]| processes.iter().map(HostProcess::cpu_s).sum::<f64>();
+    let before = (cpu(&relays), cpu(&hosts));
+    std::thread::sleep(PHASE);
+    let after = (cpu(&relays), cpu(&hosts));
+    let percent = |seconds: f64, parts: usize| seconds / PHASE.as_secs_f64() / parts as f64 * 100.0;
+    let relay_cpu_percent = percent(after.0 - before.0, relays.len());
+    let robot_cpu_percent = percent(after.1 - before.1, robots);
+    let calm = phase(&mut relays, &mut hosts, None)?;
+
+    progress.show(format_args!("{robots} robots: a cable is unplugged"));
+    network.unplug(ROBOT_HOSTS[0]);
+    std::thread::sleep(FLAP);
+    network.plug(ROBOT_HOSTS[0], "br0");
+    std::thread::sleep(PHASE - FLAP);
+    let flap = phase(&mut relays, &mut hosts, Some(0))?;
+
+    progress.show(format_args!("{robots} robots: a relay is killed"));
+    let relay_memory_mb = relays.iter().map(HostProcess::memory_mb).fold(0.0, f64::max);
+    relays.pop();
+    std::thread::sleep(PHASE);
+    let kill = phase(&mut relays, &mut hosts, None)?;
+    Ok(RelayFigures { robots, mode, start_s, calm, flap, kill, relay_cpu_percent, robot_cpu_percent, relay_memory_mb })
+}
+
+fn reset(relays: &mut [HostProcess], hosts: &mut [HostProcess]) -> Result<(), Failure> {
+    relays.iter_mut().chain(hosts).try_for_each(|process| process.report().map(|_| ()))
+}
+
+/// Returns the figures since the reports before. `affected` is the number of the unplugged host.
+fn phase(
+    relays: &mut [HostProcess],
+    hosts: &mut [HostProcess],
+    affected: Option<usize>,
+) -> Result<PhaseFigures, Failure> {
+    let of_relays = relays.iter_mut().map(HostProcess::report).collect::<Result<Vec<_>, _>>()?;
+    let of_hosts = hosts.iter_mut().map(HostProcess::report).collect::<Result<Vec<_>, _>>()?;
+    let others = of_hosts.iter().enumerate().filter(|(number, _)| Some(*number) != affected);
+    Ok(PhaseFigures {
+        longest_gap_ms: others.map(|(_, report)| report.longest_gap_ms).fold(0.0, f64::max),
+        affected_gap_ms: affected.map(|number| of_hosts[number].longest_gap_ms),
+        false_takeovers: of_relays.iter().map(|report| report.alarms).sum(),
+        silent_robots: of_hosts.iter().map(|report| report.sessions - report.receiving).sum(),
+    })
+}
+
+const HEADER: &str = "\
+robots  mode    start  longest gap without beacon, ms           false      silent  CPU of relay  CPU of robot  relay
+                s      calm    cable   behind cable  relay dead  takeovers  robots  % of a core   % of a core   MB";
+
+fn row(figures: &RelayFigures) -> String {
+    let phases = [&figures.calm, &figures.flap, &figures.kill];
+    format!(
+        "{:<7} {:<7} {:<6.1} {:<7.0} {:<7.0} {:<13.0} {:<11.0} {:<10} {:<7} {:<13.1} {:<13.2} {:.0}",
+        figures.robots,
+        figures.mode.name(),
+        figures.start_s,
+        figures.calm.longest_gap_ms,
+        figures.flap.longest_gap_ms,
+        figures.flap.affected_gap_ms.unwrap_or_default(),
+        figures.kill.longest_gap_ms,
+        phases.iter().map(|phase| phase.false_takeovers).sum::<u64>(),
+        figures.kill.silent_robots,
+        figures.relay_cpu_percent,
+        figures.robot_cpu_percent,
+        figures.relay_memory_mb,
+    )
+}

@@ -1,0 +1,111 @@
+//! `consort-lab bench scale`: measures fleets by size.
+
+use super::scale_plot::draw;
+use clap::Args as ClapArgs;
+use consort_nodes::exit::Failure;
+use consort_nodes::output::{self, Progress};
+use consort_tests::scale::{Percentiles, ScaleFigures, ScaleSetup, measure};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Measures traffic, computing time and latencies of fleets by size, on the virtual bus.
+///
+/// The fleet is a hospital with three stations, the robots, and the host of the simulated world. All nodes start at once.
+/// Traffic and computing time are measured for 30 s when all nodes know each other. Then missions for one robot are
+/// requested one after the other, and each is canceled when it has been awarded; a robot starts with an empty disk; a
+/// tenth of the robots is killed at once; and the coordinator is killed ten times.
+///
+/// Traffic counts keys, payloads and 18 bytes for each message as Zenoh frames it, once for each receiver. Computing time
+/// is that of the node itself, without the network. Links have a latency of 0.2 to 3 ms.
+#[derive(Debug, ClapArgs)]
+#[command(after_long_help = "\
+Examples:
+  consort-lab bench scale                                     # 50, 100 and 200 robots that stand still
+  consort-lab bench scale --robots 500 --moving --json | jq .robot_received_bytes_per_s
+  consort-lab bench scale --robots 7,25,50,100,200 --plot scale.svg
+
+With --json: an object for each size. Rates are per second of virtual time; percentages are of a core. auction_ms is the
+time from the commit of a request to the commit of the award, commit_ms from a client's request to the acknowledgement;
+both include the coordinator's computing time. takeover_ms is the time from the kill of the coordinator to the election
+of the next.
+
+The same sizes and seed give the same messages on any machine. Computing times, wall_s and memory_mb depend on the
+machine.")]
+pub(super) struct Args {
+    /// Number of robots: a fleet for each number, from 2 to 2000
+    #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [50, 100, 200],
+        value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(2..=2000))]
+    robots: Vec<usize>,
+    /// Robots drive between neighbouring places
+    #[arg(long)]
+    moving: bool,
+    /// Number of missions, one after the other
+    #[arg(long, value_name = "M", default_value_t = 20,
+        value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(0..=10_000))]
+    missions: usize,
+    /// Seed of the random numbers
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Draw traffic, computing time and latencies by size into an SVG file
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    /// Print a JSON object for each size
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Unsuccessful`] if the plot cannot be written.
+pub(super) fn run(args: Args) -> Result<(), Failure> {
+    let Args { robots, moving, missions, seed, plot, json } = args;
+    if !json {
+        output::line(HEADER)?;
+    }
+    let mut all = vec![];
+    for robots in robots {
+        let (began, progress) = (Instant::now(), std::cell::RefCell::new(Progress::on_terminal()));
+        let figures = measure(ScaleSetup { robots, moving, missions, seed }, |step| {
+            let elapsed = began.elapsed().as_secs();
+            progress.borrow_mut().show(format_args!("{robots} robots, after {elapsed} s: {step}"));
+        });
+        drop(progress);
+        if json {
+            output::json(&figures)?;
+        } else {
+            output::line(row(&figures))?;
+        }
+        all.push(figures);
+    }
+    if let Some(file) = plot {
+        draw(&all, &file).map_err(|problem| Failure::Unsuccessful(format!("{}: {problem}", file.display())))?;
+    }
+    Ok(())
+}
+
+const HEADER: &str = "\
+robots  moving  robot receives        coordinator receives  CPU of coordinator  messages/  auction ms  commit ms   takeover ms  join
+                kB/s    messages/s    kB/s    messages/s    % of a core         auction    p50    p95  p50    p95  p50    p95   kB";
+
+fn row(figures: &ScaleFigures) -> String {
+    let pair = |percentiles: Option<Percentiles>, digits: usize| match percentiles {
+        Some(Percentiles { p50, p95, .. }) => format!("{p50:<6.digits$} {p95:<5.digits$}"),
+        None => format!("{:<6} {:<5}", "-", "-"),
+    };
+    format!(
+        "{:<7} {:<7} {:<7.1} {:<13.0} {:<7.1} {:<13.0} {:<19.1} {:<10.0} {} {} {} {:.0}",
+        figures.robots,
+        if figures.moving { "yes" } else { "no" },
+        figures.robot_received_bytes_per_s / 1000.0,
+        figures.robot_received_messages_per_s,
+        figures.coordinator_received_bytes_per_s / 1000.0,
+        figures.coordinator_received_messages_per_s,
+        figures.coordinator_cpu_percent,
+        figures.messages_per_auction,
+        pair(figures.auction_ms, 1),
+        pair(figures.commit_ms, 1),
+        pair(figures.takeover_ms, 0),
+        figures.join_bytes as f64 / 1000.0,
+    )
+}

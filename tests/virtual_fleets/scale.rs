@@ -1,0 +1,26 @@
+//! Measurements of fleets by size (`consort-lab bench scale`).
+
+use consort_tests::scale::{ScaleFigures, ScaleSetup, measure};
+
+fn figures(robots: usize, moving: bool) -> ScaleFigures {
+    measure(ScaleSetup { robots, moving, missions: 2, seed: 1 }, |_| ())
+}
+
+#[test]
+fn the_figures_of_a_fleet_follow_from_its_size() {
+    let (small, moving, again) = (figures(4, false), figures(8, true), figures(8, true));
+    // The call for bids reaches the robots and the arm, and each replies.
+    assert!(small.messages_per_auction >= 10.0, "{small:?}");
+    assert!(moving.messages_per_auction > small.messages_per_auction, "{small:?} {moving:?}");
+    assert!(moving.robot_received_bytes_per_s > small.robot_received_bytes_per_s, "{small:?} {moving:?}");
+    assert!(small.records_per_node >= 8.0, "{small:?}");
+    for figures in [&small, &moving] {
+        let takeover = figures.takeover_ms.expect("takeovers were measured");
+        assert!(takeover.p50 > 10.0 && takeover.p50 < 2000.0, "{figures:?}");
+        assert!(figures.auction_ms.expect("auctions were measured").p50 > 1.0, "{figures:?}");
+        assert!(figures.join_bytes > 1000, "{figures:?}");
+        assert!(figures.coordinator_cpu_percent > 0.0, "{figures:?}");
+    }
+    assert_eq!(moving.trace, again.trace);
+    assert_eq!(moving.takeover_ms, again.takeover_ms);
+}
