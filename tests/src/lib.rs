@@ -15,6 +15,7 @@ mod fleet;
 pub mod history;
 pub mod host_network;
 mod inspection;
+pub mod percentiles;
 mod robot_spec;
 pub mod scale;
 mod station_fleet;

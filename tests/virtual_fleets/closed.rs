@@ -420,7 +420,8 @@ fn the_key_of_a_robot_keeps_no_other_node_out() {
                 sent.expect("its key permits packets");
             }
         }
-        tokio::time::sleep(Duration::from_millis(500)).await; // virtual time
+        let is_believed = |fleet: &Fleet| !all_hold(fleet, false);
+        fleet.assert_never("belief in a claim", Duration::from_millis(500), is_believed).await;
         fleet.network.heal();
         fleet.wait_until("clove is a member again", SOON, |fleet| all_hold(fleet, true)).await;
     });

@@ -269,7 +269,7 @@ const SIMULATED_INTEGERS_MAX: usize = 100;
 pub enum SimulatedResult {
     /// A number from the first to the second; uniformly distributed.
     Range([f64; 2]),
-    /// One of these values, all with the same probability.
+    /// Any of these values, with equal probability.
     OneOf(Vec<Scalar>),
     /// Always this value.
     Value(Scalar),

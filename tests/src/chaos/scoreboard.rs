@@ -4,7 +4,8 @@ use super::chaos_fleet::ChaosFleet;
 use super::fault_kind::FaultKind;
 use super::generate::generate;
 use super::run::{RunConfig, RunOutcome};
-use super::seed_sweep::{SeedSweep, percentiles};
+use super::seed_sweep::SeedSweep;
+use crate::percentiles::Percentiles;
 use consort_skills::workload::Workload;
 use serde::Serialize;
 
@@ -86,7 +87,7 @@ pub fn run_row(
     let takeovers: Vec<u64> =
         outcomes.iter().flat_map(|outcome| outcome.counters.takeovers_ms.iter().copied()).collect();
     let converged: Vec<u64> = outcomes.iter().filter_map(|outcome| outcome.counters.converged_ms).collect();
-    let (takeover, convergence) = (percentiles(&takeovers), percentiles(&converged));
+    let (takeover, convergence) = (Percentiles::of_ms(&takeovers), Percentiles::of_ms(&converged));
     let mut violations: Vec<(u64, String)> =
         outcomes.iter().filter_map(|o| Some((o.seed, o.violation.as_ref()?.invariant.clone()))).collect();
     violations.sort();
@@ -103,10 +104,10 @@ pub fn run_row(
             outcome.counters.failed + outcome.counters.canceled + outcome.counters.needs_intervention
         }),
         takeovers: takeovers.len(),
-        takeover_p50_ms: takeover.map(|(p50, _)| p50),
-        takeover_p99_ms: takeover.map(|(_, p99)| p99),
-        converged_p50_ms: convergence.map(|(p50, _)| p50),
-        converged_p99_ms: convergence.map(|(_, p99)| p99),
+        takeover_p50_ms: takeover.map(|times| times.p50 as u64),
+        takeover_p99_ms: takeover.map(|times| times.p99 as u64),
+        converged_p50_ms: convergence.map(|times| times.p50 as u64),
+        converged_p99_ms: convergence.map(|times| times.p99 as u64),
         violations,
         command: format!("consort-lab chaos --seeds 1..{runs}{faults}{minutes}"),
     }

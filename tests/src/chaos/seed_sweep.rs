@@ -76,23 +76,3 @@ fn silence_panics() {
         }));
     });
 }
-
-/// Returns the median and the 99th percentile by the nearest rank; `None` without values.
-pub fn percentiles(times: &[u64]) -> Option<(u64, u64)> {
-    let mut sorted = times.to_vec();
-    sorted.sort_unstable();
-    let rank = |percent: usize| sorted[(sorted.len() * percent).div_ceil(100).max(1) - 1];
-    if sorted.is_empty() { None } else { Some((rank(50), rank(99))) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn percentiles_are_measured_values() {
-        assert_eq!(percentiles(&[]), None);
-        assert_eq!(percentiles(&[7]), Some((7, 7)));
-        assert_eq!(percentiles(&(1..=200).collect::<Vec<_>>()), Some((100, 198)));
-    }
-}

@@ -1,5 +1,6 @@
 //! Figures of a measured fleet.
 
+use crate::percentiles::Percentiles;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -76,27 +77,4 @@ pub struct KindFigures {
     pub bytes_per_s: f64,
     /// Messages.
     pub messages_per_s: f64,
-}
-
-/// Percentiles of a measured value.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Percentiles {
-    /// Median.
-    pub p50: f64,
-    /// 95th percentile.
-    pub p95: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// 99.9th percentile.
-    pub p999: f64,
-}
-
-impl Percentiles {
-    /// Returns the percentiles of values, by nearest rank; `None` without values.
-    pub fn of(mut values: Vec<f64>) -> Option<Percentiles> {
-        values.sort_by(f64::total_cmp);
-        let last = values.len().checked_sub(1)?;
-        let at = |share: f64| values[((values.len() as f64 * share).ceil() as usize).saturating_sub(1).min(last)];
-        Some(Percentiles { p50: at(0.5), p95: at(0.95), p99: at(0.99), p999: at(0.999) })
-    }
 }

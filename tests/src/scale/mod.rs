@@ -1,9 +1,8 @@
 //! Measurements of fleets by size, on the virtual bus.
 //!
 //! ```text
-//!  start, first coordinator, records everywhere ─▶ traffic ─▶ auctions ─▶ a robot joins
-//!      ─▶ a tenth of the robots is lost ─▶ takeovers
-//!  the same start ─▶ computing time ─▶ auctions
+//!  start, first coordinator, records everywhere ─▶ computing time ─▶ auctions
+//!  the same start ─▶ traffic ─▶ auctions ─▶ a robot joins ─▶ a tenth of the robots is lost ─▶ takeovers
 //! ```
 //!
 //! The fleet is a hospital with three stations and a number of robots; the host of the world is a
@@ -12,7 +11,7 @@
 //! **Traffic** is the size of keys, payloads and attachments, and [`FRAME_BYTES`] per message, once
 //! for each receiver.
 //!
-//! **Computing time** is measured in a second fleet, whose coordinator and one of whose robots run on tokio
+//! **Computing time** is measured in another fleet, whose coordinator and one of whose robots run on tokio
 //! runtimes of their own, in the same thread: their time is that of the thread while their runtime runs. The
 //! clocks of all runtimes advance together, by a millisecond at a time, which is the resolution of tokio's timers
 //! anyway. The computing time of the network is not included.
@@ -21,10 +20,11 @@ mod figures;
 mod runtimes;
 mod traffic;
 
-pub use figures::{KindFigures, Percentiles, ScaleFigures};
+pub use figures::{KindFigures, ScaleFigures};
 pub use traffic::FRAME_BYTES;
 
 use crate::fleet::NodeOptions;
+use crate::percentiles::Percentiles;
 use crate::{Fleet, RobotSpec, slug};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
@@ -32,6 +32,8 @@ use consort_protocol::keys::{ApiCall, KeyKind};
 use consort_skills::actions::{FollowWaypoints, Goal, GoalId, RobotBackend as _, Waypoint};
 use consort_skills::environment::TopologicalMap;
 use consort_world::map::shipped;
+use procfs_core::FromRead as _;
+use procfs_core::process::Status;
 use runtimes::{Runtimes, paused};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -71,7 +73,7 @@ pub struct ScaleSetup {
     pub robots: usize,
     /// Robots drive.
     pub moving: bool,
-    /// Number of auctions, one after the other.
+    /// Number of auctions, in sequence.
     pub missions: usize,
     /// Seed of the random numbers.
     pub seed: u64,
@@ -80,14 +82,14 @@ pub struct ScaleSetup {
 /// Measures a fleet. `progress` receives each step of the measurement.
 pub fn measure(setup: ScaleSetup, progress: impl Fn(&str)) -> ScaleFigures {
     let wall = Instant::now();
-    let figures = paused().block_on(measure_messages(setup, &progress));
     progress("computing time");
-    let figures = measure_computing(setup, figures);
+    let computing = measure_computing(setup);
+    let figures = paused().block_on(measure_messages(setup, computing, &progress));
     ScaleFigures { memory_mb: memory_mb(), wall_s: wall.elapsed().as_secs_f64(), ..figures }
 }
 
-/// Measures messages, and latencies without computing time.
-async fn measure_messages(setup: ScaleSetup, progress: &impl Fn(&str)) -> ScaleFigures {
+/// Measures messages, and times that contain no computing time.
+async fn measure_messages(setup: ScaleSetup, computing: Computing, progress: &impl Fn(&str)) -> ScaleFigures {
     let began = tokio::time::Instant::now();
     progress("starts");
     let (mut fleet, coordinator) = start(setup, BTreeMap::new()).await;
@@ -105,7 +107,7 @@ async fn measure_messages(setup: ScaleSetup, progress: &impl Fn(&str)) -> ScaleF
 
     progress("auctions");
     let bids_before = Readings::of(&fleet, &nodes).messages_of(KeyKind::Bid);
-    let Latencies { auction_ms, commit_ms } = auctions(&mut fleet, setup.missions, || Duration::ZERO).await;
+    auctions(&mut fleet, setup.missions, || Duration::ZERO).await;
     let bid_messages = Readings::of(&fleet, &nodes).messages_of(KeyKind::Bid) - bids_before;
 
     progress("join");
@@ -126,7 +128,7 @@ async fn measure_messages(setup: ScaleSetup, progress: &impl Fn(&str)) -> ScaleF
         robot_received_messages_per_s: robots.received_messages,
         robot_sent_bytes_per_s: robots.sent_bytes,
         robot_sent_messages_per_s: robots.sent_messages,
-        robot_cpu_percent: 0.0,
+        robot_cpu_percent: computing.robot_percent,
         robot_received_by_kind: robots.by_kind,
         station_received_bytes_per_s: stations.received_bytes,
         station_received_messages_per_s: stations.received_messages,
@@ -134,11 +136,11 @@ async fn measure_messages(setup: ScaleSetup, progress: &impl Fn(&str)) -> ScaleF
         coordinator_received_messages_per_s: of_coordinator.received_messages,
         coordinator_sent_bytes_per_s: of_coordinator.sent_bytes,
         coordinator_sent_messages_per_s: of_coordinator.sent_messages,
-        coordinator_cpu_percent: 0.0,
+        coordinator_cpu_percent: computing.coordinator_percent,
         records_per_node: records,
         messages_per_auction: bid_messages as f64 / setup.missions.max(1) as f64,
-        auction_ms,
-        commit_ms,
+        auction_ms: computing.latencies.auction_ms,
+        commit_ms: computing.latencies.commit_ms,
         takeover_ms,
         start_s,
         join_bytes,
@@ -152,9 +154,16 @@ async fn measure_messages(setup: ScaleSetup, progress: &impl Fn(&str)) -> ScaleF
     }
 }
 
+/// Computing times, in percent of a core, and latencies with them.
+struct Computing {
+    coordinator_percent: f64,
+    robot_percent: f64,
+    latencies: Latencies,
+}
+
 /// Measures computing times, and latencies with them, in a fleet of its own: the offsets between its runtimes are
 /// random, so messages are not repeated exactly.
-fn measure_computing(setup: ScaleSetup, figures: ScaleFigures) -> ScaleFigures {
+fn measure_computing(setup: ScaleSetup) -> Computing {
     let runtimes = Runtimes::new();
     let (coordinator, robot) = (runtimes.separate(), runtimes.separate());
     runtimes.block_on(async {
@@ -167,10 +176,10 @@ fn measure_computing(setup: ScaleSetup, figures: ScaleFigures) -> ScaleFigures {
         let before = [coordinator.cpu(), robot.cpu()];
         sleep(MEASURED).await;
         let percent = |now: Duration, before: Duration| (now - before).as_secs_f64() / MEASURED.as_secs_f64() * 100.0;
-        let coordinator_cpu_percent = percent(coordinator.cpu(), before[0]);
-        let robot_cpu_percent = percent(robot.cpu(), before[1]);
-        let Latencies { auction_ms, commit_ms } = auctions(&mut fleet, setup.missions, || coordinator.cpu()).await;
-        ScaleFigures { coordinator_cpu_percent, robot_cpu_percent, auction_ms, commit_ms, ..figures }
+        let coordinator_percent = percent(coordinator.cpu(), before[0]);
+        let robot_percent = percent(robot.cpu(), before[1]);
+        let latencies = auctions(&mut fleet, setup.missions, || coordinator.cpu()).await;
+        Computing { coordinator_percent, robot_percent, latencies }
     })
 }
 
@@ -231,7 +240,7 @@ struct Latencies {
     commit_ms: Option<Percentiles>,
 }
 
-/// Requests missions for one robot, one after the other, and cancels each when it has been awarded. `cpu` returns
+/// Requests missions for a single robot in sequence, and cancels each when it has been awarded. `cpu` returns
 /// the computing time of the coordinator.
 async fn auctions(fleet: &mut Fleet, missions: usize, cpu: impl Fn() -> Duration) -> Latencies {
     let places: Vec<PlaceId> = fleet.world.with(|world| world.map().topology().places.into_keys().collect());
@@ -336,8 +345,6 @@ async fn takeovers(fleet: &mut Fleet) -> Option<Percentiles> {
 
 /// Returns the most memory that the process had so far, in MB; `None` if the system does not tell.
 fn memory_mb() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kilobytes: f64 = line.trim().trim_end_matches("kB").trim().parse().ok()?;
-    Some(kilobytes / 1000.0)
+    let status = Status::from_read(std::fs::File::open("/proc/self/status").ok()?).ok()?;
+    Some(status.vmhwm? as f64 * 1.024 / 1000.0)
 }

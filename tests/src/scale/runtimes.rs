@@ -1,4 +1,4 @@
-//! Runtimes whose virtual clocks advance together, in one thread.
+//! Runtimes with virtual clocks that advance together, in a single thread.
 
 use rustix::time::{ClockId, clock_gettime};
 use std::cell::{Cell, RefCell};
@@ -11,13 +11,13 @@ use tokio::time::{Instant, advance, sleep_until};
 /// Time by which the clocks advance at once.
 const STEP: Duration = Duration::from_millis(1);
 
-/// A main runtime, and separate ones for parts whose computing time is measured.
+/// A main runtime, and separate runtimes, which measure the computing time of parts of the fleet.
 pub(super) struct Runtimes {
     main: Runtime,
     separate: RefCell<Vec<SeparateRuntime>>,
 }
 
-/// Runtime whose computing time is measured.
+/// Runtime that measures its computing time.
 #[derive(Clone)]
 pub(super) struct SeparateRuntime {
     runtime: Rc<Runtime>,
@@ -54,8 +54,8 @@ impl Runtimes {
         runtime
     }
 
-    /// Runs a future on the main runtime, and all runtimes meanwhile, one after the other for each
-    /// step of the clock.
+    /// Runs a future on the main runtime, and all runtimes meanwhile, in turn for each step of the
+    /// clock.
     pub(super) fn block_on<T>(&self, work: impl Future<Output = T>) -> T {
         let mut work = pin!(work);
         let mut time = self.align();

@@ -11,11 +11,11 @@ use consort_skills::workload::Workload;
 use consort_tests::chaos::mutants::Mutant;
 use consort_tests::chaos::mutation_checks::{MUTANT_CHECKS, check_mutant};
 use consort_tests::chaos::scoreboard::{self, markdown};
-use consort_tests::chaos::seed_sweep::percentiles;
 use consort_tests::chaos::{
     ChaosFleet, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate, shrink,
     user_missions,
 };
+use consort_tests::percentiles::Percentiles;
 use consort_text::count;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeMap;
@@ -370,9 +370,8 @@ fn many(chaos: &Chaos) -> Result<(), Failure> {
 
 /// Formats the median and the 99th percentile of times in milliseconds.
 fn median_and_p99(times_ms: &[u64], unit_ms: f64, unit: &str) -> String {
-    let in_units = |ms: u64| ms as f64 / unit_ms;
-    percentiles(times_ms).map_or(String::new(), |(p50, p99)| {
-        format!(" p50 {:.1} {unit}, p99 {:.1} {unit}", in_units(p50), in_units(p99))
+    Percentiles::of_ms(times_ms).map_or(String::new(), |Percentiles { p50, p99, .. }| {
+        format!(" p50 {:.1} {unit}, p99 {:.1} {unit}", p50 / unit_ms, p99 / unit_ms)
     })
 }
 

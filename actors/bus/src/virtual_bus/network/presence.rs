@@ -56,8 +56,9 @@ impl Network {
     }
 
     pub(crate) fn stop_watching(&mut self, id: EntityId) {
-        // The id is known at a single node.
-        self.nodes.iter_mut().any(|node| node.watches.remove(&id).is_some());
+        for node in &mut self.nodes {
+            node.watches.remove(&id);
+        }
     }
 
     /// Sets the view of `of` at `at` to `connected` and `tokens`, and notifies the watchers at

@@ -4,7 +4,8 @@ use super::scale_plot::draw;
 use clap::Args as ClapArgs;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
-use consort_tests::scale::{Percentiles, ScaleFigures, ScaleSetup, measure};
+use consort_tests::percentiles::Percentiles;
+use consort_tests::scale::{ScaleFigures, ScaleSetup, measure};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -12,7 +13,7 @@ use std::time::Instant;
 ///
 /// The fleet is a hospital with three stations, the robots, and the host of the simulated world. All nodes start at once.
 /// Traffic and computing time are measured for 30 s when all nodes know each other. Then missions for one robot are
-/// requested one after the other, and each is canceled when it has been awarded; a robot starts with an empty disk; a
+/// requested in sequence, and each is canceled when it has been awarded; a robot starts with an empty disk; a
 /// tenth of the robots is killed at once; and the coordinator is killed ten times.
 ///
 /// Traffic counts keys, payloads and 18 bytes for each message as Zenoh frames it, once for each receiver. Computing time
@@ -39,7 +40,7 @@ pub(super) struct Args {
     /// Robots drive between neighbouring places
     #[arg(long)]
     moving: bool,
-    /// Number of missions, one after the other
+    /// Number of missions, in sequence
     #[arg(long, value_name = "M", default_value_t = 20,
         value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(0..=10_000))]
     missions: usize,

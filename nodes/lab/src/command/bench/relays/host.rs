@@ -4,7 +4,6 @@
 use super::RobotMode;
 use bytes::Bytes;
 use clap::Args as ClapArgs;
-use consort_bus::zenoh_bus::Mode;
 use consort_bus::{Bus as _, Delivery, Encoding, ZenohBus, ZenohSettings};
 use consort_nodes::exit::Failure;
 use consort_nodes::output;
@@ -154,15 +153,10 @@ async fn session(settings: ZenohSettings, number: usize, is_robot: bool, sends_b
             lock(&gaps).beacon(Instant::now());
         }
     });
-    let mut records = match settings.mode {
-        Mode::Router if !is_robot => Some(bus.subscribe(&format!("{KNOWLEDGE}/*")).await.expect("a valid key")),
-        _ => None,
-    };
-    tokio::spawn(async move {
-        while let Some(records) = &mut records
-            && records.recv().await.is_some()
-        {}
-    });
+    if !is_robot {
+        let mut records = bus.subscribe(&format!("{KNOWLEDGE}/*")).await.expect("a valid key");
+        tokio::spawn(async move { while records.recv().await.is_some() {} });
+    }
     let (key, payload, period) = match is_robot {
         true => (format!("{KNOWLEDGE}/{number}"), RECORD_BYTES, Duration::from_secs(1)),
         false => (BEACON.to_owned(), 32, Timing::Lan.parameters().heartbeat),

@@ -4,6 +4,9 @@ use super::host::{PORT, Report};
 use super::{RELAYS, RobotMode};
 use consort_nodes::exit::Failure;
 use consort_tests::host_network::{HostNetwork, within};
+use procfs_core::FromRead as _;
+use procfs_core::process::{Stat, Status};
+use std::fs::File;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
@@ -67,18 +70,18 @@ impl HostProcess {
 
     /// Returns the computing time in seconds.
     pub(super) fn cpu_s(&self) -> f64 {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap_or_default();
-        // The name of the program, in brackets, may contain spaces.
-        let fields = stat.rsplit_once(") ").map_or("", |(_, fields)| fields);
-        let ticks = fields.split(' ').skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok());
-        ticks.sum::<f64>() / TICKS_PER_S
+        let stat = self.file("stat").and_then(|file| Stat::from_read(file).ok());
+        stat.map_or(0.0, |stat| (stat.utime + stat.stime) as f64 / TICKS_PER_S)
     }
 
     /// Returns the memory in MB.
     pub(super) fn memory_mb(&self) -> f64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap_or_default();
-        let kilobytes = status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
-        kilobytes.and_then(|kilobytes| kilobytes.parse::<f64>().ok()).unwrap_or_default() / 1000.0
+        let status = self.file("status").and_then(|file| Status::from_read(file).ok());
+        status.and_then(|status| status.vmrss).map_or(0.0, |kibibytes| kibibytes as f64 * 1.024 / 1000.0)
+    }
+
+    fn file(&self, name: &str) -> Option<File> {
+        File::open(format!("/proc/{}/{name}", self.child.id())).ok()
     }
 }
 
