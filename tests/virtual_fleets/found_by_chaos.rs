@@ -256,3 +256,20 @@ fn an_interrupted_change_of_voters_precedes_the_next() {
         ]}"#,
     );
 }
+
+/// The only arm had failed in two missions, each of which held a carrier. The carriers refused the arm's role of the
+/// other mission as busy, although they lacked the skill, so no round counted as hopeless, and both missions waited
+/// without end.
+#[test]
+fn a_busy_robot_without_the_skill_refuses_for_good() {
+    holds_closed(
+        2607,
+        2.0,
+        r#"{"steps": [
+            {"at_ms": 5933, "action": "skill", "robot": "lab-arm", "how": "fails", "times": 3},
+            {"at_ms": 8386, "action": "skill", "robot": "lab-arm", "how": "panics", "times": 1},
+            {"at_ms": 29640, "action": "submit", "request": "r0", "mission": "lab-samples", "room": "IC Room 6", "priority": -10},
+            {"at_ms": 34760, "action": "submit", "request": "r2", "mission": "lab-samples", "room": "IC Room 2", "priority": 0}
+        ]}"#,
+    );
+}

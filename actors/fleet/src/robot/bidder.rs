@@ -58,6 +58,14 @@ impl Bidder {
         context: &BidContext<'_>,
     ) -> Result<Bid, RefusalReason> {
         let BidContext { worker, closed_lanes: closed, age_ms, membership } = context;
+        // A lack of skills outlasts the present work: a mission that only robots without the skill could join fails,
+        // and does not wait for them.
+        let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
+        let missing: Vec<TaskType> =
+            needed.into_iter().filter(|skill| !worker.skills.contains(*skill)).cloned().collect();
+        if !missing.is_empty() {
+            return Err(RefusalReason::MissingSkills { skills: missing });
+        }
         match &worker.availability {
             Availability::Free => {}
             Availability::Holding { mission, role, .. } => {
@@ -69,12 +77,6 @@ impl Bidder {
         }
         if !membership.member {
             return Err(RefusalReason::NotMember { why: membership.reason.clone() });
-        }
-        let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
-        let missing: Vec<TaskType> =
-            needed.into_iter().filter(|skill| !worker.skills.contains(*skill)).cloned().collect();
-        if !missing.is_empty() {
-            return Err(RefusalReason::MissingSkills { skills: missing });
         }
         if let Some(condition) = call.eligible.get(role) {
             let eligible = Eligibility::check_text(condition, &self.robot, worker);
