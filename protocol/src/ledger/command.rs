@@ -163,7 +163,7 @@ pub enum Command {
 
 impl Command {
     /// Returns the existing mission that the command concerns.
-    pub(super) fn mission(&self) -> Option<&MissionId> {
+    pub fn mission(&self) -> Option<&MissionId> {
         match self {
             Command::Award { mission, .. }
             | Command::Defer { mission, .. }

@@ -10,7 +10,7 @@
 
 use super::apply::Ledger;
 use super::command::{Command, CommandError};
-use super::entry::MissionState;
+use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
 use super::person_request::PERSON_BYTES_MAX;
 use super::submission::Submission;
@@ -24,15 +24,22 @@ pub(super) const CAUSE_BYTES_MAX: usize = 1024;
 /// large for every replica.
 pub(super) const UNENDED_MAX: usize = 1400;
 
-/// Approximate maximum size of a mission, in bytes.
-const MISSION_BYTES_MAX: usize = 128 * 1024;
-
 const _: () = assert!(
-    (UNENDED_MAX + HistoryLimits::LARGEST.missions_max as usize) * MISSION_BYTES_MAX
+    (UNENDED_MAX + HistoryLimits::LARGEST.missions_max as usize) * MissionEntry::BYTES_MAX
         + (HistoryLimits::LARGEST.outcome_bytes_max as usize)
         < codec::RECORD_BYTES_MAX,
     "a snapshot of a full ledger can be stored"
 );
+
+impl MissionEntry {
+    /// Approximate maximum encoded size in bytes.
+    pub const BYTES_MAX: usize = 128 * 1024;
+
+    /// Returns the encoded size in bytes.
+    pub fn encoded_bytes(&self) -> usize {
+        codec::encoded_size(self)
+    }
+}
 
 impl Submission {
     /// Maximum encoded size in bytes: the award of the mission and its call for bids must each fit

@@ -2,20 +2,21 @@
 //!
 //! It replays and moves messages that it has received, publishes and queries in the name of others,
 //! lies about epochs, terms and versions, refuses and answers queries of others (or refuses all of
-//! them), makes requests with its own and with captured signatures, sends texts of great length, and
-//! floods. Signed messages are attempted with its own key, and without one.
+//! them), makes requests with its own and with captured signatures, sends texts of great length (as a
+//! robot, in its refusals to bid), and floods. Signed messages are attempted with its own key, and without one.
 
 use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
-use consort_bus::{Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
+use consort_bus::{BusError, Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
 use consort_fleet::robot_driver::PersonRequestState;
 use consort_gossip::{SharedKnowledge, packet_about};
+use consort_protocol::auction::{BidRefusal, BidResponse, CallForBids, RefusalReason, RoleReply};
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionEntry};
-use consort_protocol::message::{Beacon, SignalHistory};
+use consort_protocol::message::{Beacon, ClusterEnvelope, SignalHistory};
 use consort_protocol::trust::NodeRole;
 use consort_raft::Replica;
 use rand::seq::IndexedRandom;
@@ -39,6 +40,9 @@ const FLOOD: usize = 300;
 
 /// Length of an oversized text, in bytes. Messages between nodes have at most 64 KiB.
 const LONG_TEXT: usize = 100_000;
+
+/// Length of all reasons in a message of refusals, in bytes.
+const LONG_REASON: usize = 60_000;
 
 /// Keys of queries that it answers and refuses.
 const ATTACKED_QUERIES: [&str; 9] = [
@@ -142,7 +146,7 @@ impl Attacker {
         while let Some(query) = queries.recv().await {
             let key = query.key.replace('*', self.victim().as_str());
             // A failed attempt is no failure of the run.
-            let _ = match self.draw(|chance| chance.random_range(0..5)) {
+            let _ = match self.draw(|chance| chance.random_range(0..6)) {
                 _ if self.refuses_all => query.replier.refuse("no").await,
                 // A person of others has done what was asked.
                 _ if key.ends_with("wire/people/ask") => {
@@ -153,9 +157,24 @@ impl Attacker {
                 1 => query.replier.refuse(&"no ".repeat(LONG_TEXT / 3)).await,
                 2 => query.replier.reply(&key, query.payload.clone(), Encoding::Wire).await,
                 3 => query.replier.reply(&key, vec![0x7f; LONG_TEXT].into(), Encoding::Wire).await,
+                4 => self.refuse_at_length(&query).await,
                 _ => Ok(()),
             };
         }
+    }
+
+    /// Replies to a call for bids as a robot of its own name, with a long reason for each role.
+    async fn refuse_at_length(&self, query: &Query) -> Result<(), BusError> {
+        let call = codec::decode(&query.payload).and_then(|ClusterEnvelope { payload, .. }| codec::decode(&payload));
+        let Ok::<CallForBids, _>(CallForBids { auction, roles, .. }) = call else { return Ok(()) };
+        let robot: RobotId = slug(HOSTILE);
+        let refusal = |role| {
+            let reason = RefusalReason::OutOfService { problem: "no route; ".repeat(LONG_REASON / 10 / roles.len()) };
+            RoleReply::Refusal(BidRefusal { robot: robot.clone(), role, reason })
+        };
+        let replies = roles.keys().cloned().map(refusal).collect();
+        let response = wire(&BidResponse { robot: robot.clone(), auction, replies });
+        query.replier.reply(&self.keys.write(&Key::Bid(robot)), response, Encoding::Wire).await
     }
 
     async fn attack(self: Arc<Self>, replicas: Vec<Replica<Ledger>>) {

@@ -64,6 +64,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::under(Mutant::OwnClock, &[FaultKind::WrongDate], 12),
     MutantCheck::under(Mutant::ReleasedInMotion, &[FaultKind::Leave], 60),
     MutantCheck::new(Mutant::OutcomesForgotten, 3),
+    MutantCheck::new(Mutant::HistoryKept, 3),
     MutantCheck::under(Mutant::CircularWaitKept, &[FaultKind::CircularWait], 18),
     MutantCheck::under(Mutant::KeptTooLong, &[FaultKind::LeaseEnd], 39),
     MutantCheck::under(Mutant::IdentityKept, &[FaultKind::StaleMajority], 3),

@@ -128,8 +128,9 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     };
     let (members, people) = composition.participants(workload);
     let fleet = Fleet::hospital_with(config.seed, members, &composition.stations, people, options).await;
+    let checker = Checker::new(injector.ended_missions_max());
     let executor = ActionExecutor::new(composition.clone(), injector, workload.clone());
-    let mut run = Run { fleet, executor, checker: Checker::new() };
+    let mut run = Run { fleet, executor, checker };
     for node in composition.nodes() {
         run.fleet.record_leadership(node);
     }
@@ -439,10 +440,10 @@ struct Checker {
 const EVENT_LINES_MAX: usize = 80;
 
 impl Checker {
-    fn new() -> Checker {
+    fn new(ended_missions_max: usize) -> Checker {
         let grown = tokio::sync::watch::Sender::new(0).subscribe();
         Checker {
-            invariants: invariants::all(),
+            invariants: invariants::all(ended_missions_max),
             seen: 0,
             ended: BTreeSet::new(),
             grown,

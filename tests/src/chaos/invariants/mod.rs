@@ -6,6 +6,7 @@
 mod acknowledged;
 mod alive;
 mod authority;
+mod bounded;
 mod committed;
 mod custody;
 mod deadlines;
@@ -63,14 +64,15 @@ pub(crate) trait Invariant {
     }
 }
 
-/// Returns all invariants.
-pub(crate) fn all() -> Vec<Box<dyn Invariant>> {
+/// Returns all invariants of a fleet that keeps `ended_missions_max` ended missions whole.
+pub(crate) fn all(ended_missions_max: usize) -> Vec<Box<dyn Invariant>> {
     vec![
         Box::new(alive::Alive),
         Box::<authority::Authority>::default(),
         Box::<one_leader::OneLeader>::default(),
         Box::<committed::Committed>::default(),
         Box::<acknowledged::Acknowledged>::default(),
+        Box::new(bounded::Bounded::new(ended_missions_max)),
         Box::<one_holder::OneHolder>::default(),
         Box::<under_lease::UnderLease>::default(),
         Box::<settled::Settled>::default(),

@@ -28,9 +28,14 @@ impl ReferenceLedger {
         }
     }
 
+    /// Checks that the entry at `at` was not applied before.
+    pub(super) fn is_new(&self, at: Epoch) -> bool {
+        at.index > self.index
+    }
+
     /// Applies the entry at `at`, unless it was applied before.
     pub(in crate::chaos) fn apply(&mut self, at: Epoch, commands: &[Command]) {
-        if at.index > self.index {
+        if self.is_new(at) {
             self.index = at.index;
             let is_ignored = |command: &&Command| self.keeps_all && matches!(command, Command::SetHistoryLimits(_));
             for command in commands.iter().filter(|command| !is_ignored(command)) {

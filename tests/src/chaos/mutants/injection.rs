@@ -11,6 +11,7 @@ use consort_fleet::node::NodeSettings;
 use consort_fleet::observe::SharedObserver;
 use consort_protocol::ids::NodeId;
 use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::HistoryLimits;
 use consort_raft::StoreIdentity;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -51,6 +52,8 @@ impl MutantInjection {
                 settings.fleet.history_limits.missions_max = 0;
                 settings.fleet.history_limits.outcome_bytes_max = 0;
             }
+            // Another number than the ledger's default, so that the coordinator writes it into the ledger.
+            Mutant::HistoryKept => settings.fleet.history_limits.missions_max = HistoryLimits::LARGEST.missions_max - 1,
             // The lease of a robot must not change with the wait of the coordinator.
             Mutant::EarlyRelease if settings.robot.is_none() => {
                 let LeaseTerms { lease, grace } = settings.fleet.lease_terms;

@@ -5,7 +5,8 @@
 //! outside, into all nodes of a run:
 //!
 //! - by the log store (`log_store.rs`): `skip-fsync`, `double-vote`, `identity-kept`;
-//! - by settings (`injection.rs`): `early-release`, `two-removed`, `grace-too-small`, `outcomes-forgotten`;
+//! - by settings (`injection.rs`): `early-release`, `two-removed`, `grace-too-small`, `outcomes-forgotten`,
+//!   `history-kept`;
 //! - by the clock (`fault_injector.rs`): `suspension-not-counted`, `stopped-with-bus`;
 //! - below the signatures of a node (`refusals.rs`): `refusals-unsigned`;
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
@@ -76,6 +77,8 @@ pub enum Mutant {
     ReleasedInMotion,
     /// The ledger forgets missions as they end.
     OutcomesForgotten,
+    /// The ledger keeps many more ended missions whole than the settings say.
+    HistoryKept,
     /// Robots ignore requests to give way to a better-ranked mission.
     CircularWaitKept,
     /// Driver servers ignore how long a command may be acted on, and stop a robot only by their own
@@ -89,7 +92,7 @@ pub enum Mutant {
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 27] = [
+    pub const ALL: [Mutant; 28] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -113,6 +116,7 @@ impl Mutant {
         Mutant::OwnClock,
         Mutant::ReleasedInMotion,
         Mutant::OutcomesForgotten,
+        Mutant::HistoryKept,
         Mutant::CircularWaitKept,
         Mutant::KeptTooLong,
         Mutant::IdentityKept,
@@ -153,6 +157,7 @@ impl Mutant {
             Mutant::OwnClock => "own-clock",
             Mutant::ReleasedInMotion => "released-in-motion",
             Mutant::OutcomesForgotten => "outcomes-forgotten",
+            Mutant::HistoryKept => "history-kept",
             Mutant::CircularWaitKept => "circular-wait-kept",
             Mutant::KeptTooLong => "kept-too-long",
             Mutant::IdentityKept => "identity-kept",
