@@ -80,9 +80,10 @@ impl Extensions {
         self.domains.iter().map(|loaded| &loaded.domain)
     }
 
-    /// Returns the task types for missions.
+    /// Returns the task types for missions, and the readings of drivers.
     pub fn domain(self) -> Domain {
-        (self.domain)(task_types_with(self.files()))
+        let readings = self.files().flat_map(DomainFile::reading_forms).map(|(name, _)| name.clone());
+        (self.domain)(task_types_with(self.files()).with_readings(readings))
     }
 
     /// Returns the task types of the domain files.

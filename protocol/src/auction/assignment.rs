@@ -132,8 +132,9 @@ pub(super) fn cheapest_assignment(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::auction::EnergyBudget;
     use crate::ids::PlaceId;
-    use crate::units::{BatteryShare, Seconds};
+    use crate::units::{BatteryShare, Energy, EnergyLimit, Seconds};
     use proptest::prelude::*;
 
     fn bid(robot: &str, role: &str, time: f64) -> Bid {
@@ -241,6 +242,47 @@ mod tests {
             if let Some(picks) = found {
                 let robots: BTreeSet<_> = picks.values().map(|index| &bids[*index].robot).collect();
                 prop_assert_eq!(robots.len(), picks.len());
+            }
+        }
+
+        #[test]
+        fn beyond_the_bound_the_assignment_has_the_least_energy(
+            offers in (1usize..4, 1usize..6).prop_flat_map(|(rows, columns)| {
+                let offer = prop::option::weighted(0.7, (1u64..50, 1u64..50));
+                prop::collection::vec(prop::collection::vec(offer, columns), rows)
+            }),
+            limit in 1u64..150,
+            used in 0u64..50,
+        ) {
+            let percent = |share: u64| share as f64 / 100.0;
+            let mut bids = vec![];
+            for (row, by_robot) in offers.iter().enumerate() {
+                for (robot, offer) in by_robot.iter().enumerate() {
+                    if let Some((seconds, energy)) = offer {
+                        let bid = bid(&format!("robot{robot}"), &format!("role{row}"), *seconds as f64);
+                        bids.push(Bid { energy: percent(*energy), ..bid });
+                    }
+                }
+            }
+            let roles = (0..offers.len()).map(|row| RoleId::new(format!("role{row}")).unwrap()).collect();
+            let Ok(picks) = optimal_assignment(&roles, &bids) else { return Ok(()) };
+            let fastest: BTreeMap<_, _> = picks.into_iter().map(|(role, i)| (role, bids[i].robot.clone())).collect();
+            let energy_of = |holders: &BTreeMap<RoleId, RobotId>| {
+                let of = |(role, robot): (&RoleId, &RobotId)| bids.iter().find(|bid| bid.role == *role && bid.robot == *robot).unwrap().energy;
+                holders.iter().map(of).sum::<f64>()
+            };
+            let energies: Vec<Vec<_>> =
+                offers.iter().map(|row| row.iter().map(|offer| offer.map(|(_, energy)| energy)).collect()).collect();
+            let least = cheapest(&energies, 0, &mut vec![false; offers[0].len()]).unwrap();
+            let budget = EnergyBudget { limit: EnergyLimit::new(percent(limit)).unwrap(), used: Energy::new(percent(used)).unwrap() };
+            let viable: Vec<&Bid> = bids.iter().collect();
+            match budget.restrict(fastest.clone(), &viable) {
+                Ok(holders) if energy_of(&fastest) + percent(used) <= percent(limit) + 1e-9 => prop_assert_eq!(holders, fastest),
+                Ok(holders) => {
+                    prop_assert!(least + used <= limit);
+                    prop_assert!((energy_of(&holders) - percent(least)).abs() < 1e-9, "{:?}", holders);
+                }
+                Err(_) => prop_assert!(least + used > limit),
             }
         }
     }

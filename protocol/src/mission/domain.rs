@@ -28,6 +28,9 @@ pub struct Domain {
     /// Ensembles of the fleet; `None` if they are not known, and then every name is accepted.
     #[serde(skip)]
     ensembles: Option<Arc<BTreeSet<EnsembleId>>>,
+    /// Readings of drivers.
+    #[serde(skip)]
+    readings: BTreeSet<String>,
     /// Meaning of names in missions in the flat iHTN form.
     #[serde(skip)]
     ihtn: IhtnNames,
@@ -299,6 +302,18 @@ impl Domain {
     /// Returns the ensembles of the fleet, if they are known.
     pub fn ensembles(&self) -> Option<&BTreeSet<EnsembleId>> {
         self.ensembles.as_deref()
+    }
+
+    /// Adds readings of drivers.
+    #[must_use]
+    pub fn with_readings(mut self, readings: impl IntoIterator<Item = String>) -> Self {
+        self.readings.extend(readings);
+        self
+    }
+
+    /// Returns the readings that drivers may send.
+    pub fn readings(&self) -> &BTreeSet<String> {
+        &self.readings
     }
 
     /// Adds the meaning of names in flat iHTNs; replaces earlier meanings of the same names.

@@ -7,6 +7,7 @@ use consort_protocol::api::ReadOptions;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{HeldItem, MissionState};
+use consort_protocol::units::{Energy, EnergyLimit};
 use consort_protocol::view::{MissionBrief, MissionSummary, MissionsView};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -15,7 +16,8 @@ use std::time::Duration;
 
 /// Show missions and their progress
 ///
-/// In the order of submission: state, finished steps, role holders, the reason why a mission is
+/// In the order of submission: state, finished steps, the estimated energy of all its robots together in
+/// per cent of a full battery, role holders, the reason why a mission is
 /// still pending, and for a mission that needs intervention, the items in each robot's hands and
 /// their places. With --watch a line is added for every change, until Ctrl-C.
 #[derive(Debug, clap::Args)]
@@ -68,7 +70,7 @@ async fn once(client: &mut Client, options: ReadOptions, in_json: bool) -> Resul
     if missions.is_empty() {
         return output::line("no missions yet; `consort submit lab-samples` submits a mission");
     }
-    let heads = ["MISSION", "STATE", "STEPS", "PARAMETERS", "ROLES", ""].map(str::to_owned).to_vec();
+    let heads = ["MISSION", "STATE", "STEPS", "ENERGY", "PARAMETERS", "ROLES", ""].map(str::to_owned).to_vec();
     let rows: Vec<Vec<String>> = std::iter::once(heads).chain(missions.iter().map(row)).collect();
     output::line(output::table(&rows))
 }
@@ -100,6 +102,7 @@ fn row(mission: &MissionSummary) -> Vec<String> {
         mission.to_string(),
         status.detail.as_str().replace('_', " "),
         format!("{}/{}", progress.done, progress.steps),
+        energy(progress.energy, terms.energy_max),
         pairs(&terms.parameters),
         pairs(&progress.holders),
         match why {
@@ -108,6 +111,13 @@ fn row(mission: &MissionSummary) -> Vec<String> {
             None => detail(&status.detail).trim_start_matches(": ").to_owned(),
         },
     ]
+}
+
+/// Formats the estimated energy of a mission, with its bound: `3.1 % of 40.0 %`.
+fn energy(estimated: Energy, max: Option<EnergyLimit>) -> String {
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let bound = max.map(|max| format!(" of {}", percent(max.get()))).unwrap_or_default();
+    format!("{}{bound}", percent(estimated.get()))
 }
 
 fn pairs<K: Display, V: Display>(map: &BTreeMap<K, V>) -> String {

@@ -7,7 +7,7 @@ use crate::map_loader::is_shipped;
 use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_protocol::auction::BidLimits;
-use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
+use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::HistoryLimits;
@@ -309,6 +309,17 @@ impl ConfigFile for FleetConfig {
             }
             for skill in spec.skills.iter().filter(|skill| domain.get(skill).is_none()) {
                 validate.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill, domain)));
+            }
+            let exchanged = spec.exchange.iter().filter_map(|value| match value {
+                ExchangedValue::Reading(name) => Some(name),
+                ExchangedValue::Attribute(_) => None,
+            });
+            for reading in exchanged.filter(|name| !domain.readings().contains(*name)) {
+                let allowed = AllowedNames::suggest_for(reading, domain.readings());
+                validate.push(format!(
+                    "ensemble {}: exchange: no domain declares the reading `{reading}`; {allowed}",
+                    spec.name
+                ));
             }
             validate.extend(Ensemble::compile(spec.clone()).err().map(|problem| problem.to_string()));
         }

@@ -60,16 +60,19 @@ fn invalid_policies_are_reported_with_what_is_allowed() {
     let valid = test_file("two_ensembles.toml", &(icu.clone() + &ensemble("er", "member.attributes.floor > 2")));
     let twice = test_file("ensemble_twice.toml", &(icu.clone() + &icu));
     let wrong = test_file("ensemble_field.toml", &ensemble("icu", "member.attributes.floor > 2 && member.chrge > 0.5"));
+    let exchanged = icu.clone() + "exchange = [\"attributes.section\", \"readings.temprature_c\"]\n";
+    let exchanged = test_file("unknown_reading.toml", &exchanged);
     let text = "name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\nattributes = { \"floor-3\" = true }\n";
     let robot = test_file("wrong_attribute.toml", text);
     let mission = "mission: m\nroles:\n  r1: { kind: managed, eligible: 'robot.speeed > 0.5' }\n\
         root: { task: go, type: navigation, roles: [r1], parameters: { to: Dock } }\n";
     let mission = test_file("wrong_condition.yaml", mission);
-    let ran = run(&["check", &valid, &twice, &wrong, &robot, &mission]);
+    let ran = run(&["check", &valid, &twice, &wrong, &exchanged, &robot, &mission]);
     assert_eq!(ran.code, Some(1), "{}", ran.out);
     for expected in [
         format!("{valid}: ok, a fleet"),
         format!("{twice}: ensemble icu: is declared twice"),
+        format!("{exchanged}: ensemble icu: exchange: no domain declares the reading `temprature_c`; "),
         format!(
             "{wrong}: ensemble icu: condition `member.attributes.floor > 2 && member.chrge > 0.5`: `member` has no field `chrge`; allowed: "
         ),

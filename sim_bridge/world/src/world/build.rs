@@ -108,6 +108,7 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
     }
     check_numbers(&setup.durations, &setup.limits, &mut errors);
     check_step(setup, &mut errors);
+    errors.extend(unusable_parts(setup.program));
     check_systems(setup, &mut errors);
     errors.extend(unknown_action_systems(&setup.actions, setup.program));
     environment::check(&setup.map, &setup.doors, &setup.obstacles, &mut errors);
@@ -295,11 +296,24 @@ fn known_systems(program: ProgramParts) -> impl Iterator<Item = &'static str> {
 /// Checks that this program simulates the actions of a domain.
 ///
 /// # Errors
-/// [`SetupErrors`] with each action that names an unknown system.
+/// [`SetupErrors`] with each action that names an unknown system, and with the unusable parts of the
+/// program.
 pub fn check_simulated_actions(domain: &DomainFile, extensions: Extensions) -> Result<(), SetupErrors> {
-    let actions = domain.simulated_actions().collect();
-    let errors = unknown_action_systems(&actions, ProgramParts(extensions.simulator));
+    let (actions, program) = (domain.simulated_actions().collect(), ProgramParts(extensions.simulator));
+    let mut errors = unusable_parts(program);
+    errors.extend(unknown_action_systems(&actions, program));
     if errors.is_empty() { Ok(()) } else { Err(SetupErrors(errors)) }
+}
+
+/// Returns the systems of a program that have the name of another system, and an extension that is none
+/// of the simulator.
+fn unusable_parts(program: ProgramParts) -> Vec<SetupError> {
+    if !program.is_usable() {
+        return vec![SetupError::NoSimulatorExtension];
+    }
+    let mut names: BTreeSet<&str> = systems::system_names().collect();
+    let ambiguous = program.systems().map(System::name).filter(|name| !names.insert(name));
+    ambiguous.map(|name| SetupError::AmbiguousSystem { name: name.to_owned() }).collect()
 }
 
 fn unknown_action_systems(actions: &BTreeMap<ActionName, ActionForm>, program: ProgramParts) -> Vec<SetupError> {

@@ -25,6 +25,11 @@ impl ProgramParts {
         self.0?.downcast_ref()
     }
 
+    /// Checks that the parts, if there are any, are a [`SimulatorExtension`].
+    pub(super) fn is_usable(self) -> bool {
+        self.0.is_none() || self.extension().is_some()
+    }
+
     pub(super) fn systems(self) -> impl Iterator<Item = &'static dyn System> {
         self.extension().into_iter().flat_map(|own| own.systems).copied()
     }

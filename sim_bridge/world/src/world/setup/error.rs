@@ -82,6 +82,15 @@ pub enum SetupError {
         /// Suggestion, as text; may be empty.
         hint: String,
     },
+    /// A system of the program has the name of another system.
+    #[error("this program has a second system {name:?}; a system of its own needs a name of its own")]
+    AmbiguousSystem {
+        /// The name.
+        name: String,
+    },
+    /// The program's parts of the simulator are of another type.
+    #[error("the field `simulator` of the program's extensions is no consort_world::extend::SimulatorExtension")]
+    NoSimulatorExtension,
     /// The program has no chassis of this name.
     #[error("{subject}: this program has no chassis {name:?}{hint}; there are: {known}")]
     UnknownChassis {

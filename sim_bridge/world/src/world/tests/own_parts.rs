@@ -88,6 +88,7 @@ fn teleporter(settings: &ChassisSettings) -> Result<Box<dyn Chassis>, String> {
 }
 
 const OWN: SimulatorExtension = SimulatorExtension { systems: &[&Seconds], chassis: &[("teleporter", teleporter)] };
+static TWICE: SimulatorExtension = SimulatorExtension { systems: &[&Seconds, &Seconds], chassis: &[] };
 const EXTENSIONS: Extensions = Extensions { simulator: Some(&OWN), ..Extensions::NONE };
 
 fn domain(text: &str) -> DomainFile {
@@ -139,4 +140,17 @@ fn mistakes_with_own_parts_are_named() {
         unknown.contains("actions.tally.simulate.system: there is no system \"second\"; did you mean \"seconds\"?"),
         "{unknown}"
     );
+}
+
+#[test]
+fn systems_with_the_name_of_another_and_values_of_another_type_are_rejected() {
+    let error = |simulator| {
+        let extensions = Extensions { simulator: Some(simulator), ..Extensions::NONE };
+        let setup = WorldSetup::new(map::shipped("hospital").unwrap(), 1).extended(extensions);
+        World::new(setup).unwrap_err().to_string()
+    };
+    let twice = error(&TWICE);
+    assert!(twice.contains("this program has a second system \"seconds\"; a system"), "{twice}");
+    let other = error(&"seconds");
+    assert!(other.contains("is no consort_world::extend::SimulatorExtension"), "{other}");
 }
