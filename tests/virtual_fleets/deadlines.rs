@@ -1,4 +1,4 @@
-//! Priorities and deadlines of missions.
+//! Priorities, earliest starts and deadlines of missions.
 
 use consort_bus::clock::Clock;
 use consort_fleet::node::NodeSettings;
@@ -148,5 +148,62 @@ fn an_invalid_priority_or_deadline_is_rejected() {
             let answer = fleet.request_answered(ApiCall::Submit, &request).await;
             assert!(answer["error"].as_str().is_some_and(|error| error.contains(expected)), "seed {seed}: {answer}");
         }
+    });
+}
+
+/// The coordinator dies while the mission waits, and the clock of one voter is a day ahead.
+#[test]
+fn a_mission_starts_at_its_time_and_not_before() {
+    const DAY_MS: u64 = 86_400_000;
+    const WAIT_S: u64 = 40;
+    for (seed, wrong) in [(674, "aba"), (675, "abb"), (676, "abc")] {
+        for_each_seed([seed], async |seed| {
+            let robots = vec![RobotSpec::carrier("amber", "Dock")];
+            let stations = ["aba", "abb", "abc"];
+            let adjust = move |settings: &mut NodeSettings| {
+                settings.may_vote = stations.contains(&settings.node.as_str());
+                settings.fleet.bootstrap_expect = stations.len();
+                if settings.node == slug(wrong) {
+                    settings.clock = Clock::virtual_at(DAY_MS);
+                }
+            };
+            let mut fleet = Fleet::adjusted_hospital(seed, robots, &stations, &ROOMS, Box::new(adjust)).await;
+            fleet.wait_for_coordinator().await;
+            let submitted = fleet.elapsed();
+            let mission = submit(&fleet, "a", ROOMS[0], json!({ "not_before": WAIT_S })).await;
+            let list = fleet.request_answered(ApiCall::List, &json!({})).await;
+            let reason = list["missions"][0]["pending_reason"].as_str().unwrap_or_default().to_owned();
+            assert!(reason.starts_with("it may not start before 1970-01-0"), "seed {seed}: {list}");
+            fleet.kill_coordinator().await;
+            let before = submitted + Duration::from_secs(WAIT_S - 1) - fleet.elapsed();
+            fleet.assert_never("an award before its time", before, |fleet| !begun(fleet).is_empty()).await;
+            fleet.wait_until("an award", SOON, |fleet| !begun(fleet).is_empty()).await;
+            let late = fleet.elapsed() - submitted - Duration::from_secs(WAIT_S);
+            assert!(late < Duration::from_secs(15), "seed {seed}: {late:?} late\n{}", fleet.event_log_text());
+            fleet.assert_completes(&mission).await;
+        });
+    }
+}
+
+#[test]
+fn a_start_that_is_no_time_or_after_the_deadline_is_rejected() {
+    for_each_seed([677], async |seed| {
+        let mut fleet = Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "Dock")], &["aba"], &ROOMS).await;
+        fleet.wait_for_coordinator().await;
+        for (more, expected) in [
+            (json!({ "not_before": "tomorrow" }), "not_before is \"tomorrow\"; allowed is a date and time"),
+            (json!({ "not_before": "2999-01-01T00:00:00Z" }), "in the next ten years"),
+            (json!({ "not_before": -1.0 }), "not_before is -1; allowed is a date and time"),
+            (json!({ "not_before": 60, "deadline_s": 60 }), "deadline_s is 60, but not_before is 60 s from now"),
+        ] {
+            let mut request = json!({ "mission": "lab-samples", "parameters": { "room": ROOMS[0] } });
+            more.as_object().expect("a map").iter().for_each(|(name, value)| request[name] = value.clone());
+            let reply = fleet.request_answered(ApiCall::Submit, &request).await;
+            let error = reply["error"].as_str().unwrap_or_else(|| panic!("{more}: {reply}"));
+            assert!(error.contains(expected), "{more}: {error}");
+        }
+        // A time that has passed, with the offset of another zone, is no obstacle.
+        let mission = submit(&fleet, "a", ROOMS[0], json!({ "not_before": "1970-01-01T01:00:00+01:00" })).await;
+        fleet.assert_completes(&mission).await;
     });
 }

@@ -59,7 +59,10 @@ mod tests {
         let submit = of("submit");
         let properties = submit["payload_schema"]["properties"].as_object().unwrap();
         let names: Vec<&str> = properties.keys().map(String::as_str).collect();
-        assert_eq!(names, ["by", "deadline_s", "mission", "name", "parameters", "people", "priority", "request"]);
+        assert_eq!(
+            names,
+            ["by", "deadline_s", "mission", "name", "not_before", "parameters", "people", "priority", "request"]
+        );
         assert_eq!(submit["payload_schema"]["required"], json!(["mission"]));
         assert_eq!(submit["payload_schema"]["additionalProperties"], json!(false));
         assert_eq!(submit["answer_schema"]["required"], json!(["mission", "again"]));

@@ -47,5 +47,5 @@ pub use reply::{
 };
 pub use request::{
     AnswerRequest, AnswerWord, LATER_MINUTES_MAX, MissionChangeRequest, MissionQuery, MissionSource, ReadOptions,
-    SubmitRequest, UpgradeRequest,
+    StartTime, SubmitRequest, UpgradeRequest,
 };

@@ -34,6 +34,9 @@ pub struct SubmitRequest {
     #[serde(default)]
     #[schemars(range(min = -100, max = 100))]
     pub priority: i64,
+    /// Time before which no robot gets a role and no person is asked: a date and time in RFC 3339, or seconds from now.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_before: Option<StartTime>,
     /// Seconds from now until the mission should be completed; after that it fails.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -54,6 +57,7 @@ impl SubmitRequest {
             parameters: BTreeMap::new(),
             request: None,
             priority: 0,
+            not_before: None,
             deadline_s: None,
             by: None,
         }
@@ -62,6 +66,30 @@ impl SubmitRequest {
     /// Returns the fields that a flat iHTN lacks.
     pub fn ihtn_fields(&self) -> IhtnFields {
         IhtnFields { name: self.name.clone(), people: self.people.clone() }
+    }
+}
+
+/// Time at which a mission may start.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum StartTime {
+    /// Date and time in RFC 3339, as `2026-11-27T08:00:00+01:00`.
+    At(String),
+    /// Seconds from now.
+    In(f64),
+}
+
+impl JsonSchema for StartTime {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "StartTime".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "anyOf": [{ "type": "string", "format": "date-time" }, { "type": "number", "minimum": 0 }] })
     }
 }
 

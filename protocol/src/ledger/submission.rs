@@ -1,4 +1,5 @@
-//! Mission requests as submitted to the ledger: mission, recovery branch, priority and deadline.
+//! Mission requests as submitted to the ledger: mission, recovery branch, priority, earliest start and
+//! deadline.
 
 use crate::ids::{RequestId, TaskType};
 use crate::mission::{LostItem, Mission, ValueKind};
@@ -30,6 +31,9 @@ pub struct Submission {
     /// Priority. Of two waiting missions the mission with higher priority is served first, then the
     /// earlier mission.
     pub priority: Priority,
+    /// Time before which no robot gets a role and no person is asked: milliseconds since 1970, by the
+    /// clocks of a majority of the voters.
+    pub not_before_ms: Option<u64>,
     /// Deadline: milliseconds since 1970 on the accepting coordinator's wall clock. Deadlines rely
     /// on the wall clocks of coordinators; leases never do.
     pub deadline_ms: Option<u64>,
@@ -50,9 +54,18 @@ impl Submission {
             forms: BTreeMap::new(),
             by: String::new(),
             priority: Priority::default(),
+            not_before_ms: None,
             deadline_ms: None,
             at_ms: 0,
         }
+    }
+}
+
+impl Submission {
+    /// Checks whether the mission may start at a time in milliseconds since 1970. If the time is not known,
+    /// only a mission without an earliest start may.
+    pub fn may_start(&self, now_ms: Option<u64>) -> bool {
+        self.not_before_ms.is_none_or(|from_ms| now_ms.is_some_and(|now_ms| from_ms <= now_ms))
     }
 }
 

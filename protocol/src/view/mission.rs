@@ -114,6 +114,9 @@ pub struct RequestTerms {
     pub parameters: BTreeMap<String, String>,
     /// Priority among waiting missions; higher is served first.
     pub priority: Priority,
+    /// Time before which no robot gets a role and no person is asked, in milliseconds since 1970; null if
+    /// there is none.
+    pub not_before_at_ms: Option<u64>,
     /// Deadline in milliseconds since 1970; null if there is none.
     pub deadline_at_ms: Option<u64>,
     /// Bound on the energy of all its robots together, in full batteries; null if there is none.

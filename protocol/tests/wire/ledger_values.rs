@@ -103,9 +103,10 @@ pub(crate) fn submission() -> impl Strategy<Value = Submission> {
         btree_set(text(), 1..3).prop_map(ValueKind::OneOf),
     ];
     let forms = btree_map(name(), btree_map(text(), kind, 0..3), 0..2);
-    let how = (option::of(recovery), priority, option::of(any::<u64>()), forms, text());
+    let times = (option::of(any::<u64>()), option::of(any::<u64>()));
+    let how = (option::of(recovery), priority, times, forms, text());
     (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), how, any::<u64>()).prop_map(
-        |(request, mission, division, parameters, (recovery, priority, deadline_ms, forms, by), at_ms)| Submission {
+        |(request, mission, division, parameters, (recovery, priority, times, forms, by), at_ms)| Submission {
             request,
             mission,
             division,
@@ -114,7 +115,8 @@ pub(crate) fn submission() -> impl Strategy<Value = Submission> {
             forms,
             by,
             priority,
-            deadline_ms,
+            not_before_ms: times.0,
+            deadline_ms: times.1,
             at_ms,
         },
     )

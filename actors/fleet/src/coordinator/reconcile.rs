@@ -120,7 +120,7 @@ pub(super) fn pending_actions(
             Some(RoundPhase::BackingOff { until, .. }) => *until <= now,
             Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_)) => false,
         };
-        if due && can_be_auctioned(entry, lease_monitor, now) {
+        if due && entry.submission.may_start(confirmed_ms) && can_be_auctioned(entry, lease_monitor, now) {
             actions.push(CoordinatorAction::CallForBids(entry.id.clone()));
         }
         for (role, held, holder) in entry.held_roles() {

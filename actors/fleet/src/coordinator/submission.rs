@@ -1,6 +1,6 @@
 //! Validation of a request to submit a mission, up to the command for the ledger.
 
-use consort_protocol::api::{MissionSource, RequestError, SubmitRequest};
+use consort_protocol::api::{MissionSource, RequestError, StartTime, SubmitRequest};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{NameError, RequestId, TaskType};
 use consort_protocol::ledger::{
@@ -12,6 +12,9 @@ use consort_protocol::mission::{
 use consort_protocol::plan::{DivisionError, divide_and_check};
 use consort_skills::missions::shipped;
 use std::collections::BTreeMap;
+use std::time::Duration;
+use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
 
 /// Reason for which a request to submit a mission is rejected.
 #[derive(Debug, thiserror::Error)]
@@ -47,6 +50,20 @@ pub(crate) enum SubmitError {
         seconds: f64,
         /// Allowed range.
         error: DeadlineError,
+    },
+    /// The earliest start is invalid.
+    #[error("not_before is {given}; {allowed}", allowed = NOT_BEFORE_ALLOWED)]
+    NotBefore {
+        /// The time as given.
+        given: String,
+    },
+    /// The mission would be late before it may start.
+    #[error("deadline_s is {deadline_s}, but not_before is {starts_s:.0} s from now")]
+    DeadlineBeforeStart {
+        /// Requested time until the deadline.
+        deadline_s: f64,
+        /// Time until the earliest start.
+        starts_s: f64,
     },
     /// The generated id of the request is invalid.
     #[error(transparent)]
@@ -104,6 +121,7 @@ pub(super) fn prepare(
         }
     };
     let priority = Priority::new(request_fields.priority)?;
+    let not_before_ms = request_fields.not_before.as_ref().map(|start| start_ms(start, at_ms)).transpose()?;
     let deadline_ms = match request_fields.deadline_s {
         None => None,
         Some(seconds) => {
@@ -111,20 +129,61 @@ pub(super) fn prepare(
             Some(at_ms.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
         }
     };
+    if let (Some(start_ms), Some(deadline_ms), Some(deadline_s)) =
+        (not_before_ms, deadline_ms, request_fields.deadline_s)
+        && deadline_ms <= start_ms
+    {
+        let starts_s = Duration::from_millis(start_ms.saturating_sub(at_ms)).as_secs_f64();
+        return Err(SubmitError::DeadlineBeforeStart { deadline_s, starts_s });
+    }
     let request = match request_fields.request {
         Some(request) => request,
         None => RequestId::new(default_id)?,
     };
     let parameters = request_fields.parameters;
     let forms = forms(std::iter::once(&mission).chain(recovery.as_ref().map(|recovery| &recovery.mission)), domain);
-    let submission =
-        Submission { request, mission, division, parameters, recovery, forms, by, priority, deadline_ms, at_ms };
+    let submission = Submission {
+        request,
+        mission,
+        division,
+        parameters,
+        recovery,
+        forms,
+        by,
+        priority,
+        not_before_ms,
+        deadline_ms,
+        at_ms,
+    };
     let bytes = codec::encode(&submission)?.len();
     if bytes > Submission::BYTES_MAX {
         return Err(SubmitError::TooLarge { bytes });
     }
     Ok(submission)
 }
+
+const NOT_BEFORE_ALLOWED: &str = "allowed is a date and time in the next ten years, as 2026-11-27T08:00:00+01:00, or a number \
+     of seconds from now, 0 or more";
+
+/// Returns the earliest start in milliseconds since 1970, for a request at `at_ms`. A time that has passed
+/// is allowed: the mission may start at once.
+fn start_ms(start: &StartTime, at_ms: u64) -> Result<u64, SubmitError> {
+    let latest_ms = at_ms.saturating_add(u64::try_from(START_MAX.as_millis()).unwrap_or(u64::MAX));
+    let (ms, given) = match start {
+        StartTime::At(text) => {
+            let date = OffsetDateTime::parse(text, &Rfc3339).ok();
+            (date.and_then(|date| u64::try_from(date.unix_timestamp_nanos() / 1_000_000).ok()), format!("{text:?}"))
+        }
+        StartTime::In(seconds) => {
+            let time = Duration::try_from_secs_f64(*seconds).ok();
+            (time.and_then(|time| at_ms.checked_add(time.as_millis().try_into().ok()?)), seconds.to_string())
+        }
+    };
+    ms.filter(|ms| *ms <= latest_ms).ok_or(SubmitError::NotBefore { given })
+}
+
+/// Maximum time until the earliest start of a mission: ten years.
+const START_MAX: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
 /// Returns the results of the tasks of people, by the types of the tasks.
 fn forms<'a>(

@@ -10,6 +10,8 @@ use consort_protocol::view::{
     RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
 use std::collections::{BTreeMap, BTreeSet};
+use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
 
 /// Maximum number of auctions in a view.
 const AUCTIONS_SHOWN: usize = 20;
@@ -18,11 +20,19 @@ const AUCTIONS_SHOWN: usize = 20;
 pub(super) fn missions(ledger: &Ledger) -> MissionsView {
     let mut entries: Vec<&MissionEntry> = ledger.missions().collect();
     entries.sort_by_key(|entry| entry.number);
-    let summary = |entry: &MissionEntry| MissionSummary {
-        brief: brief(entry),
-        pending_reason: entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
-    };
+    let summary = |entry: &MissionEntry| MissionSummary { brief: brief(entry), pending_reason: pending_reason(entry) };
     MissionsView { missions: entries.into_iter().map(summary).collect() }
+}
+
+/// Returns the reason for which a mission has no robots, if one is known: its start, or the failure of its
+/// latest auction.
+fn pending_reason(entry: &MissionEntry) -> Option<String> {
+    let Some(auction) = &entry.auction else {
+        let seconds = i64::try_from(entry.submission.not_before_ms? / 1000).ok()?;
+        let start = OffsetDateTime::from_unix_timestamp(seconds).ok()?.format(&Rfc3339).ok()?;
+        return Some(format!("it may not start before {start}"));
+    };
+    auction.failure.clone()
 }
 
 /// Returns a single mission with the plans and the progress of its roles.
@@ -74,6 +84,7 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
         terms: RequestTerms {
             parameters: entry.submission.parameters.clone(),
             priority: entry.submission.priority,
+            not_before_at_ms: entry.submission.not_before_ms,
             deadline_at_ms: entry.submission.deadline_ms,
             energy_max: entry.energy_max(),
             submitted_at_ms: entry.submission.at_ms,

@@ -1,12 +1,12 @@
 //! `consort submit`: submits a mission.
 
-use super::flag_values::{InvalidValue, key_value};
+use super::flag_values::{InvalidValue, key_value, parse_duration};
 use super::flags::PeopleFlags;
 use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::{inputs, node_runtime, output};
 use consort_bus::clock::Clock;
-use consort_protocol::api::{MissionQuery, SubmitReply, SubmitRequest};
+use consort_protocol::api::{MissionQuery, StartTime, SubmitReply, SubmitRequest};
 use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{MissionState, Priority, time_until_deadline};
@@ -16,6 +16,8 @@ use rand::rngs::SysRng;
 use serde_json::{Map, Value};
 use std::env;
 use std::time::Duration;
+use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
 
 /// Submit a mission
 ///
@@ -31,6 +33,8 @@ Examples:
   consort submit lab-samples --set room='IC Room 6'
   consort submit lab-samples --set room='PC Room 3' --request order-7 --wait
   consort submit lab-samples --priority 10 --deadline 900
+  consort submit lab-samples --not-before 2026-11-27T08:00:00+01:00
+  consort submit lab-samples --not-before 15m
   consort submit my-mission.yaml --connect tcp/192.0.2.7:7447
   consort submit my-ihtn.json --person nurse")]
 pub(crate) struct Args {
@@ -47,6 +51,12 @@ pub(crate) struct Args {
     /// Priority among waiting missions: -100 to 100, higher first
     #[arg(long, value_name = "NUMBER", default_value = "0", allow_negative_numbers = true, value_parser = priority)]
     priority: Priority,
+    /// Give no robot a role and ask no person before this time: a date and time, or the time from now
+    ///
+    /// A date and time is written as in RFC 3339 (2026-11-27T08:00:00+01:00, or Z for UTC), a time
+    /// from now with s, m, h or d. The clocks of a majority of the voters decide.
+    #[arg(long, value_name = "TIME", value_parser = start_time)]
+    not_before: Option<StartTime>,
     /// Fail the mission if it is not done after so many seconds, by the coordinators' wall clocks.
     /// Default: never
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = deadline)]
@@ -82,6 +92,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
         parameters: args.parameters.iter().cloned().collect(),
         request: Some(name.clone()),
         priority: args.priority.get().into(),
+        not_before: args.not_before.clone(),
         deadline_s: args.deadline,
         by: args.by.clone(),
         ..inputs::mission_request(&args.mission, &args.people.people)?
@@ -144,6 +155,19 @@ fn priority(text: &str) -> Result<Priority, InvalidValue> {
         .parse()
         .map_err(|_| InvalidValue::new(format_args!("{text:?} is not a whole number; allowed are -100 to 100")))?;
     Priority::new(number).map_err(InvalidValue::new)
+}
+
+fn start_time(text: &str) -> Result<StartTime, InvalidValue> {
+    if let Ok(time) = parse_duration(text) {
+        return Ok(StartTime::In(time.as_secs_f64()));
+    }
+    let is_date = OffsetDateTime::parse(text, &Rfc3339).is_ok();
+    is_date.then(|| StartTime::At(text.to_owned())).ok_or_else(|| {
+        InvalidValue::new(format_args!(
+            "{text:?} is no time; allowed is a date and time with its offset, as 2026-11-27T08:00:00+01:00, or a time from \
+             now, as 15m"
+        ))
+    })
 }
 
 fn deadline(text: &str) -> Result<f64, InvalidValue> {

@@ -12,14 +12,17 @@ fn station(address: &str, more: &[&str]) -> Running {
 }
 
 #[test]
-fn an_invalid_priority_or_deadline_is_rejected_before_connecting() {
+fn an_invalid_priority_start_or_deadline_is_rejected_before_connecting() {
     let priority = "--priority <NUMBER>";
     let deadline = "--deadline <SECONDS>";
+    let start = "--not-before <TIME>";
     for (flag, value, what, allowed) in [
         ("--priority", "101", priority, "101 is not a valid priority; allowed are -100 to 100"),
         ("--priority", "-101", priority, "-101 is not a valid priority; allowed are -100 to 100"),
         ("--priority", "99999999999999999999", priority, "is not a whole number; allowed are -100 to 100"),
         ("--priority", "high", priority, "\"high\" is not a whole number; allowed are -100 to 100"),
+        ("--not-before", "8:00", start, "\"8:00\" is no time; allowed is a date and time with its offset"),
+        ("--not-before", "2026-11-27T08:00:00", start, "as 2026-11-27T08:00:00+01:00, or a time from now, as 15m"),
         ("--deadline", "0", deadline, "the time must be more than 0 and at most 315360000 seconds"),
         ("--deadline", "-60", deadline, "the time must be more than 0 and at most 315360000 seconds"),
         ("--deadline", "inf", deadline, "the time must be more than 0 and at most 315360000 seconds"),
@@ -34,7 +37,7 @@ fn an_invalid_priority_or_deadline_is_rejected_before_connecting() {
 }
 
 #[test]
-fn a_mission_keeps_its_priority_and_fails_after_its_deadline() {
+fn a_mission_keeps_its_priority_and_start_and_fails_after_its_deadline() {
     let address = free_address();
     let _station = station(&address, &[]);
     let command = |args: &[&str]| run(&[args, &["--connect", &address]].concat());
@@ -52,6 +55,13 @@ fn a_mission_keeps_its_priority_and_fails_after_its_deadline() {
     assert_eq!((ran.code, ran.out.as_str()), (Some(1), "lab-samples-2\nlab-samples-2 failed\n"), "{}", ran.err);
     let expected = "consort: lab-samples-2 failed: its deadline passed while it waited: no viable bid for lab_arm, r1";
     assert!(ran.err.contains(expected), "{}", ran.err);
+
+    let ran = command(&["submit", "lab-samples", "--not-before", "2999-01-01T01:00:00+01:00"]);
+    assert!(ran.code == Some(1) && ran.err.contains("a date and time in the next ten years"), "{}", ran.err);
+    let ran = command(&["submit", "lab-samples", "--not-before", "15m"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-3\n"), "{}", ran.err);
+    let ran = command(&["missions"]);
+    assert!(ran.out.contains("it may not start before 20"), "{}", ran.out);
 }
 
 #[test]

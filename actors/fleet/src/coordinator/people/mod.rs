@@ -78,6 +78,7 @@ impl People {
             let roles = ledger
                 .active_missions()
                 .into_iter()
+                .filter(|entry| entry.submission.may_start(confirmed_ms))
                 .flat_map(|entry| entry.unmanaged_roles().map(move |role| (entry, role)));
             roles
                 .filter_map(|(entry, role)| {
