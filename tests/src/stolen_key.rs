@@ -6,7 +6,7 @@ use consort_bus::clock::Clock;
 use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
 use consort_bus::trust::SigningBus;
 use consort_protocol::ids::{NodeId, RobotId, RoleId};
-use consort_protocol::ledger::MissionEntry;
+use consort_protocol::ledger::{MissionEntry, PersonQuestion, TaskQuestion};
 use consort_protocol::message::Report;
 use consort_protocol::plan::{LocalPlan, Signal, StepAction};
 use consort_protocol::trust::NodeRole;
@@ -46,11 +46,13 @@ impl StolenKey {
     }
 }
 
-/// Returns a report by `robot` that all steps of a role have ended, under the award of its holder.
-/// `None` if the role has no plan.
+/// Returns a report by `robot` that all steps of a role have ended, under the award of its holder, with a
+/// question to a person in which `robot` is named. `None` if the role has no plan.
 pub fn report_of_all_steps(robot: RobotId, entry: &MissionEntry, role: &RoleId) -> Option<Report> {
     let plan = entry.plan(role)?;
     let holder = entry.roles.get(role)?.holder.as_ref();
+    let question =
+        PersonQuestion { to: slug("nurse"), message: format!("may {robot} enter?"), at: None, patience_s: None };
     Some(Report {
         robot,
         incarnation: 1,
@@ -63,6 +65,7 @@ pub fn report_of_all_steps(robot: RobotId, entry: &MissionEntry, role: &RoleId) 
         place: None,
         from_checkpoint: false,
         failure: None,
+        question: Some(TaskQuestion { task: slug("visit"), number: 1, question, is_open: true }),
     })
 }
 

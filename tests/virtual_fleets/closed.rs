@@ -465,6 +465,10 @@ fn the_key_of_a_robot_takes_no_part_in_missions_of_others() {
         while !fleet.ledger(is_final).unwrap_or(false) {
             let accepted = take_part_in(&fleet, &bus, &mission).await;
             assert_eq!(accepted, 0, "seed {seed}: a report for a role of others was accepted");
+            let asked = fleet.ledger(|ledger| {
+                ledger.missions().flat_map(|entry| entry.open_questions()).map(|(_, asked)| asked.number).max()
+            });
+            assert_eq!(asked.flatten(), None, "seed {seed}: a question in the name of the holder was asked");
             tokio::time::sleep(Duration::from_millis(500)).await; // virtual time
         }
         fleet.assert_completes(&mission).await;

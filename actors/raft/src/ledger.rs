@@ -25,6 +25,7 @@ impl StateMachine for Ledger {
             | Command::Cancel { .. }
             | Command::Resolve { .. }
             | Command::AskPerson { .. }
+            | Command::SetQuestion { .. }
             | Command::AnswerPerson { .. }
             | Command::ExpirePersonRequest { .. }
             | Command::RaiseWireVersion { .. }

@@ -3,7 +3,7 @@
 use super::branch::Branch;
 use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
-use super::person_request::{PersonAnswer, PersonRequestId};
+use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::cause::CauseClass;
@@ -141,7 +141,7 @@ pub enum Command {
         /// Last known places of the robots of the mission.
         places: BTreeMap<RobotId, PlaceId>,
     },
-    /// Fails a mission because nobody has answered a request in time.
+    /// Closes a request that nobody has answered in time, and fails its mission, unless a robot asked.
     ExpirePersonRequest {
         /// The request.
         request: PersonRequestId,
@@ -159,6 +159,19 @@ pub enum Command {
     },
     /// Changes the limits of the history. It has no effect before wire version 3.
     SetHistoryLimits(HistoryLimits),
+    /// Replaces or withdraws the open question of the robot that holds a role.
+    SetQuestion {
+        /// The mission.
+        mission: MissionId,
+        /// Role of the robot.
+        role: RoleId,
+        /// Epoch of its award.
+        epoch: Epoch,
+        /// The question.
+        question: TaskQuestion,
+        /// Time of the question in milliseconds since 1970.
+        asked_ms: u64,
+    },
 }
 
 impl Command {
@@ -173,7 +186,8 @@ impl Command {
             | Command::Fail { mission, .. }
             | Command::Cancel { mission, .. }
             | Command::Resolve { mission, .. }
-            | Command::AskPerson { mission, .. } => Some(mission),
+            | Command::AskPerson { mission, .. }
+            | Command::SetQuestion { mission, .. } => Some(mission),
             Command::AnswerPerson { request, .. } | Command::ExpirePersonRequest { request, .. } => {
                 Some(&request.mission)
             }

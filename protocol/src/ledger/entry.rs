@@ -286,7 +286,7 @@ impl MissionEntry {
     }
 
     /// Checks whether a task has ended in all its roles.
-    fn has_ended(&self, task: &TaskId) -> bool {
+    pub(super) fn has_ended(&self, task: &TaskId) -> bool {
         let steps = self.roles.iter().filter_map(|(id, role)| Some((role, self.plan(id)?.step_of(task)?)));
         steps.clone().next().is_some() && steps.into_iter().all(|(role, step)| role.ended.contains(&step))
     }

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
-//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one for each role, and 16 closed ones of 1 KiB |
+//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one of 1 KiB and an open question of 1 KiB for each role, and 16 closed ones of 1 KiB |
 //! | the ledger | [`UNENDED_MAX`] missions that have not ended, and the history ([`HistoryLimits`]) |
 
 use super::apply::Ledger;
@@ -14,7 +14,7 @@ use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
 use super::person_request::PERSON_BYTES_MAX;
 use super::submission::Submission;
-use crate::bounds::limit_text;
+use crate::bounds::{TEXT_BYTES_MAX, limit_text};
 use crate::codec;
 
 /// Maximum size of a cause in the ledger, in bytes.
@@ -56,6 +56,7 @@ impl Command {
             Command::Cancel { by, .. } | Command::Resolve { by, .. } => limit_text(by, PERSON_BYTES_MAX),
             Command::Submit(submission) => limit_text(&mut submission.by, PERSON_BYTES_MAX),
             Command::AnswerPerson { answer, .. } => answer.limit(),
+            Command::SetQuestion { question: asked, .. } => limit_text(&mut asked.question.message, TEXT_BYTES_MAX),
             Command::Award { auction, .. } | Command::Defer { auction, .. } => auction.limit(),
             Command::Bootstrap { .. }
             | Command::Accept { .. }

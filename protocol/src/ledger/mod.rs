@@ -43,7 +43,7 @@ pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry,
 pub use history::Tombstone;
 pub use history_limits::HistoryLimits;
 pub use person_request::{
-    AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonRequestEntry, PersonRequestId,
-    PersonRequestIdError, PersonRequestPhase, Postponement,
+    AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
+    PersonRequestIdError, PersonRequestPhase, Postponement, RequestSubject, TaskQuestion,
 };
 pub use submission::{DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline};

@@ -5,10 +5,11 @@ use super::branch::Branch;
 use super::command::{CommandError, CommandOutcome};
 use super::entry::{MissionEntry, MissionState, RolePhase};
 use super::person_request::{
-    AnswerContent, FinalAnswer, PersonAnswer, PersonRequestEntry, PersonRequestId, PersonRequestPhase, Postponement,
+    AnswerContent, FinalAnswer, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId, PersonRequestPhase,
+    Postponement, RequestSubject, TaskQuestion,
 };
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId, TaskId};
-use crate::lease::RoleHolder;
+use crate::lease::{Epoch, RoleHolder};
 use crate::mission::{RoleKind, TaskOutcome, TaskSpec, ValueKind};
 use crate::plan::StepIndex;
 use std::collections::BTreeMap;
@@ -49,8 +50,12 @@ impl MissionEntry {
     /// Returns the requested task, with the results of earlier tasks as parameters. `None` if the mission
     /// has taken another branch since.
     pub fn requested_task(&self, request: &PersonRequestEntry) -> Option<TaskSpec> {
+        let step = match &request.subject {
+            RequestSubject::Step(step) => *step,
+            RequestSubject::Question { question, .. } => return question.task(),
+        };
         let plan = self.plan(&request.role).filter(|_| request.branch == self.branch)?;
-        let mut spec = plan.step_task(request.step)?.1.clone();
+        let mut spec = plan.step_task(step)?.1.clone();
         // The coordinator has asked, so the results were known.
         let _ = spec.set_inputs(&self.outcomes_for(&request.role));
         Some(spec)
@@ -58,6 +63,9 @@ impl MissionEntry {
 
     /// Returns the results that the answer to a request states.
     pub fn form_of(&self, request: &PersonRequestEntry) -> BTreeMap<String, ValueKind> {
+        if let RequestSubject::Question { .. } = request.subject {
+            return PersonQuestion::form();
+        }
         let spec = self.requested_task(request);
         let form = spec
             .filter(|spec| self.is_of_people(spec))
@@ -70,9 +78,89 @@ impl MissionEntry {
         spec.roles.iter().all(|role| self.roles.get(role).is_some_and(|role| role.kind == RoleKind::Unmanaged))
     }
 
-    /// Returns the open request to the person of a role.
+    /// Returns the open request to the person of a role for a task of this role.
     pub fn open_request_to(&self, role: &RoleId) -> Option<&PersonRequestEntry> {
-        self.person_requests.iter().find(|request| request.is_open() && request.role == *role)
+        self.person_requests.iter().find(|request| {
+            request.is_open() && request.role == *role && matches!(request.subject, RequestSubject::Step(_))
+        })
+    }
+
+    /// Returns the open questions, with the roles of the robots that ask.
+    pub fn open_questions(&self) -> impl Iterator<Item = (&RoleId, &PersonRequestEntry)> {
+        let open = self
+            .person_requests
+            .iter()
+            .filter(|request| request.is_open() && matches!(request.subject, RequestSubject::Question { .. }));
+        open.filter_map(|request| Some((request.robots.keys().next()?, request)))
+    }
+
+    /// Returns the request of a question that the holder of a role has asked under this award, open or
+    /// closed. A withdrawn question counts as not asked.
+    pub fn question(&self, role: &RoleId, epoch: Epoch, asked: &TaskQuestion) -> Option<&PersonRequestEntry> {
+        self.person_requests.iter().find(|request| {
+            let is_equal = matches!(&request.subject, RequestSubject::Question { number, question, .. }
+                if *number == asked.number && *question == asked.question);
+            let is_withdrawn = matches!(request.phase, PersonRequestPhase::Withdrawn { .. });
+            let is_by_holder = request.robots.get(role).is_some_and(|holder| holder.epoch == epoch);
+            is_equal && is_by_holder && request.task == asked.task && !is_withdrawn
+        })
+    }
+
+    /// Checks whether the question of a role's holder is missing, or is open although the holder no longer
+    /// asks.
+    pub fn lacks_question(&self, role: &RoleId, epoch: Epoch, asked: &TaskQuestion) -> bool {
+        match self.question(role, epoch, asked) {
+            None => asked.is_open,
+            Some(request) => request.is_open() && !asked.is_open,
+        }
+    }
+
+    /// Replaces the open question of a role's holder, or withdraws it. A holder that has restarted and has
+    /// not asked yet leaves it open.
+    fn set_question(&mut self, role: &RoleId, asked: TaskQuestion, asked_ms: u64) {
+        let Some(holder) = self.role_holders().remove(role) else { return };
+        let known = self.question(role, holder.epoch, &asked).map(|request| request.number);
+        let kept = known.filter(|_| asked.is_open);
+        let questions = self.person_requests.iter_mut().filter(|request| {
+            request.is_open()
+                && matches!(request.subject, RequestSubject::Question { .. })
+                && request.robots.contains_key(role)
+        });
+        for request in questions.filter(|request| Some(request.number) != kept) {
+            let reason = format!("{} no longer asks", holder.robot);
+            request.phase = PersonRequestPhase::Withdrawn { reason };
+        }
+        if asked.is_open && known.is_none() {
+            let TaskQuestion { task, number, question, .. } = asked;
+            let to = question.to.clone();
+            let patience_s = question.patience_s;
+            let subject = RequestSubject::Question { number, question, answer: None };
+            let robots = BTreeMap::from([(role.clone(), holder)]);
+            self.add_request(to, subject, task, robots, (asked_ms, patience_s));
+        }
+        self.drop_old_requests();
+    }
+
+    /// Adds an open request, with its time in milliseconds since 1970 and its patience in seconds.
+    fn add_request(
+        &mut self,
+        role: RoleId,
+        subject: RequestSubject,
+        task: TaskId,
+        robots: BTreeMap<RoleId, RoleHolder>,
+        (asked_ms, patience_s): (u64, Option<u32>),
+    ) {
+        self.person_requests.push(PersonRequestEntry {
+            number: self.person_requests.last().map_or(1, |last| last.number.saturating_add(1)),
+            branch: self.branch,
+            role,
+            subject,
+            task,
+            robots,
+            asked_ms,
+            expires_ms: patience_s.map(|patience| asked_ms.saturating_add(u64::from(patience) * 1000)),
+            phase: PersonRequestPhase::Open { postponed: None },
+        });
     }
 
     /// Requests a task of a person. A repeated command has no effect; neither has a command for a role
@@ -86,18 +174,8 @@ impl MissionEntry {
         let robots: Option<BTreeMap<RoleId, RoleHolder>> =
             named.map(|(id, _)| Some((id.clone(), holders.get(id)?.clone()))).collect();
         let Some(robots) = robots.filter(|_| is_due && self.open_request_to(role).is_none()) else { return };
-        let request = PersonRequestEntry {
-            number: self.person_requests.last().map_or(1, |last| last.number.saturating_add(1)),
-            branch: self.branch,
-            role: role.clone(),
-            step,
-            task: task.clone(),
-            robots,
-            asked_ms,
-            expires_ms: spec.patience_s.map(|patience| asked_ms.saturating_add(u64::from(patience) * 1000)),
-            phase: PersonRequestPhase::Open { postponed: None },
-        };
-        self.person_requests.push(request);
+        let (task, patience_s) = (task.clone(), spec.patience_s);
+        self.add_request(role.clone(), RequestSubject::Step(step), task, robots, (asked_ms, patience_s));
         self.drop_old_requests();
     }
 
@@ -119,12 +197,12 @@ impl MissionEntry {
         };
         if let PersonRequestPhase::Answered { by: first, answer: given, .. } = &request.phase
             && *first == by
-            && self.is_repetition(&request.task, *given, &content)
+            && self.is_repetition(request, *given, &content)
         {
             return Ok(AfterAnswer::Nothing);
         }
         let (is_open, phase) = (request.is_open(), request.phase.to_string());
-        let (role, task, step) = (request.role.clone(), request.task.clone(), request.step);
+        let (role, task) = (request.role.clone(), request.task.clone());
         if !is_open {
             return Err(CommandError::PersonRequestClosed { request: self.request_id(number), phase });
         }
@@ -139,6 +217,13 @@ impl MissionEntry {
             }
             AnswerContent::Done(results) => {
                 request.phase = PersonRequestPhase::Answered { by, answer: FinalAnswer::Done, note, at_ms };
+                let step = match &mut request.subject {
+                    RequestSubject::Step(step) => *step,
+                    RequestSubject::Question { answer, .. } => {
+                        *answer = Some(PersonQuestion::answer_in(&results));
+                        return Ok(AfterAnswer::Nothing);
+                    }
+                };
                 self.end_steps(&role, [step]);
                 if !results.is_empty() {
                     self.add_outcomes(&role, BTreeMap::from([(task, TaskOutcome::Done(results))]));
@@ -149,16 +234,24 @@ impl MissionEntry {
             AnswerContent::Cannot => (FinalAnswer::Cannot, format!("{person} could not do {task}{because}")),
         };
         request.phase = PersonRequestPhase::Answered { by, answer: closing, note, at_ms };
-        Ok(AfterAnswer::Fail { cause: after, task })
+        Ok(match request.subject {
+            RequestSubject::Step(_) => AfterAnswer::Fail { cause: after, task },
+            // The robot decides how to go on.
+            RequestSubject::Question { .. } => AfterAnswer::Nothing,
+        })
     }
 
     /// Checks whether an answer repeats the answer that was given.
-    fn is_repetition(&self, task: &TaskId, given: FinalAnswer, content: &AnswerContent) -> bool {
+    fn is_repetition(&self, request: &PersonRequestEntry, given: FinalAnswer, content: &AnswerContent) -> bool {
         match content {
-            AnswerContent::Done(results) => {
-                let known = self.outcomes.get(task).and_then(TaskOutcome::results);
-                given == FinalAnswer::Done && known.map_or(results.is_empty(), |known| known == results)
-            }
+            AnswerContent::Done(results) if given == FinalAnswer::Done => match &request.subject {
+                RequestSubject::Step(_) => {
+                    let known = self.outcomes.get(&request.task).and_then(TaskOutcome::results);
+                    known.map_or(results.is_empty(), |known| known == results)
+                }
+                RequestSubject::Question { answer, .. } => *answer == Some(PersonQuestion::answer_in(results)),
+            },
+            AnswerContent::Done(_) => false,
             AnswerContent::Declined => given == FinalAnswer::Declined,
             AnswerContent::Cannot => given == FinalAnswer::Cannot,
             AnswerContent::Later(_) => false,
@@ -166,7 +259,8 @@ impl MissionEntry {
     }
 
     /// Closes an open request without an answer in time. Returns the cause for which the mission
-    /// fails; `None` if the request is closed, or was put off.
+    /// fails; `None` if the request is closed or was put off, and for a question: the robot decides how to
+    /// go on.
     fn expire_request(&mut self, number: u32, now_ms: u64) -> Option<String> {
         let due = |request: &&mut PersonRequestEntry| {
             request.number == number && request.is_open() && request.expires_ms.is_some_and(|at| at <= now_ms)
@@ -175,7 +269,7 @@ impl MissionEntry {
         let waited_s = now_ms.saturating_sub(request.asked_ms) / 1000;
         let cause = format!("nobody answered {} within {waited_s} s as {}", request.task, request.role);
         request.phase = PersonRequestPhase::Expired;
-        Some(cause)
+        matches!(request.subject, RequestSubject::Step(_)).then_some(cause)
     }
 
     /// Withdraws the open requests that are no longer needed.
@@ -186,10 +280,15 @@ impl MissionEntry {
             state => Some(format!("the state of the mission is {}", state.as_str().replace('_', " "))),
         };
         self.drop_old_requests();
+        let asked_before: Vec<u32> = {
+            let ended = self.open_questions().filter(|(_, request)| self.has_ended(&request.task));
+            ended.map(|(_, request)| request.number).collect()
+        };
         for request in self.person_requests.iter_mut().filter(|request| request.is_open()) {
             let lost = request.robots.iter().find(|(role, robot)| holders.get(*role) != Some(robot));
             let reason = match (&ended, lost) {
                 (Some(reason), _) => reason.clone(),
+                (None, _) if asked_before.contains(&request.number) => format!("{} has ended", request.task),
                 (None, _) if request.branch != branch => "the mission executes its recovery branch".to_owned(),
                 (None, Some((role, robot))) => format!("{} is no longer {role}", robot.robot),
                 (None, None) => continue,
@@ -210,6 +309,19 @@ impl MissionEntry {
 }
 
 impl Ledger {
+    pub(super) fn set_question(
+        &mut self,
+        mission: &MissionId,
+        role: &RoleId,
+        epoch: Epoch,
+        asked: TaskQuestion,
+        asked_ms: u64,
+    ) -> Result<CommandOutcome, CommandError> {
+        self.held_role(mission, role, epoch)?;
+        self.active_mission(mission)?.set_question(role, asked, asked_ms);
+        Ok(CommandOutcome::Done)
+    }
+
     pub(super) fn ask_person(
         &mut self,
         mission: &MissionId,

@@ -1,21 +1,22 @@
-//! Requests to people: the tasks of unmanaged roles that a person has been asked to do, and the
-//! answers.
+//! Requests to people: the tasks of unmanaged roles that a person has been asked to do, the questions of
+//! robots in their tasks, and the answers.
 //!
 //! ```text
 //!            answer: done, declined, cannot
 //!  open ────────────────────────────────────▶ answered    the first answer counts
 //!   │ ▲  later                      patience is over
 //!   │ └──────┘ ───────────────────────────────────────────▶ expired
-//!   └── the mission ends, or another robot is to be met ──▶ withdrawn
+//!   └── the mission ends, another robot is to be met, or the robot no longer asks ──▶ withdrawn
 //! ```
 //!
 //! A request is part of the ledger, so it outlives every node, and any node can show it. The results
 //! of a task that a person has done are outcomes like those of robots.
 
 use super::branch::Branch;
-use crate::bounds::limit_text;
-use crate::ids::{MissionId, RoleId, TaskId};
+use crate::bounds::{self, limit_text};
+use crate::ids::{MissionId, PlaceId, RoleId, TaskId, TaskType};
 use crate::lease::RoleHolder;
+use crate::mission::{TaskSpec, ValueKind};
 use crate::plan::StepIndex;
 use crate::scalar::Scalar;
 use crate::schema::inline_schema;
@@ -89,13 +90,14 @@ pub struct PersonRequestEntry {
     pub number: u32,
     /// Branch of the task.
     pub branch: Branch,
-    /// Unmanaged role of the person.
+    /// Role of the people.
     pub role: RoleId,
-    /// Step of the role's plan.
-    pub step: StepIndex,
-    /// Task of this step.
+    /// What they are asked for.
+    pub subject: RequestSubject,
+    /// Task of the person; for a question, the task in which the robot asks.
     pub task: TaskId,
-    /// Robots that the task names, by their roles: those that the person meets.
+    /// Robots that the task names, by their roles: those that the person meets. For a question, the
+    /// robot that asks.
     pub robots: BTreeMap<RoleId, RoleHolder>,
     /// Time of the request in milliseconds since 1970.
     pub asked_ms: u64,
@@ -103,6 +105,74 @@ pub struct PersonRequestEntry {
     pub expires_ms: Option<u64>,
     /// Phase.
     pub phase: PersonRequestPhase,
+}
+
+/// What a person is asked for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RequestSubject {
+    /// The task of this step of the plan of an unmanaged role.
+    Step(StepIndex),
+    /// The answer to a question.
+    Question {
+        /// Number among the questions of the robot in its task, from 1.
+        number: u32,
+        /// The question.
+        question: PersonQuestion,
+        /// The answer, once a person has given it.
+        answer: Option<String>,
+    },
+}
+
+/// Question of a robot to people.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PersonQuestion {
+    /// Role of the people.
+    pub to: RoleId,
+    /// The question.
+    #[serde(deserialize_with = "bounds::text")]
+    pub message: String,
+    /// Place to which the question refers; without it, that of the robot.
+    pub at: Option<PlaceId>,
+    /// Seconds after which it expires; `None` if it does not.
+    pub patience_s: Option<u32>,
+}
+
+/// Task type of a question, and the name of its result.
+const ASK_PERSON: &str = "ask_person";
+const ANSWER: &str = "answer";
+
+impl PersonQuestion {
+    /// Returns the question as a task of a person.
+    pub(super) fn task(&self) -> Option<TaskSpec> {
+        let mut spec = TaskSpec::of(TaskType::new(ASK_PERSON).ok()?, vec![self.to.clone()]);
+        spec.parameters.insert("message".to_owned(), self.message.clone());
+        spec.parameters.extend(self.at.iter().map(|at| ("at".to_owned(), at.to_string())));
+        Some(spec)
+    }
+
+    /// Returns the results that the answer `done` states.
+    pub(super) fn form() -> BTreeMap<String, ValueKind> {
+        BTreeMap::from([(ANSWER.to_owned(), ValueKind::Text)])
+    }
+
+    /// Returns the answer in the results of the answer `done`.
+    pub(super) fn answer_in(results: &BTreeMap<String, Scalar>) -> String {
+        results.get(ANSWER).map(Scalar::to_string).unwrap_or_default()
+    }
+}
+
+/// Question in a task of a robot, as the robot reports it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskQuestion {
+    /// Task in which the robot asks.
+    pub task: TaskId,
+    /// Number among the questions of the robot in this task, from 1. A robot that restarts asks its
+    /// questions again under the same numbers, and gets the same answers.
+    pub number: u32,
+    /// The question.
+    pub question: PersonQuestion,
+    /// False if the robot no longer asks.
+    pub is_open: bool,
 }
 
 /// Phase of a request to a person.
@@ -219,6 +289,11 @@ impl PersonRequestEntry {
         matches!(self.phase, PersonRequestPhase::Open { .. })
     }
 
+    /// Checks whether it has expired at a time in milliseconds since 1970, if the time is known.
+    pub fn is_due(&self, now_ms: Option<u64>) -> bool {
+        self.expires_ms.zip(now_ms).is_some_and(|(at_ms, now_ms)| at_ms <= now_ms)
+    }
+
     /// Puts the request off: it expires so much later.
     pub(super) fn postpone(&mut self, postponement: Postponement, at_ms: u64) {
         let PersonRequestPhase::Open { postponed } = &mut self.phase else { return };
@@ -239,7 +314,7 @@ mod tests {
             number: 1,
             branch: Branch::Main,
             role: RoleId::new("clerk").unwrap(),
-            step: 0,
+            subject: RequestSubject::Step(0),
             task: TaskId::new("deposit").unwrap(),
             robots: BTreeMap::new(),
             asked_ms: 0,

@@ -23,6 +23,7 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
+use crate::ledger::TaskQuestion;
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -206,6 +207,22 @@ pub struct Report {
     pub from_checkpoint: bool,
     /// Failure, if the role cannot be completed.
     pub failure: Option<TaskFailure>,
+    /// Latest question of the robot to people, in its present task.
+    pub question: Option<TaskQuestion>,
+}
+
+/// Answer to the question of a robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct QuestionAnswer {
+    /// Task in which the robot asked.
+    pub task: TaskId,
+    /// Number of the question in this task.
+    pub number: u32,
+    /// True if a person has answered.
+    pub is_answered: bool,
+    /// The answer, or the reason for which there is none.
+    #[serde(deserialize_with = "bounds::text")]
+    pub text: String,
 }
 
 /// Failure of a role: its holder cannot complete it, after all recovery actions of its own.
@@ -279,6 +296,8 @@ pub enum ReportReply {
         /// Known outcomes of the tasks whose results the role uses.
         #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
         outcomes: TaskOutcomes,
+        /// Answer to the question of the report, if there is one.
+        answer: Option<QuestionAnswer>,
     },
     /// The reporter no longer holds the role, or the role is completed.
     Ended {

@@ -1,5 +1,6 @@
 //! Arbitrary auctions and ledger commands.
 
+use crate::message_values::task_question;
 use crate::values::*;
 use consort_protocol::auction::{
     AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, RefusalReason, ViabilityError,
@@ -163,6 +164,15 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
         (name(), branch(), name(), any::<u32>(), any::<u64>()).prop_map(|(mission, branch, role, step, asked_ms)| {
             Command::AskPerson { mission, branch, role, step, asked_ms }
         }),
+        (name(), name(), epoch(), task_question(), any::<u64>()).prop_map(
+            |(mission, role, epoch, question, asked_ms)| Command::SetQuestion {
+                mission,
+                role,
+                epoch,
+                question,
+                asked_ms
+            }
+        ),
         (person_request(), answer(), places()).prop_map(|(request, answer, places)| Command::AnswerPerson {
             request,
             answer,

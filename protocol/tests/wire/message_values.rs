@@ -3,7 +3,10 @@
 use crate::values::*;
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
-use consort_protocol::message::{AwardNotice, AwardReply, FailureKind, Report, ReportReply, TaskFailure};
+use consort_protocol::ledger::{PersonQuestion, TaskQuestion};
+use consort_protocol::message::{
+    AwardNotice, AwardReply, FailureKind, QuestionAnswer, Report, ReportReply, TaskFailure,
+};
 use proptest::collection::{btree_map, btree_set};
 use proptest::option;
 use proptest::prelude::*;
@@ -57,35 +60,65 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
     let failure = (option::of(name()), text(), kind, cause_class(), any::<bool>())
         .prop_map(|(task, cause, kind, class, moved_nothing)| TaskFailure { task, cause, kind, class, moved_nothing });
     let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch());
-    let how = (option::of(place()), any::<bool>(), option::of(failure));
+    let how = (option::of(place()), any::<bool>(), option::of(failure), option::of(task_question()));
     (who, btree_set(any::<u32>(), 0..5), outcomes(), option::of(name::<TaskId>()), how).prop_map(
-        |((robot, incarnation, mission, role, epoch), ended, outcomes, at, (place, resumes, failure))| Report {
-            robot,
-            incarnation,
-            mission,
-            role,
-            epoch,
-            ended,
-            outcomes,
-            current_task: at,
-            place,
-            from_checkpoint: resumes,
-            failure,
+        |((robot, incarnation, mission, role, epoch), ended, outcomes, at, (place, resumes, failure, question))| {
+            Report {
+                robot,
+                incarnation,
+                mission,
+                role,
+                epoch,
+                ended,
+                outcomes,
+                current_task: at,
+                place,
+                from_checkpoint: resumes,
+                failure,
+                question,
+            }
         },
     )
 }
 
+pub(crate) fn task_question() -> impl Strategy<Value = TaskQuestion> {
+    let question = (name(), text(), option::of(place()), option::of(any::<u32>()))
+        .prop_map(|(to, message, at, patience_s)| PersonQuestion { to, message, at, patience_s });
+    (name(), any::<u32>(), question, any::<bool>()).prop_map(|(task, number, question, is_open)| TaskQuestion {
+        task,
+        number,
+        question,
+        is_open,
+    })
+}
+
+fn question_answer() -> impl Strategy<Value = QuestionAnswer> {
+    (name(), any::<u32>(), any::<bool>(), text()).prop_map(|(task, number, is_answered, text)| QuestionAnswer {
+        task,
+        number,
+        is_answered,
+        text,
+    })
+}
+
 pub(crate) fn report_answer() -> impl Strategy<Value = ReportReply> {
     prop_oneof![
-        (epoch(), btree_set(any::<u32>(), 0..5), holders(), btree_set(signal(), 0..4), outcomes()).prop_map(
-            |(epoch, ended, holders, signals, outcomes)| ReportReply::Renewed {
+        (
+            epoch(),
+            btree_set(any::<u32>(), 0..5),
+            holders(),
+            btree_set(signal(), 0..4),
+            outcomes(),
+            option::of(question_answer())
+        )
+            .prop_map(|(epoch, ended, holders, signals, outcomes, answer)| ReportReply::Renewed {
                 epoch,
                 ended,
                 holders,
                 signals,
-                outcomes
-            }
-        ),
+                outcomes,
+                answer
+            }),
         (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportReply::Ended {
             epoch,
             reason,

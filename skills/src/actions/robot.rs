@@ -2,6 +2,7 @@
 
 use super::goal::{Goal, GoalId, GoalResult, GoalStatus};
 use consort_protocol::ids::PlaceId;
+use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::{Scalar, check_named_scalars};
 use consort_protocol::units::{BatteryShare, WorldTime};
@@ -57,6 +58,17 @@ pub trait RobotActions {
 
     /// Returns the latest report of the robot; `None` before the first.
     fn telemetry(&self) -> Option<&Telemetry>;
+
+    /// Asks people, or continues to wait for the answer to the same question. Returns what a person has
+    /// answered, or the reason for which there is no answer; `None` while it is awaited. A robot asks one
+    /// question at a time.
+    fn ask_person(&mut self, question: &PersonQuestion) -> Option<Result<String, String>> {
+        let _ = question;
+        Some(Err("this robot cannot ask people".to_owned()))
+    }
+
+    /// Withdraws the open question, if there is one.
+    fn withdraw_question(&mut self) {}
 
     /// Consumes a completion of this goal by an earlier attempt at the same task: an attempt that
     /// was interrupted, or ended by a crash of the robot program without receiving the result.

@@ -2,8 +2,9 @@
 //!
 //! The leaves of declared actions are [`GoalLeaf`]s: each sends a goal and tracks it. An action with
 //! `retry` has a `RetryLeaf`, which tries its goal again for a while. The leaves here compute what a domain file
-//! cannot express: routes, headings along a path, and the holders of roles.
+//! cannot express: routes, headings along a path, the holders of roles, and questions to people.
 
+mod ask_person;
 mod context;
 mod follow_path;
 mod goal_leaf;
@@ -19,6 +20,7 @@ use crate::bt::{Registry, RegistryError};
 
 /// Registers the leaves that are written in Rust.
 pub(crate) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    ask_person::register_leaves(registry)?;
     roles::register_leaves(registry)?;
     navigation::register_leaves(registry)?;
     follow_path::register_leaves(registry)

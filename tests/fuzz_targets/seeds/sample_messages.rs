@@ -12,7 +12,9 @@ use consort_protocol::codec::{encode, encode_for_version, encode_record};
 use consort_protocol::ids::{ClusterId, NodeId, RoleId};
 use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
-use consort_protocol::ledger::{AnswerContent, Branch, Command, Ledger, PersonAnswer, PersonRequestId};
+use consort_protocol::ledger::{
+    AnswerContent, Branch, Command, Ledger, PersonAnswer, PersonQuestion, PersonRequestId, TaskQuestion,
+};
 use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FailureKind,
     RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
@@ -150,6 +152,7 @@ fn report() -> Report {
         place: Some(slug("Dock")),
         from_checkpoint: false,
         failure: Some(TaskFailure::new(FailureKind::Task, "it fell")),
+        question: None,
     }
 }
 
@@ -271,10 +274,17 @@ fn ledger_commands() -> Vec<Command> {
             place: Some(slug("Dock")),
         },
         Command::AskPerson { mission: mission(), branch: Branch::default(), role: slug("nurse"), step: 1, asked_ms: 7 },
+        Command::SetQuestion { mission: mission(), role: slug("r1"), epoch, question: question(), asked_ms: 7 },
         Command::AnswerPerson { request: request(), answer: answer(), places: BTreeMap::new() },
         Command::ExpirePersonRequest { request: request(), now_ms: 9, places: BTreeMap::new() },
         Command::Cancel { mission: mission(), by: "Nia".to_owned(), places: BTreeMap::new() },
     ]
+}
+
+fn question() -> TaskQuestion {
+    let (to, message) = (slug("nurse"), "may I enter?".to_owned());
+    let question = PersonQuestion { to, message, at: Some(slug("Dock")), patience_s: Some(60) };
+    TaskQuestion { task: slug("drive"), number: 1, question, is_open: true }
 }
 
 pub(super) fn commands() -> Vec<u8> {
@@ -290,6 +300,7 @@ pub(super) fn awards() -> Vec<Vec<u8>> {
             holders: holders(),
             signals: BTreeSet::new(),
             outcomes: outcomes(),
+            answer: None,
         };
         [frame(0, &encoded(&notice)), frame(1, &encoded(&renewed)), frame(2, &[])].concat()
     });

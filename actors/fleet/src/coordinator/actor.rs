@@ -96,6 +96,9 @@ impl Actor for Coordinator {
                 session.handle_notice_reply(awarded, reply);
             }
             (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(query),
+            (CoordinatorMessage::Question { mission, role, epoch, question }, Some(session)) => {
+                session.handle_question(mission, role, epoch, question);
+            }
             (CoordinatorMessage::PersonEvent(sample), Some(session)) => session.handle_person_event(&sample),
             (CoordinatorMessage::PersonReplied(id, request, author), Some(session)) => {
                 session.handle_person_reply(id, request, &author);

@@ -21,9 +21,10 @@ use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus, rep
 use consort_protocol::auction::AuctionId;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{ClusterId, MissionId, NodeId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
-use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger, TaskQuestion};
 use consort_protocol::message::{AwardReply, Beacon, Report};
 use consort_protocol::units::NodeTime;
 use consort_protocol::versions::VersionRange;
@@ -323,6 +324,14 @@ impl LeaderSession {
             let reply = handler.handle(report).await;
             reply::wire(&query, &query.key, &reply).await;
         });
+    }
+
+    /// Proposes the question of a robot, or its withdrawal. Until the time of day is confirmed, the robot
+    /// repeats its question.
+    pub(super) fn handle_question(&mut self, mission: MissionId, role: RoleId, epoch: Epoch, question: TaskQuestion) {
+        if let Some(asked_ms) = self.confirmed_ms() {
+            self.context.propose(Command::SetQuestion { mission, role, epoch, question, asked_ms });
+        }
     }
 
     pub(super) fn handle_person_event(&mut self, sample: &Sample) {

@@ -7,7 +7,7 @@ use consort_bus::{Author, Query, Sample};
 use consort_protocol::auction::{AuctionId, BidResponse, CallForBids, Invitation};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment};
+use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment, TaskQuestion};
 use consort_protocol::message::AwardReply;
 use consort_raft::ProposeError;
 use consort_skills::actions::GoalId;
@@ -39,6 +39,8 @@ pub(crate) enum CoordinatorMessage {
     },
     /// Report of a robot.
     Report(Query),
+    /// A robot reports a question that the ledger lacks, or no longer asks.
+    Question { mission: MissionId, role: RoleId, epoch: Epoch, question: TaskQuestion },
     /// Event of the host of simulated people.
     PersonEvent(Sample),
     /// State of a request to a simulated person, in reply to a command, and the author of the reply.

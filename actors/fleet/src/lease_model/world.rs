@@ -311,6 +311,7 @@ impl World {
             place: None,
             from_checkpoint: flight.from_checkpoint,
             failure: None,
+            question: None,
         };
         let reply = self.reply(&report, node);
         let reaches = flight.incarnation == self.robots[robot].node.incarnation;

@@ -229,6 +229,11 @@ impl ActivePlan {
         Some(AttemptFailure::new(FailureKind::NoProgress, cause))
     }
 
+    /// Restarts the time limit of the current task: the robot waits for a person.
+    pub(super) fn restart_timer(&mut self) {
+        self.attempt.iter_mut().for_each(|attempt| attempt.timer.restart());
+    }
+
     /// Handles a failure of the current task or of the whole plan: the recovery policy selects the
     /// next action. Returns `None` if the role is being released already.
     pub(super) fn recover(

@@ -4,7 +4,7 @@ use super::energy_check::pricing_context;
 use super::recovery_policy::AttemptFailure;
 use super::release::DriverActivity;
 use super::worker_record::WorkerRecord;
-use crate::robot_driver::RobotDriver;
+use crate::robot_driver::{OpenQuestion, RobotDriver};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
@@ -31,6 +31,11 @@ impl DriverLink {
     /// Returns a clone of the driver for a skill.
     pub(super) fn driver(&self) -> RobotDriver {
         self.driver.clone()
+    }
+
+    /// Returns the question of the skill to people.
+    pub(super) fn question(&self) -> &OpenQuestion {
+        self.driver.question()
     }
 
     /// Returns a counter of received states, which notifies its receivers of each new state.

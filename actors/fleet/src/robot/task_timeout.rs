@@ -71,6 +71,11 @@ impl TaskTimer {
         TaskTimer { limit: timeout.limit(spec, estimate), silence: timeout.report_timeout, started: None }
     }
 
+    /// Lets the time limit begin again at the next check.
+    pub(super) fn restart(&mut self) {
+        self.started = None;
+    }
+
     /// Returns the reason to abort the attempt, if any. Call it periodically with the driver's
     /// clock and the age of that reading.
     pub(super) fn check(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {

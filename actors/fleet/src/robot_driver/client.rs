@@ -3,6 +3,7 @@
 
 use super::goal_tracker::GoalTracker;
 use super::messages::{DriverState, GoalRequest};
+use super::questions::OpenQuestion;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::tasks::Tasks;
@@ -10,6 +11,7 @@ use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{DriverCall, Key, Keys};
+use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, RobotActions, Telemetry};
@@ -50,6 +52,8 @@ pub struct DriverClientSettings {
 pub struct RobotDriver {
     tracker: Arc<Mutex<GoalTracker>>,
     requests: ActorRef<DriverClientMessage>,
+    /// Question of its skill to people.
+    question: OpenQuestion,
     /// Telemetry as of this clone's last [`refresh`](RobotDriver::refresh).
     telemetry: Option<Telemetry>,
 }
@@ -137,6 +141,11 @@ impl RobotDriver {
         self.notify_client();
     }
 
+    /// Returns the question of its skill to people.
+    pub(crate) fn question(&self) -> &OpenQuestion {
+        &self.question
+    }
+
     /// Returns the id of the next goal.
     pub(crate) fn next_goal(&self) -> GoalId {
         self.lock().next_goal()
@@ -187,6 +196,14 @@ impl RobotActions for RobotDriver {
         self.telemetry.as_ref()
     }
 
+    fn ask_person(&mut self, question: &PersonQuestion) -> Option<Result<String, String>> {
+        self.question.ask(question)
+    }
+
+    fn withdraw_question(&mut self) {
+        self.question.withdraw();
+    }
+
     fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {
         self.lock().claim_completed(goal)
     }
@@ -219,6 +236,7 @@ impl Actor for DriverClient {
         let driver = RobotDriver {
             tracker: Arc::new(Mutex::new(GoalTracker::new(settings.first_goal))),
             requests: myself.clone(),
+            question: OpenQuestion::default(),
             telemetry: None,
         };
         let mut tasks = Tasks::default();

@@ -21,6 +21,7 @@ mod goal_tracker;
 mod messages;
 #[cfg(test)]
 pub(crate) mod model_driver;
+mod questions;
 mod server;
 mod state_order;
 
@@ -33,5 +34,6 @@ pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(3);
 
 pub use client::{DriverClientSettings, RobotDriver};
 pub use messages::{DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState};
+pub(crate) use questions::OpenQuestion;
 pub use server::{DriverServer, DriverServerMessage, DriverServerSettings};
 pub use state_order::{StateOrder, StateStamp};

@@ -110,6 +110,7 @@ fn message(key: &str, operation: Operation, name: &str) -> Option<Vec<u8>> {
             place: None,
             from_checkpoint: false,
             failure: None,
+            question: None,
         }),
         _ if key.starts_with("events/") => format!(r#"{{"node": "{name}", "sequence": 1}}"#).into_bytes(),
         _ => return None,

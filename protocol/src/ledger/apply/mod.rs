@@ -55,6 +55,9 @@ impl Ledger {
             Command::AskPerson { mission, branch, role, step, asked_ms } => {
                 self.ask_person(&mission, branch, &role, step, asked_ms)
             }
+            Command::SetQuestion { mission, role, epoch, question, asked_ms } => {
+                self.set_question(&mission, &role, epoch, question, asked_ms)
+            }
             Command::AnswerPerson { request, answer, places } => self.answer_person(&request, answer, &places),
             Command::ExpirePersonRequest { request, now_ms, places } => {
                 self.expire_person_request(&request, now_ms, &places)

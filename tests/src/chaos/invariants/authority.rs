@@ -1,10 +1,10 @@
 //! Only people change missions: every mission of the ledger was requested by a client, and a
-//! canceled mission was canceled by one.
+//! canceled mission was canceled by one. Only the holder of a role asks a person.
 
 use super::{Invariant, InvariantViolation};
 use crate::chaos::hostile::HOSTILE;
 use crate::{Fleet, Observation};
-use consort_protocol::ledger::{Ledger, MissionState};
+use consort_protocol::ledger::{Ledger, MissionState, PersonRequestEntry, RequestSubject};
 use std::time::Duration;
 
 #[derive(Default)]
@@ -14,6 +14,10 @@ fn only_clients(ledger: &Ledger) -> Result<(), InvariantViolation> {
     for entry in ledger.missions() {
         if entry.submission.request.as_str().starts_with(HOSTILE) {
             return Err(format!("the hostile node has submitted {}", entry.id).into());
+        }
+        let asks = |request: &PersonRequestEntry| matches!(&request.subject, RequestSubject::Question { question, .. } if question.message.contains(HOSTILE));
+        if entry.person_requests().any(|(_, request)| asks(request)) {
+            return Err(format!("the hostile node has asked a person in {}", entry.id).into());
         }
         if let MissionState::Canceled { by } = &entry.state
             && by.contains(HOSTILE)

@@ -102,7 +102,7 @@ fn reply_to_news(ledger: &Ledger, report: &Report) -> Option<ReportReply> {
     }
     let (ended, holders) = (report.ended.clone(), entry.role_holders());
     let (signals, outcomes) = Default::default();
-    Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes })
+    Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer: None })
 }
 
 /// Sends `reply`, and passes the query on without a way to reply.
@@ -142,8 +142,8 @@ impl RenewsOutdated {
     fn change(&self, reply: ReportReply) -> ReportReply {
         let reported = self.report.epoch;
         match reply {
-            ReportReply::Renewed { ended, holders, signals, outcomes, .. } => {
-                ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes }
+            ReportReply::Renewed { ended, holders, signals, outcomes, answer, .. } => {
+                ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes, answer }
             }
             ReportReply::Ended { reason: EndReason::Replaced, current: Some(current), .. } => self
                 .ledger
@@ -152,7 +152,7 @@ impl RenewsOutdated {
                     let (ended, holders) = (role.ended.clone(), entry.role_holders());
                     let role = &self.report.role;
                     let (signals, outcomes) = (entry.signals_to(role), entry.outcomes_for(role));
-                    Some(ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes })
+                    Some(ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes, answer: None })
                 })
                 .unwrap_or(ReportReply::Ended { epoch: reported, reason: EndReason::Replaced, current: Some(current) }),
             ReportReply::Ended { reason, current, .. } => ReportReply::Ended { epoch: reported, reason, current },

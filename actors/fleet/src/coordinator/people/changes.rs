@@ -3,7 +3,9 @@
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::ledger::{Branch, FinalAnswer, Ledger, MissionEntry, PersonRequestEntry, PersonRequestPhase};
+use consort_protocol::ledger::{
+    Branch, FinalAnswer, Ledger, MissionEntry, PersonRequestEntry, PersonRequestPhase, RequestSubject,
+};
 use consort_protocol::mission::{RoleKind, TaskOutcome};
 use consort_protocol::plan::{Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet};
@@ -87,6 +89,10 @@ fn add_step(published: &mut Published, entry: &MissionEntry, role: &RoleId, step
 /// Adds the beginning and the end of a request. `known` is true if its end is known, false if its
 /// beginning is known.
 fn add_request(published: &mut Published, entry: &MissionEntry, request: &PersonRequestEntry, known: Option<bool>) {
+    // The task of a question is the robot's, which publishes its beginning and its end.
+    if let RequestSubject::Question { .. } = request.subject {
+        return;
+    }
     let (mission, role, task) = (entry.id.clone(), request.role.clone(), request.task.clone());
     if known.is_none() {
         let (mission, role, task) = (mission.clone(), role.clone(), task.clone());

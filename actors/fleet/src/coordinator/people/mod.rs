@@ -26,7 +26,7 @@ use consort_protocol::codec;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswer};
+use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswer, PersonRequestId};
 use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
@@ -75,16 +75,16 @@ impl People {
             self.send_to_host(context, command);
         }
         let steps: Vec<((MissionId, RoleId), PersonStep)> = context.read_ledger(|ledger| {
-            let roles = ledger
-                .active_missions()
-                .into_iter()
+            let missions = ledger.active_missions().into_iter();
+            let roles = missions
                 .filter(|entry| entry.submission.may_start(confirmed_ms))
                 .flat_map(|entry| entry.unmanaged_roles().map(move |role| (entry, role)));
-            roles
-                .filter_map(|(entry, role)| {
-                    Some(((entry.id.clone(), role.clone()), next_step(entry, role, confirmed_ms)?))
-                })
-                .collect()
+            let of_roles = roles.filter_map(|(entry, role)| {
+                Some(((entry.id.clone(), role.clone()), next_step(entry, role, confirmed_ms)?))
+            });
+            let missions = ledger.active_missions().into_iter();
+            let of_questions = missions.flat_map(|entry| expired_questions(entry, confirmed_ms));
+            of_roles.chain(of_questions).collect()
         });
         let due: BTreeSet<_> = steps.iter().map(|(key, _)| key.clone()).collect();
         self.proposed.retain(|key, _| due.contains(key));
@@ -239,6 +239,18 @@ impl People {
             context.propose(Command::Cancel { mission, by: order.by, places });
         }
     }
+}
+
+/// Returns the questions of robots in a mission that have expired, with the roles of the robots.
+fn expired_questions(
+    entry: &MissionEntry,
+    now_ms: Option<u64>,
+) -> impl Iterator<Item = ((MissionId, RoleId), PersonStep)> {
+    let expired = entry.open_questions().filter(move |(_, request)| request.is_due(now_ms));
+    expired.map(|(asking, request)| {
+        let id = PersonRequestId { mission: entry.id.clone(), number: request.number };
+        ((entry.id.clone(), asking.clone()), PersonStep::Expire(id))
+    })
 }
 
 /// Publishes a signal of a person. Its receiver then queries the coordinator: only its reply counts.

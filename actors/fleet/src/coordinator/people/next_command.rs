@@ -27,9 +27,8 @@ pub(super) fn next_step(entry: &MissionEntry, role: &RoleId, now_ms: Option<u64>
         return None;
     }
     if let Some(open) = entry.open_request_to(role) {
-        let is_due = open.expires_ms.zip(now_ms).is_some_and(|(at_ms, now_ms)| at_ms <= now_ms);
         let request = PersonRequestId { mission: entry.id.clone(), number: open.number };
-        return is_due.then_some(PersonStep::Expire(request));
+        return open.is_due(now_ms).then_some(PersonStep::Expire(request));
     }
     let (mission, branch, ended) = (entry.id.clone(), entry.branch, &entry.roles.get(role)?.ended);
     let mut sequencer = match Sequencer::new(entry.plan(role)?.clone(), ended, entry.role_holders()) {

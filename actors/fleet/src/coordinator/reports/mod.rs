@@ -1,17 +1,20 @@
 //! Handling of robot reports by the coordinator.
 
 use super::lease_monitor::SharedLeaseMonitor;
+use super::message::CoordinatorMessage;
 use super::session_context::SessionContext;
 use super::settings::NodeParts;
 use consort_bus::clock::Clock;
 use consort_protocol::ids::NodeId;
 use consort_protocol::lease::{EndReason, LeaseMonitor};
 use consort_protocol::ledger::{
-    Branch, Command, CommandError, CommandOutcome, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase,
+    Branch, Command, CommandError, CommandOutcome, FinalAnswer, Ledger, MissionEntry, MissionState, PersonRequestPhase,
+    RequestSubject, RoleEntry, RolePhase, TaskQuestion,
 };
-use consort_protocol::message::{FailureKind, Report, ReportReply, TaskFailure};
+use consort_protocol::message::{FailureKind, QuestionAnswer, Report, ReportReply, TaskFailure};
 use consort_protocol::units::NodeTime;
 use consort_raft::{ProposeError, Replica};
+use ractor::ActorRef;
 use std::time::Duration;
 use tracing::{debug, info};
 
@@ -37,6 +40,7 @@ pub(super) struct ReportHandler {
     leadership_age_max: Duration,
     clock: Clock,
     lease_monitor: SharedLeaseMonitor,
+    mailbox: ActorRef<CoordinatorMessage>,
 }
 
 impl ReportHandler {
@@ -47,6 +51,7 @@ impl ReportHandler {
             leadership_age_max: context.settings.lease_terms.leadership_age_max(),
             clock: *clock,
             lease_monitor: context.lease_monitor.clone(),
+            mailbox: context.mailbox.clone(),
         }
     }
 
@@ -56,7 +61,14 @@ impl ReportHandler {
     pub(super) async fn handle(&self, report: Report) -> ReportReply {
         for _ in 0..COMMITS_MAX {
             let command = match self.next_step(&report) {
-                Step::Reply(reply) => return self.renew_if_leader(reply, &report),
+                Step::Reply(reply) => {
+                    let reply = self.renew_if_leader(reply, &report);
+                    // Only the holder of the role may ask.
+                    if matches!(reply, ReportReply::Renewed { .. }) {
+                        self.pass_question(&report);
+                    }
+                    return reply;
+                }
                 Step::Commit(command) => command,
             };
             let outcome = match self.replica.propose(command, COMMIT_TIMEOUT).await {
@@ -73,6 +85,18 @@ impl ReportHandler {
 
     fn next_step(&self, report: &Report) -> Step {
         self.replica.read(|ledger| next(ledger.mission(&report.mission), report))
+    }
+
+    /// Lets the session record a question that the ledger lacks, or withdraw one that is no longer asked.
+    /// The reply to the report does not wait for that.
+    fn pass_question(&self, report: &Report) {
+        let Report { mission, role, epoch, question: Some(question), .. } = report else { return };
+        let lacks = |entry: &MissionEntry| entry.lacks_question(role, *epoch, question);
+        if self.replica.read(|ledger| ledger.mission(mission).is_some_and(lacks)) {
+            let (mission, role, epoch, question) = (mission.clone(), role.clone(), *epoch, question.clone());
+            // The actor ends with the node; the next report repeats the question.
+            let _ = self.mailbox.cast(CoordinatorMessage::Question { mission, role, epoch, question });
+        }
     }
 
     fn renew_if_leader(&self, reply: ReportReply, report: &Report) -> ReportReply {
@@ -209,7 +233,24 @@ fn renewed(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> ReportRep
         holders: entry.role_holders(),
         signals: entry.signals_to(&report.role),
         outcomes: entry.outcomes_for(&report.role),
+        answer: report.question.as_ref().and_then(|asked| answer(entry, report, asked)),
     }
+}
+
+/// Returns the answer to the question of a report; `None` while it is open.
+fn answer(entry: &MissionEntry, report: &Report, asked: &TaskQuestion) -> Option<QuestionAnswer> {
+    let request = entry.question(&report.role, report.epoch, asked)?;
+    let (is_answered, text) = match (&request.phase, &request.subject) {
+        (PersonRequestPhase::Open { .. } | PersonRequestPhase::Withdrawn { .. }, _) => return None,
+        (PersonRequestPhase::Answered { answer: FinalAnswer::Done, .. }, RequestSubject::Question { answer, .. }) => {
+            (true, answer.clone().unwrap_or_default())
+        }
+        (PersonRequestPhase::Answered { note, .. }, _) if !note.is_empty() => {
+            (false, format!("{}: {note}", request.phase))
+        }
+        (phase, _) => (false, phase.to_string()),
+    };
+    Some(QuestionAnswer { task: asked.task.clone(), number: asked.number, is_answered, text })
 }
 
 fn accept(report: &Report) -> Command {

@@ -17,6 +17,7 @@ fn report(mission: &MissionId, ended: &[u32]) -> Report {
         place: None,
         from_checkpoint: false,
         failure: None,
+        question: None,
     }
 }
 

@@ -168,7 +168,8 @@ impl RobotState {
         self.handle_lease_event(Event::Tick, now).await?;
         let driver = self.driver.activity();
         let needs_report = self.execution.plan.as_ref().is_some_and(|active| active.needs_report(driver, now));
-        if needs_report || self.lease.is_report_due(now) {
+        let asks = self.execution.plan.is_some() && self.driver.question().must_report();
+        if needs_report || asks || self.lease.is_report_due(now) {
             self.report();
         }
         if self.execution.take_signal_query(now) {

@@ -57,7 +57,7 @@ impl RobotState {
         self.check_energy();
         let estimate_context = self.driver.estimate_context();
         let Some(active) = self.execution.continuing_plan() else { return Ok(()) };
-        let (mission, role) = active.mission_and_role();
+        let ((mission, role), epoch) = (active.mission_and_role(), active.award.epoch);
         let (first_goal, holders) = (active.first_goal(), active.sequencer.holder_robots());
         self.emit_event(EventKind::TaskBegan { mission, role, task: task.clone() });
         let run = self.execution.next_run();
@@ -71,6 +71,7 @@ impl RobotState {
             }
         };
         self.driver.begin_attempt(first_goal);
+        self.driver.question().begin_attempt(epoch, task);
         let to = self.myself.clone();
         let on_end = Box::new(move |outcome| {
             // A stopped robot needs no outcome.
@@ -146,6 +147,9 @@ impl RobotState {
         let Some(active) = self.execution.plan.as_mut().filter(|active| active.attempt.is_some()) else {
             return Ok(());
         };
+        if self.driver.question().is_open() {
+            active.restart_timer();
+        }
         if let Some(failure) = active.check_timer(world, silent_for) {
             return self.handle_failure(failure).await;
         }

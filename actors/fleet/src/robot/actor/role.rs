@@ -66,7 +66,8 @@ impl RobotState {
         let answered = !matches!(reply, None | Some(ReportReply::NotCoordinator { .. }));
         self.lease.end_report(recipient, answered, now);
         let actions = match reply {
-            Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes }) => {
+            Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer }) => {
+                answer.into_iter().for_each(|answer| self.driver.question().receive(epoch, answer));
                 self.update_plan(epoch, &ended, &holders, &signals, outcomes);
                 self.lease.renew(Renewal { epoch, sent, ended, holders }, now)
             }

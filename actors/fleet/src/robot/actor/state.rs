@@ -160,6 +160,7 @@ impl RobotState {
             place: self.driver.place(),
             from_checkpoint,
             failure,
+            question: self.driver.question().take_report(epoch),
         }
     }
 

@@ -1,0 +1,159 @@
+//! Questions of robots to people, in the middle of a task.
+
+use consort_protocol::ensemble::EnsembleSpec;
+use consort_protocol::ids::MissionId;
+use consort_protocol::keys::ApiCall;
+use consort_skills::domain_file::DomainFile;
+use consort_tests::{DomainSetup, Fleet, RobotSpec, for_each_seed, slug};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+const SEEDS: [u64; 3] = [971, 972, 973];
+const SOON: Duration = Duration::from_secs(60);
+const DOMAIN: &str = r#"{
+    "domain": "visits",
+    "tasks": { "visit": {
+        "parameters": { "patience_s": { "type": "integer" } },
+        "results": { "answer": { "type": "text" } },
+        "tree": "visit.xml",
+        "estimate": { "time_s": "5.0" }
+    } }
+}"#;
+
+/// The robot asks twice. Without an answer to the first question, it says so, and does not ask again.
+const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="visit">
+  <BehaviorTree ID="visit">
+    <Fallback>
+      <Sequence>
+        <AskPerson role="nurse" message="may I enter?" at="Dock" patience_s="{patience_s}" answer="{first}"/>
+        <AskPerson role="nurse" message="which bed?" answer="{answer}"/>
+      </Sequence>
+      <Script code="answer := 'nobody'"/>
+    </Fallback>
+  </BehaviorTree>
+</root>"#;
+
+/// Starts a fleet with a robot that visits, and submits a visit.
+async fn visit(seed: u64, patience_s: u32, closed: bool) -> (Fleet, MissionId) {
+    let trees = BTreeMap::from([("visit.xml".to_owned(), TREE.to_owned())]);
+    let domain = DomainFile::check(serde_json::from_str(DOMAIN).expect("a domain"), &trees, &[]);
+    let robots = vec!["member.robot".to_owned()];
+    let hospital =
+        EnsembleSpec { membership: robots, ..EnsembleSpec::with_any_skill_of(slug("hospital"), BTreeSet::new()) };
+    let setup = DomainSetup { domain: domain.expect("a valid domain"), ensembles: vec![hospital], closed };
+    let robots = vec![RobotSpec::carrier("amber", "Dock").with_skills(&["navigation", "visit"])];
+    let mut fleet = Fleet::hospital_of_domain_setup(seed, robots, &["aster", "basil", "clove"], setup).await;
+    fleet.wait_for_coordinator().await;
+    let mission = json!({
+        "mission": "visit", "roles": { "r1": { "kind": "managed", "on_loss": "restart" } },
+        "root": { "task": "see", "type": "visit", "roles": ["r1"],
+            "parameters": { "patience_s": patience_s.to_string() } },
+        "result": { "answer": "see.answer" },
+    });
+    let reply = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;
+    let id = slug(reply["mission"].as_str().unwrap_or_else(|| panic!("{reply}")));
+    (fleet, id)
+}
+
+async fn requests(fleet: &Fleet) -> Vec<Value> {
+    let reply = fleet.request_answered(ApiCall::Requests, &json!({ "linearizable": true })).await;
+    reply["requests"].as_array().cloned().unwrap_or_default()
+}
+
+/// Waits for the open request with this message.
+async fn question(fleet: &Fleet, message: &str) -> Value {
+    let find = async |fleet: &Fleet| {
+        let mut open = requests(fleet).await.into_iter().filter(|request| request["phase"].get("open").is_some());
+        open.find(|request| request["parameters"]["message"] == message)
+    };
+    fleet.poll_until(message, SOON, find).await
+}
+
+fn done(request: &Value, text: &str) -> Value {
+    json!({ "request": request["request"], "answer": "done", "results": { "answer": text }, "by": "Nia" })
+}
+
+/// Repeats an answer until a coordinator has executed it.
+async fn answer(fleet: &Fleet, payload: &Value) -> Value {
+    let executed = async |fleet: &Fleet| {
+        let reply = fleet.request(ApiCall::Answer, payload).await?;
+        reply.get("retry_after_ms").is_none().then_some(reply)
+    };
+    fleet.poll_until("a reply", SOON, executed).await
+}
+
+async fn result(fleet: &Fleet, mission: &MissionId) -> Value {
+    fleet.request_answered(ApiCall::Get, &json!({ "mission": mission })).await["result"]["answer"].clone()
+}
+
+/// The coordinator dies when it receives the first answer, and the node of the robot while the second
+/// question is open. No question is asked twice.
+#[test]
+fn the_answer_reaches_the_robot_although_the_coordinator_and_the_node_of_the_robot_die() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, id) = visit(seed, 3600, seed == SEEDS[0]).await;
+        let asked = question(&fleet, "may I enter?").await;
+        let shown = (&asked["task_type"], &asked["role"], &asked["place"], &asked["robots"]["r1"]);
+        assert_eq!(shown, (&json!("ask_person"), &json!("nurse"), &json!("Dock"), &json!("amber")), "seed {seed}");
+        assert_eq!(asked["form"], json!({ "answer": "text" }), "seed {seed}");
+        let first = done(&asked, "yes");
+        let _ = tokio::join!(fleet.request(ApiCall::Answer, &first), async {
+            tokio::time::sleep(Duration::from_millis(seed % 3 * 4)).await; // virtual time
+        });
+        if fleet.kill_coordinator().await.as_str() == "amber" {
+            fleet.restart("amber").await;
+        }
+        let reply = answer(&fleet, &first).await;
+        let by = reply["phase"]["answered"]["by"].as_str().unwrap_or_default().to_owned();
+        assert!(by.starts_with("Nia"), "seed {seed}: {reply}");
+        let asked = question(&fleet, "which bed?").await;
+        fleet.kill("amber").await;
+        fleet.restart("amber").await;
+        answer(&fleet, &done(&asked, "the first")).await;
+        fleet.assert_completes(&id).await;
+        assert_eq!(result(&fleet, &id).await, "the first", "seed {seed}");
+        let asked: Vec<_> = requests(&fleet).await.iter().map(|asked| asked["phase"].clone()).collect();
+        assert_eq!(asked.len(), 2, "seed {seed}: {asked:?}");
+    });
+}
+
+#[test]
+fn without_an_answer_the_tree_decides_how_to_go_on() {
+    for_each_seed(SEEDS, async |seed| {
+        for (patience_s, kind) in [(3600, "declined"), (3600, "cannot"), (5, "")] {
+            let (mut fleet, id) = visit(seed, patience_s, false).await;
+            let asked = question(&fleet, "may I enter?").await;
+            if !kind.is_empty() {
+                answer(&fleet, &json!({ "request": asked["request"], "answer": kind, "by": "Nia" })).await;
+            }
+            fleet.assert_completes(&id).await;
+            assert_eq!(result(&fleet, &id).await, "nobody", "seed {seed}: {kind}");
+            let late = fleet.request_answered(ApiCall::Answer, &done(&asked, "come in")).await;
+            let error = late["error"].as_str().unwrap_or_default().to_owned();
+            assert!(error.contains("is closed"), "seed {seed}: {late}");
+        }
+    });
+}
+
+/// The robot is lost. Its successor asks anew.
+#[test]
+fn the_question_of_a_lost_robot_and_of_a_canceled_mission_is_withdrawn() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, id) = visit(seed, 3600, false).await;
+        let first = question(&fleet, "may I enter?").await;
+        fleet.kill("amber").await;
+        let withdrawn = async |fleet: &Fleet| {
+            let requests = requests(fleet).await;
+            let all = requests.iter().all(|request| request["phase"].get("withdrawn").is_some());
+            (all && !requests.is_empty()).then_some(())
+        };
+        fleet.poll_until("a withdrawn request", SOON, withdrawn).await;
+        fleet.start_robot("amber").await;
+        let second = question(&fleet, "may I enter?").await;
+        assert_ne!(first["request"], second["request"], "seed {seed}");
+        fleet.request_answered(ApiCall::Cancel, &json!({ "mission": id, "by": "Nia" })).await;
+        fleet.poll_until("a withdrawn request", SOON, withdrawn).await;
+        fleet.wait_for_end(&id).await;
+    });
+}
