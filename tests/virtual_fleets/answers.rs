@@ -1,6 +1,6 @@
 //! Answers of people to requests, through any node.
 
-use crate::support::task_began;
+use crate::support::{self, answer, kill_coordinator_during, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -10,7 +10,6 @@ use serde_json::{Value, json};
 use std::time::Duration;
 
 const SEEDS: [u64; 3] = [761, 762, 763];
-const SOON: Duration = Duration::from_secs(60);
 
 /// A nurse measures by hand what a robot then uses.
 fn mission(patience_s: u32) -> Value {
@@ -40,18 +39,8 @@ async fn submit(fleet: &Fleet, patience_s: u32) -> MissionId {
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
 }
 
-async fn requests(fleet: &Fleet) -> Vec<Value> {
-    let reply = fleet.request_answered(ApiCall::Requests, &json!({ "linearizable": true })).await;
-    reply["requests"].as_array().cloned().unwrap_or_default()
-}
-
-/// Waits for an open request for this task.
 async fn open_request(fleet: &Fleet, task: &str) -> Value {
-    let find = async |fleet: &Fleet| {
-        let all = requests(fleet).await;
-        all.into_iter().find(|request| request["task"] == task && request["phase"].get("open").is_some())
-    };
-    fleet.poll_until("an open request", SOON, find).await
+    support::open_request(fleet, task, |request| request["task"] == task).await
 }
 
 fn measured(request: &Value, by: &str, pulse: i64) -> Value {
@@ -70,15 +59,6 @@ async fn asked(seed: u64, patience_s: u32) -> (Fleet, MissionId, Value) {
     (fleet, id, request)
 }
 
-/// Repeats a request until a coordinator has executed it.
-async fn answer(fleet: &Fleet, payload: &Value) -> Value {
-    let executed = async |fleet: &Fleet| {
-        let reply = fleet.request(ApiCall::Answer, payload).await?;
-        reply.get("retry_after_ms").is_none().then_some(reply)
-    };
-    fleet.poll_until("a reply", SOON, executed).await
-}
-
 /// The coordinator dies when it receives the answer. The next coordinator has the request, and the answer
 /// counts once.
 #[test]
@@ -87,11 +67,7 @@ fn the_first_answer_counts_although_the_coordinator_dies() {
         let (mut fleet, id, request) = asked(seed, 3600).await;
         assert_eq!((&request["mission"], &request["role"]), (&json!(id), &json!("nurse")), "seed {seed}: {request}");
         let first = measured(&request, "Nia", 60);
-        // The seed decides which of the two coordinators executes it.
-        let _ = tokio::join!(fleet.request(ApiCall::Answer, &first), async {
-            tokio::time::sleep(Duration::from_millis(seed % 3 * 4)).await; // virtual time
-        });
-        if fleet.kill_coordinator().await.as_str() == "amber" {
+        if kill_coordinator_during(&mut fleet, &first).await.as_str() == "amber" {
             fleet.start_robot("amber").await;
         }
         let reply = answer(&fleet, &first).await;

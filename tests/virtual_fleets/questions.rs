@@ -1,5 +1,6 @@
 //! Questions of robots to people, in the middle of a task.
 
+use crate::support::{answer, kill_coordinator_during, open_request, person_requests};
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -56,31 +57,13 @@ async fn visit(seed: u64, patience_s: u32, closed: bool) -> (Fleet, MissionId) {
     (fleet, id)
 }
 
-async fn requests(fleet: &Fleet) -> Vec<Value> {
-    let reply = fleet.request_answered(ApiCall::Requests, &json!({ "linearizable": true })).await;
-    reply["requests"].as_array().cloned().unwrap_or_default()
-}
-
 /// Waits for the open request with this message.
 async fn question(fleet: &Fleet, message: &str) -> Value {
-    let find = async |fleet: &Fleet| {
-        let mut open = requests(fleet).await.into_iter().filter(|request| request["phase"].get("open").is_some());
-        open.find(|request| request["parameters"]["message"] == message)
-    };
-    fleet.poll_until(message, SOON, find).await
+    open_request(fleet, message, |request| request["parameters"]["message"] == message).await
 }
 
 fn done(request: &Value, text: &str) -> Value {
     json!({ "request": request["request"], "answer": "done", "results": { "answer": text }, "by": "Nia" })
-}
-
-/// Repeats an answer until a coordinator has executed it.
-async fn answer(fleet: &Fleet, payload: &Value) -> Value {
-    let executed = async |fleet: &Fleet| {
-        let reply = fleet.request(ApiCall::Answer, payload).await?;
-        reply.get("retry_after_ms").is_none().then_some(reply)
-    };
-    fleet.poll_until("a reply", SOON, executed).await
 }
 
 async fn result(fleet: &Fleet, mission: &MissionId) -> Value {
@@ -98,10 +81,7 @@ fn the_answer_reaches_the_robot_although_the_coordinator_and_the_node_of_the_rob
         assert_eq!(shown, (&json!("ask_person"), &json!("nurse"), &json!("Dock"), &json!("amber")), "seed {seed}");
         assert_eq!(asked["form"], json!({ "answer": "text" }), "seed {seed}");
         let first = done(&asked, "yes");
-        let _ = tokio::join!(fleet.request(ApiCall::Answer, &first), async {
-            tokio::time::sleep(Duration::from_millis(seed % 3 * 4)).await; // virtual time
-        });
-        if fleet.kill_coordinator().await.as_str() == "amber" {
+        if kill_coordinator_during(&mut fleet, &first).await.as_str() == "amber" {
             fleet.restart("amber").await;
         }
         let reply = answer(&fleet, &first).await;
@@ -113,7 +93,7 @@ fn the_answer_reaches_the_robot_although_the_coordinator_and_the_node_of_the_rob
         answer(&fleet, &done(&asked, "the first")).await;
         fleet.assert_completes(&id).await;
         assert_eq!(result(&fleet, &id).await, "the first", "seed {seed}");
-        let asked: Vec<_> = requests(&fleet).await.iter().map(|asked| asked["phase"].clone()).collect();
+        let asked: Vec<_> = person_requests(&fleet).await.iter().map(|asked| asked["phase"].clone()).collect();
         assert_eq!(asked.len(), 2, "seed {seed}: {asked:?}");
     });
 }
@@ -144,7 +124,7 @@ fn the_question_of_a_lost_robot_and_of_a_canceled_mission_is_withdrawn() {
         let first = question(&fleet, "may I enter?").await;
         fleet.kill("amber").await;
         let withdrawn = async |fleet: &Fleet| {
-            let requests = requests(fleet).await;
+            let requests = person_requests(fleet).await;
             let all = requests.iter().all(|request| request["phase"].get("withdrawn").is_some());
             (all && !requests.is_empty()).then_some(())
         };

@@ -1,7 +1,11 @@
 //! Support for the tests of virtual fleets.
 
 use consort_protocol::event::EventKind;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::ApiCall;
 use consort_tests::{Fleet, RobotSpec};
+use serde_json::{Value, json};
+use std::time::Duration;
 
 /// Starts two carriers and three stations; `aster` coordinates.
 pub(crate) async fn fleet(seed: u64, room: &'static str) -> Fleet {
@@ -27,4 +31,38 @@ pub(crate) fn release_reason(what: &EventKind) -> Option<String> {
         EventKind::Released { role, cause, .. } => Some(format!("{role}: {cause}")),
         _ => None,
     }
+}
+
+/// Returns all requests to people.
+pub(crate) async fn person_requests(fleet: &Fleet) -> Vec<Value> {
+    let reply = fleet.request_answered(ApiCall::Requests, &json!({ "linearizable": true })).await;
+    reply["requests"].as_array().cloned().unwrap_or_default()
+}
+
+/// Waits for an open request to a person for which `is_meant` holds.
+pub(crate) async fn open_request(fleet: &Fleet, what: &str, is_meant: impl Fn(&Value) -> bool) -> Value {
+    let find = async |fleet: &Fleet| {
+        let mut open =
+            person_requests(fleet).await.into_iter().filter(|request| request["phase"].get("open").is_some());
+        open.find(|request| is_meant(request))
+    };
+    fleet.poll_until(what, Duration::from_secs(60), find).await
+}
+
+/// Repeats the answer of a person until a coordinator has executed it.
+pub(crate) async fn answer(fleet: &Fleet, payload: &Value) -> Value {
+    let executed = async |fleet: &Fleet| {
+        let reply = fleet.request(ApiCall::Answer, payload).await?;
+        reply.get("retry_after_ms").is_none().then_some(reply)
+    };
+    fleet.poll_until("a reply", Duration::from_secs(60), executed).await
+}
+
+/// Kills the coordinator while an answer is on its way or is being executed: the seed decides how far it
+/// gets.
+pub(crate) async fn kill_coordinator_during(fleet: &mut Fleet, payload: &Value) -> NodeId {
+    let limit = Duration::from_millis(fleet.seed % 3 * 4);
+    // Without a reply in time the answer may still be executed.
+    let _ = tokio::time::timeout(limit, fleet.request(ApiCall::Answer, payload)).await; // virtual time
+    fleet.kill_coordinator().await
 }

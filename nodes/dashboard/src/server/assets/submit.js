@@ -50,8 +50,8 @@ export function start(onSubmitted) {
     };
     const people = [...byId('submit-people').querySelectorAll('input:checked')].map((field) => field.value);
     if (file?.agents.length > 0) Object.assign(body, { name: file.name, people });
-    const start = byId('submit-not-before').value;
-    if (start) body.not_before = new Date(start).toISOString();
+    const notBefore = byId('submit-not-before').value;
+    if (notBefore) body.not_before = new Date(notBefore).toISOString();
     if (byId('submit-deadline').value) body.deadline_s = Number(byId('submit-deadline').value);
     try {
       const { mission } = await send('POST', '/api/missions', body);
