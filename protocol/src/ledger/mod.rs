@@ -46,4 +46,6 @@ pub use person_request::{
     AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
     PersonRequestIdError, PersonRequestPhase, Postponement, RequestSubject, TaskQuestion,
 };
-pub use submission::{DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline};
+pub use submission::{
+    DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,
+};

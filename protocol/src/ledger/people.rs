@@ -87,10 +87,7 @@ impl MissionEntry {
 
     /// Returns the open questions, with the roles of the robots that ask.
     pub fn open_questions(&self) -> impl Iterator<Item = (&RoleId, &PersonRequestEntry)> {
-        let open = self
-            .person_requests
-            .iter()
-            .filter(|request| request.is_open() && matches!(request.subject, RequestSubject::Question { .. }));
+        let open = self.person_requests.iter().filter(|request| request.is_open_question());
         open.filter_map(|request| Some((request.robots.keys().next()?, request)))
     }
 
@@ -121,11 +118,9 @@ impl MissionEntry {
         let Some(holder) = self.role_holders().remove(role) else { return };
         let known = self.question(role, holder.epoch, &asked).map(|request| request.number);
         let kept = known.filter(|_| asked.is_open);
-        let questions = self.person_requests.iter_mut().filter(|request| {
-            request.is_open()
-                && matches!(request.subject, RequestSubject::Question { .. })
-                && request.robots.contains_key(role)
-        });
+        let of_holder =
+            |request: &&mut PersonRequestEntry| request.is_open_question() && request.robots.contains_key(role);
+        let questions = self.person_requests.iter_mut().filter(of_holder);
         for request in questions.filter(|request| Some(request.number) != kept) {
             let reason = format!("{} no longer asks", holder.robot);
             request.phase = PersonRequestPhase::Withdrawn { reason };

@@ -137,8 +137,10 @@ pub struct PersonQuestion {
     pub patience_s: Option<u32>,
 }
 
-/// Task type of a question, and the name of its result.
+/// Task type of a question.
 const ASK_PERSON: &str = "ask_person";
+
+/// Result of this task.
 const ANSWER: &str = "answer";
 
 impl PersonQuestion {
@@ -287,6 +289,11 @@ impl PersonRequestEntry {
     /// Checks whether the request is open.
     pub fn is_open(&self) -> bool {
         matches!(self.phase, PersonRequestPhase::Open { .. })
+    }
+
+    /// Checks whether the request is the open question of a robot.
+    pub(super) fn is_open_question(&self) -> bool {
+        self.is_open() && matches!(self.subject, RequestSubject::Question { .. })
     }
 
     /// Checks whether it has expired at a time in milliseconds since 1970, if the time is known.

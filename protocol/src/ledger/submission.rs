@@ -127,12 +127,12 @@ impl Priority {
     }
 }
 
-/// Maximum time until a deadline: ten years, in seconds.
-const ALLOWED_MAX_S: f64 = 315_360_000.0;
+/// Maximum time until the earliest start or the deadline of a mission: ten years.
+pub const TIME_AHEAD_MAX: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
 /// Error: the time until a deadline is not positive, or too long. Nothing was requested.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("the time must be more than 0 and at most {ALLOWED_MAX_S} seconds")]
+#[error("the time must be more than 0 and at most {} seconds", TIME_AHEAD_MAX.as_secs())]
 pub struct DeadlineError;
 
 /// Parses the time until a deadline, in seconds from now.
@@ -141,7 +141,7 @@ pub struct DeadlineError;
 /// [`DeadlineError`] if the value is not a time, has passed, or is longer than ten years.
 pub fn time_until_deadline(seconds: f64) -> Result<Duration, DeadlineError> {
     match Duration::try_from_secs_f64(seconds) {
-        Ok(time) if seconds > 0.0 && seconds <= ALLOWED_MAX_S => Ok(time),
+        Ok(time) if seconds > 0.0 && time <= TIME_AHEAD_MAX => Ok(time),
         _ => Err(DeadlineError),
     }
 }

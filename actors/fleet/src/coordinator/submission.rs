@@ -4,7 +4,7 @@ use consort_protocol::api::{MissionSource, RequestError, StartTime, SubmitReques
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{NameError, RequestId, TaskType};
 use consort_protocol::ledger::{
-    DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, time_until_deadline,
+    DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,
 };
 use consort_protocol::mission::{
     Domain, Format, Mission, MissionDocument, MissionErrors, MissionFileError, RoleKind, ValueKind,
@@ -168,7 +168,7 @@ const NOT_BEFORE_ALLOWED: &str = "allowed is a date and time in the next ten yea
 /// Returns the earliest start in milliseconds since 1970, for a request at `at_ms`. A time that has passed
 /// is allowed: the mission may start at once.
 fn start_ms(start: &StartTime, at_ms: u64) -> Result<u64, SubmitError> {
-    let latest_ms = at_ms.saturating_add(u64::try_from(START_MAX.as_millis()).unwrap_or(u64::MAX));
+    let latest_ms = at_ms.saturating_add(u64::try_from(TIME_AHEAD_MAX.as_millis()).unwrap_or(u64::MAX));
     let (ms, given) = match start {
         StartTime::At(text) => {
             let date = OffsetDateTime::parse(text, &Rfc3339).ok();
@@ -181,9 +181,6 @@ fn start_ms(start: &StartTime, at_ms: u64) -> Result<u64, SubmitError> {
     };
     ms.filter(|ms| *ms <= latest_ms).ok_or(SubmitError::NotBefore { given })
 }
-
-/// Maximum time until the earliest start of a mission: ten years.
-const START_MAX: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
 /// Returns the results of the tasks of people, by the types of the tasks.
 fn forms<'a>(

@@ -17,9 +17,10 @@ struct State {
     task: Option<(Epoch, TaskId)>,
     /// Number of questions asked in the task.
     asked: u32,
-    open: Option<PersonQuestion>,
-    /// The latest question, open or closed.
+    /// The latest question.
     latest: Option<PersonQuestion>,
+    /// The skill waits for its answer.
+    is_open: bool,
     answer: Option<Result<String, String>>,
     /// A question was asked or closed since the last report.
     is_changed: bool,
@@ -39,7 +40,7 @@ impl OpenQuestion {
     /// Asks a question, or continues to wait for its answer.
     pub(super) fn ask(&self, question: &PersonQuestion) -> Option<Result<String, String>> {
         let mut state = self.lock();
-        match &state.open {
+        match state.latest.as_ref().filter(|_| state.is_open) {
             Some(open) if open == question => {
                 let answer = state.answer.take()?;
                 state.close();
@@ -48,8 +49,7 @@ impl OpenQuestion {
             Some(open) => Some(Err(format!("the robot already asks {}: {}", open.to, open.message))),
             None => {
                 state.asked += 1;
-                (state.open, state.latest) = (Some(question.clone()), Some(question.clone()));
-                state.is_changed = true;
+                (state.latest, state.is_open, state.is_changed) = (Some(question.clone()), true, true);
                 None
             }
         }
@@ -62,7 +62,7 @@ impl OpenQuestion {
 
     /// Checks whether a question is open.
     pub(crate) fn is_open(&self) -> bool {
-        self.lock().open.is_some()
+        self.lock().is_open
     }
 
     /// Checks whether a question was asked or closed since the last report.
@@ -76,14 +76,14 @@ impl OpenQuestion {
         state.is_changed = false;
         let (of, task) = state.task.clone()?;
         let question = state.latest.clone().filter(|_| of == epoch)?;
-        Some(TaskQuestion { task, number: state.asked, question, is_open: state.open.is_some() })
+        Some(TaskQuestion { task, number: state.asked, question, is_open: state.is_open })
     }
 
     /// Receives an answer. An answer to an earlier question is ignored.
     pub(crate) fn receive(&self, epoch: Epoch, answer: QuestionAnswer) {
         let QuestionAnswer { task, number, is_answered, text } = answer;
         let mut state = self.lock();
-        if state.open.is_some() && state.task == Some((epoch, task)) && state.asked == number {
+        if state.is_open && state.task == Some((epoch, task)) && state.asked == number {
             state.answer = Some(if is_answered { Ok(text) } else { Err(text) });
         }
     }
@@ -96,8 +96,8 @@ impl OpenQuestion {
 
 impl State {
     fn close(&mut self) {
-        self.is_changed |= self.open.is_some();
-        (self.open, self.answer) = (None, None);
+        self.is_changed |= self.is_open;
+        (self.is_open, self.answer) = (false, None);
     }
 }
 

@@ -88,7 +88,7 @@ pub(crate) enum SessionAction {
 /// State of the process.
 #[derive(Debug, Clone, PartialEq)]
 enum Phase {
-    /// No process; the next one starts at this time.
+    /// No process is running. The next process starts at this time.
     Down { restart_at: Duration },
     /// Started, without a hello.
     Starting { since: Duration },

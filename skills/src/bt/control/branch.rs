@@ -1,4 +1,4 @@
-//! `IfThenElse`, `WhileDoElse` and `Switch`: control nodes that choose one of their children.
+//! Control nodes that execute one of their children: `IfThenElse`, `WhileDoElse` and `Switch`.
 
 use crate::bt::node::{ChildNode, Node, halt_all};
 use crate::bt::ports::{PortError, Ports};

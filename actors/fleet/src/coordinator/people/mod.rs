@@ -75,15 +75,16 @@ impl People {
             self.send_to_host(context, command);
         }
         let steps: Vec<((MissionId, RoleId), PersonStep)> = context.read_ledger(|ledger| {
-            let missions = ledger.active_missions().into_iter();
+            let missions = ledger.active_missions();
             let roles = missions
+                .iter()
+                .copied()
                 .filter(|entry| entry.submission.may_start(confirmed_ms))
                 .flat_map(|entry| entry.unmanaged_roles().map(move |role| (entry, role)));
             let of_roles = roles.filter_map(|(entry, role)| {
                 Some(((entry.id.clone(), role.clone()), next_step(entry, role, confirmed_ms)?))
             });
-            let missions = ledger.active_missions().into_iter();
-            let of_questions = missions.flat_map(|entry| expired_questions(entry, confirmed_ms));
+            let of_questions = missions.iter().flat_map(|entry| expired_questions(entry, confirmed_ms));
             of_roles.chain(of_questions).collect()
         });
         let due: BTreeSet<_> = steps.iter().map(|(key, _)| key.clone()).collect();

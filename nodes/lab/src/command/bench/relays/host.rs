@@ -132,7 +132,7 @@ fn settings(args: &HostArgs, number: usize) -> ZenohSettings {
         let listen = vec![format!("tcp/0.0.0.0:{PORT}")];
         return ZenohSettings { listen, connect: args.connect.clone(), ..ZenohSettings::default() };
     };
-    // Each robot has another first relay, and a second one.
+    // A robot connects to two relays. The first of them differs between successive robots.
     let relays = args.connect.len();
     let connect = (0..2).map(|next| args.connect[(args.first + number + next) % relays].clone()).collect();
     let listen = vec![format!("tcp/0.0.0.0:{}", usize::from(PORT) + 1 + number)];
