@@ -112,8 +112,11 @@ pub enum EventKind {
     Awarded {
         /// The mission.
         mission: MissionId,
-        /// Robot of each role.
+        /// Robot of each awarded role.
         holders: BTreeMap<RoleId, RobotId>,
+        /// Robot of each promised role. Another award follows.
+        #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+        promised: BTreeMap<RoleId, RobotId>,
         /// Epoch of the award.
         epoch: Epoch,
         /// Time from the commit of the request to the commit of the award, in milliseconds.

@@ -71,7 +71,7 @@ impl Scene {
             // Bidders borrow the data of their robot for the lifetime of the program.
             let worker: &'static RobotKnowledge = Box::leak(Box::new(worker(number)));
             let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
-            BidContext { worker, closed_lanes: &[], age_ms: 0, membership }
+            BidContext { worker, closed_lanes: &[], age_ms: 0, membership, present: None }
         };
         Scene {
             call: CallForBids {
@@ -107,6 +107,7 @@ impl Scene {
                 unavailable: &taken,
                 excluded: &excluded,
                 limits,
+                promises: None,
                 window_ms: 200,
                 at_ms: 0,
             },
@@ -144,6 +145,7 @@ impl Scene {
                 from: PlaceId::clone(&worker.place),
                 age_ms: 0,
                 parts,
+                present: None,
             };
             bid.check_viable(&self.limits).is_ok().then_some(bid)
         };

@@ -18,6 +18,7 @@ mod inspection;
 pub mod percentiles;
 mod robot_spec;
 pub mod scale;
+pub mod shift;
 mod station_fleet;
 mod stolen_key;
 mod ward;

@@ -3,11 +3,12 @@
 use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
-use consort_protocol::keys::Key;
+use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::lease::{EndReason, LEASE_REACTION, LeaseTerms};
 use consort_skills::actions::NavigateToPose;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
+use serde_json::json;
 use std::time::Duration;
 
 const SEEDS: [u64; 3] = [81, 82, 83];
@@ -274,8 +275,12 @@ fn a_blocked_bus_does_not_keep_a_robot_from_suspending() {
         let (mut fleet, mission) = under_way(seed).await;
         let (holder, _) = holder(&fleet, &mission);
         fleet.network.block(&slug(&holder));
-        // The robot is called for bids, which it cannot return.
-        fleet.submit("b", "PC Room 1").await;
+        // The robot is called for bids and cannot reply. No robot has the skill, so no other robot moves.
+        let mission_of_nobody = json!({
+            "mission": "sterilize", "roles": { "r1": { "kind": "managed" } },
+            "root": { "task": "all", "type": "disinfect", "roles": ["r1"] },
+        });
+        fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission_of_nobody, "request": "b" })).await;
         fleet.wait_until("the end of the lease", SOON, |fleet| fleet.has_event(suspended)).await;
         fleet.network.unblock(&slug(&holder));
         fleet.assert_completes(&mission).await;

@@ -21,6 +21,7 @@ mod leases;
 mod long_texts;
 mod path_following;
 mod people;
+mod promises;
 mod questions;
 mod queueing;
 mod reads;

@@ -15,7 +15,7 @@ impl StateMachine for Ledger {
 
     fn grants_epoch(command: &Command) -> bool {
         match command {
-            Command::Award { .. } => true,
+            Command::Award { .. } | Command::AwardPromised { .. } => true,
             Command::Submit(_)
             | Command::Defer { .. }
             | Command::Accept { .. }
@@ -26,6 +26,7 @@ impl StateMachine for Ledger {
             | Command::Resolve { .. }
             | Command::AskPerson { .. }
             | Command::SetQuestion { .. }
+            | Command::Postpone { .. }
             | Command::AnswerPerson { .. }
             | Command::ExpirePersonRequest { .. }
             | Command::RaiseWireVersion { .. }

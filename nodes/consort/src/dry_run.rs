@@ -77,6 +77,7 @@ pub(crate) fn simulate_auction(
         excluded: &excluded,
         limits,
         energy: mission.energy_max.map(|limit| EnergyBudget { limit, used: Energy::ZERO }),
+        promises: None,
         window_ms: 0,
         at_ms: 0,
     };
@@ -94,7 +95,7 @@ fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &SkillResources) 
     let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator));
     let membership = Membership { member: true, reason: "named in the file".to_owned(), age_ms: 0 };
     let own = worker.worker(&equipment.places);
-    bidder.respond(call, &BidContext { worker: &own, closed_lanes: &[], age_ms: 0, membership })
+    bidder.respond(call, &BidContext { worker: &own, closed_lanes: &[], age_ms: 0, membership, present: None })
 }
 
 fn bid_of(answer: RoleReply, limits: &BidLimits) -> (RoleId, WorkerBid) {

@@ -130,6 +130,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         ensembles: Arc::new(ensembles),
         domain: Arc::new(domain),
         limits: limits(config),
+        promises_max: config.auction.promises,
         request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
         history_limits: config.history.limits(),
         allocator: Arc::new(OptimalAssignment),

@@ -68,8 +68,10 @@ pub fn describe_event(event: &Event) -> EventText {
             }
             Some(failure) => alarm("no award", format!("{mission}: {failure}")),
         },
-        EventKind::Awarded { mission, holders, epoch, after_ms } => {
-            let given: Vec<String> = holders.iter().map(|(role, robot)| format!("{role} to {robot}")).collect();
+        EventKind::Awarded { mission, holders, promised, epoch, after_ms } => {
+            let promised = promised.iter().map(|(role, robot)| format!("{role} promised to {robot}"));
+            let given = holders.iter().map(|(role, robot)| format!("{role} to {robot}"));
+            let given: Vec<String> = given.chain(promised).collect();
             let after = after_ms.map_or_else(String::new, |ms| format!(", {ms:.1} ms after the request"));
             normal("award", format!("{mission}: {} (epoch {epoch}){after}", given.join(", ")))
         }

@@ -82,6 +82,26 @@ pub struct Bid {
     /// Cost of each step.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub parts: Vec<BidPart>,
+    /// Role that the robot holds. The bid is for the time after its end.
+    #[serde(default)]
+    pub present: Option<PresentRole>,
+}
+
+/// Role that a robot holds while it bids for a role of another mission.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PresentRole {
+    /// Mission of the role.
+    pub mission: MissionId,
+    /// The role.
+    pub role: RoleId,
+    /// Estimated time for its remaining tasks. It may have to wait for others besides.
+    pub time: Seconds,
+}
+
+impl From<&PresentRole> for RefusalReason {
+    fn from(present: &PresentRole) -> RefusalReason {
+        RefusalReason::Busy { mission: present.mission.clone(), role: present.role.clone() }
+    }
 }
 
 /// Cost of a single step of a local plan.

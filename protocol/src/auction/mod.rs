@@ -2,7 +2,7 @@
 //!
 //! All open roles of a mission are auctioned at once (Algorithm 1 of the thesis, with an optimal
 //! assignment in place of a greedy choice per role). A robot fills at most 1 role, and either all
-//! open roles are filled or none.
+//! open roles are filled or none. A role whose robot is busy may be promised (the module `promise`).
 
 mod allocator;
 mod assignment;
@@ -12,16 +12,19 @@ mod energy;
 mod energy_exceeded;
 mod explain;
 mod invitation;
+mod promise;
 mod record;
 
 pub use allocator::{Allocator, AllocatorInput, OptimalAssignment};
 pub use assignment::{AssignmentError, optimal_assignment};
 pub use bid::{
-    AuctionId, Bid, BidLimits, BidPart, BidRefusal, BidResponse, CallForBids, RefusalReason, RoleReply, ViabilityError,
+    AuctionId, Bid, BidLimits, BidPart, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleReply,
+    ViabilityError,
 };
 pub use clearing::{AuctionContext, AuctionOutcome, clear_auction, clear_auction_with};
 pub use energy::EnergyBudget;
 pub use energy_exceeded::EnergyExceeded;
 pub use explain::{BidCost, Explanation, RobotExplanation, RobotOutcome, RoleExplanation, explain};
 pub use invitation::Invitation;
+pub use promise::{PROMISES_MAX, PromiseContext, RobotQueue};
 pub use record::{AuctionEntry, AuctionRecord, BidVerdict};

@@ -22,6 +22,9 @@ pub struct AuctionRecord {
     pub omitted: u32,
     /// Robot chosen for each role.
     pub chosen: BTreeMap<RoleId, RobotId>,
+    /// Roles that are promised to the chosen robots, with the estimated time until each robot is free.
+    #[serde(default)]
+    pub promised: BTreeMap<RoleId, Seconds>,
     /// Reason, if no roles were assigned.
     pub failure: Option<String>,
 }
@@ -45,6 +48,14 @@ impl AuctionRecord {
             Some(BidVerdict::Viable { energy, .. } | BidVerdict::Unviable { energy, .. }) => Energy::of_share(*energy),
             Some(BidVerdict::Refused { .. }) | None => Energy::ZERO,
         }
+    }
+
+    /// Returns the estimated time of a robot's bid for the tasks of a role; none without a bid, or without its
+    /// parts.
+    pub(crate) fn time_of(&self, role: &RoleId, robot: &RobotId) -> Seconds {
+        let entry = self.entries.iter().find(|entry| entry.role == *role && entry.robot == *robot);
+        let parts = entry.map_or(&[][..], |entry| &entry.parts);
+        parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time)
     }
 
     /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:

@@ -24,7 +24,7 @@ pub enum Command {
     },
     /// Adds a mission requested by a client.
     Submit(Box<Submission>),
-    /// Awards all open roles after an auction.
+    /// Awards or promises all open roles after an auction.
     Award {
         /// The mission.
         mission: MissionId,
@@ -32,6 +32,8 @@ pub enum Command {
         branch: Branch,
         /// Robot of each open role: all open roles, and no others.
         holders: BTreeMap<RoleId, RobotId>,
+        /// Roles that are promised to their robots and not awarded yet.
+        promised: BTreeSet<RoleId>,
         /// Record of the auction.
         auction: AuctionRecord,
     },
@@ -172,6 +174,24 @@ pub enum Command {
         /// Time of the question in milliseconds since 1970.
         asked_ms: u64,
     },
+    /// Awards a promised role to its robot.
+    AwardPromised {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// Epoch of the promise.
+        epoch: Epoch,
+    },
+    /// Turns a held role, which cannot start yet, into a promise to its robot.
+    Postpone {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// Epoch of the award.
+        epoch: Epoch,
+    },
 }
 
 impl Command {
@@ -187,7 +207,9 @@ impl Command {
             | Command::Cancel { mission, .. }
             | Command::Resolve { mission, .. }
             | Command::AskPerson { mission, .. }
-            | Command::SetQuestion { mission, .. } => Some(mission),
+            | Command::SetQuestion { mission, .. }
+            | Command::AwardPromised { mission, .. }
+            | Command::Postpone { mission, .. } => Some(mission),
             Command::AnswerPerson { request, .. } | Command::ExpirePersonRequest { request, .. } => {
                 Some(&request.mission)
             }
@@ -280,6 +302,28 @@ pub enum CommandError {
         mission: MissionId,
         /// Role that it holds.
         role: RoleId,
+    },
+    /// The role is not promised to a robot.
+    #[error("{role} of {mission} is not promised")]
+    NotPromised {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+    },
+    /// The role has started, or can start now, so it cannot be postponed.
+    #[error("{role} of {mission} can start")]
+    CanStart {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+    },
+    /// Missions would wait for each other's robots.
+    #[error("{mission} would wait for missions that wait for it")]
+    CircularWait {
+        /// The mission.
+        mission: MissionId,
     },
     /// A robot has an item of a mission that waits for a person.
     #[error("{robot} has the {item} of {mission}, which needs intervention")]

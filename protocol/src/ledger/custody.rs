@@ -13,7 +13,7 @@
 //!
 //! A step has happened if its role reported it, or if any role reported a step that comes after it.
 
-use super::entry::{HeldItem, MissionEntry, RolePhase};
+use super::entry::{HeldItem, MissionEntry, RoleEntry, RolePhase};
 use crate::ids::{ItemId, RoleId};
 use crate::mission::RoleKind;
 use crate::plan::{ItemMove, Signal, StepAction, StepIndex, item_moves};
@@ -80,7 +80,8 @@ impl MissionEntry {
     /// Returns the robot that holds a managed role, as custodian of an item. Items that a person
     /// has are not tracked.
     fn custodian(&self, item: &ItemId, role: &RoleId, certain: bool) -> Option<HeldItem> {
-        let entry = self.roles.get(role).filter(|entry| entry.kind == RoleKind::Managed)?;
+        let is_held = |entry: &&RoleEntry| entry.kind == RoleKind::Managed && entry.phase != RolePhase::Promised;
+        let entry = self.roles.get(role).filter(is_held)?;
         let robot = entry.holder.as_ref()?.robot.clone();
         Some(HeldItem { item: item.clone(), role: role.clone(), robot, place: None, certain })
     }

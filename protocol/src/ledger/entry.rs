@@ -11,7 +11,7 @@ use crate::lease::{Epoch, RoleHolder};
 use crate::mission::{LostItem, Mission, OUTCOMES_BYTES_MAX, RoleKind, TaskOutcome, TaskOutcomes};
 use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use crate::scalar::Scalar;
-use crate::units::{Energy, EnergyLimit};
+use crate::units::{Energy, EnergyLimit, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
@@ -99,7 +99,7 @@ impl RoleRelease {
 pub enum MissionState {
     /// At least 1 managed role is open.
     Pending,
-    /// All managed roles are held or ended.
+    /// All managed roles are held, promised or ended.
     Running,
     /// Completed successfully.
     Completed,
@@ -169,9 +169,9 @@ impl MissionEntry {
 pub struct RoleEntry {
     /// Managed or unmanaged.
     pub kind: RoleKind,
-    /// Phase: open, awarded, active or ended.
+    /// Phase: open, promised, awarded, active or ended.
     pub phase: RolePhase,
-    /// Holder; kept after the end, for display.
+    /// Holder; kept after the end, for display. Of a promised role: the robot that gets it.
     pub holder: Option<RoleAssignment>,
     /// Steps of its local plan that have ended.
     pub ended: BTreeSet<StepIndex>,
@@ -197,6 +197,8 @@ pub enum RolePhase {
     Active,
     /// Completed.
     Ended,
+    /// Promised to a robot, which gets it once it holds no other role and the role can start.
+    Promised,
 }
 
 /// Assignment of a role to a robot.
@@ -204,13 +206,15 @@ pub enum RolePhase {
 pub struct RoleAssignment {
     /// The robot.
     pub robot: RobotId,
-    /// Epoch of the award.
+    /// Epoch of the award, or of the promise.
     pub epoch: Epoch,
     /// Incarnation of the robot's node that confirmed the award. A later incarnation has lost the
     /// plan, unless it reports that it restored the plan from a checkpoint.
     pub incarnation: Option<u64>,
     /// Energy that its bid has estimated.
     pub energy: Energy,
+    /// Time that its bid has estimated for the tasks of the role.
+    pub time: Seconds,
 }
 
 impl MissionEntry {
@@ -225,12 +229,19 @@ impl MissionEntry {
 
     /// Returns the robots that hold, or have completed, the managed roles.
     pub fn holders(&self) -> BTreeMap<RoleId, RobotId> {
-        let holder = |(id, role): (&RoleId, &RoleEntry)| Some((id.clone(), role.holder.as_ref()?.robot.clone()));
-        self.roles.iter().filter_map(holder).collect()
+        self.role_holders().into_iter().map(|(role, holder)| (role, holder.robot)).collect()
     }
 
     /// Returns the holders with the epochs of their awards.
     pub fn role_holders(&self) -> BTreeMap<RoleId, RoleHolder> {
+        let mut robots = self.role_robots();
+        robots.retain(|role, _| self.roles.get(role).is_some_and(|role| role.phase != RolePhase::Promised));
+        robots
+    }
+
+    /// Returns the robots that hold, have completed or will get the managed roles, with the epochs of their
+    /// awards or promises.
+    pub fn role_robots(&self) -> BTreeMap<RoleId, RoleHolder> {
         let holding = |holder: &RoleAssignment| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch };
         let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_ref()?))));
         held.collect()

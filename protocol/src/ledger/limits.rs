@@ -62,6 +62,8 @@ impl Command {
             | Command::Accept { .. }
             | Command::Progress { .. }
             | Command::AskPerson { .. }
+            | Command::AwardPromised { .. }
+            | Command::Postpone { .. }
             | Command::ExpirePersonRequest { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => {}

@@ -15,6 +15,9 @@
 //!             └──┘◀────── release ─────────┘ └── fail (cause) ─▶ failed      cancel: from pending and running
 //! ```
 //!
+//! A role whose robot is busy, or that cannot start yet, may be promised instead of awarded; its award follows (the
+//! module `promises`).
+//!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
 //!
@@ -34,6 +37,7 @@ mod limits;
 mod loss;
 mod people;
 mod person_request;
+mod promises;
 mod submission;
 
 pub use apply::Ledger;

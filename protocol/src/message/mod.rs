@@ -166,6 +166,8 @@ pub enum AwardNotice {
         epoch: Epoch,
         /// Mission that waits for the robot.
         to: MissionId,
+        /// True if the robot gets the role again once it can start.
+        for_now: bool,
     },
 }
 
@@ -273,6 +275,8 @@ pub enum FailureKind {
     /// The condition or a parameter of the task uses a result that is unknown. No other robot could do
     /// better, so the mission fails.
     UnknownResult,
+    /// Another mission needs the robot now, which has not acted in the role. The robot gets it again.
+    Postponed,
 }
 
 /// Reply of the coordinator to a report. The content of the report is in the ledger before any

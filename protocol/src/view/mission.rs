@@ -133,6 +133,8 @@ pub struct RequestTerms {
 pub struct MissionProgress {
     /// Robots that hold or have completed each role.
     pub holders: BTreeMap<RoleId, RobotId>,
+    /// Robots that get a role later.
+    pub promised: BTreeMap<RoleId, RobotId>,
     /// Items that robots have, or that need intervention by a person.
     #[serde(deserialize_with = "readable")]
     pub items: Vec<HeldItem>,
@@ -192,10 +194,10 @@ pub struct RoleView {
     pub eligible: Option<String>,
     /// Phase of the role.
     pub phase: RolePhase,
-    /// Its holder; kept after the end.
+    /// Its holder; kept after the end. Of a promised role: the robot that gets it.
     #[serde(default)]
     pub holder: Option<RobotId>,
-    /// Epoch of the award, as `term.index`.
+    /// Epoch of the award, as `term.index`; null for a promise.
     #[serde(default)]
     pub epoch: Option<String>,
     /// Steps of its plan; null if it has no plan.

@@ -51,11 +51,21 @@ fn ledger_with_holders(mission: &Mission, division: &Division) -> Ledger {
     ledger.apply(Epoch { term: 1, index: 1 }, Command::Submit(Box::new(submission)));
     let mission = ledger.missions().next().unwrap().id.clone();
     let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
-    let auction =
-        AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None };
+    let auction = AuctionRecord {
+        auction,
+        at_ms: 0,
+        entries: vec![],
+        omitted: 0,
+        chosen: BTreeMap::new(),
+        promised: BTreeMap::new(),
+        failure: None,
+    };
     let roles = ledger.mission(&mission).unwrap().open_roles();
     let holders = roles.iter().map(|role| (role.clone(), RobotId::new(role.as_str()).unwrap())).collect();
-    ledger.apply(AWARD, Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
+    ledger.apply(
+        AWARD,
+        Command::Award { mission: mission.clone(), branch: Branch::Main, holders, promised: [].into(), auction },
+    );
     for role in roles {
         ledger.apply(
             AWARD,

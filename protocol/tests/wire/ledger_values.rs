@@ -3,7 +3,7 @@
 use crate::message_values::task_question;
 use crate::values::*;
 use consort_protocol::auction::{
-    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, RefusalReason, ViabilityError,
+    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, PresentRole, RefusalReason, ViabilityError,
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
@@ -32,8 +32,10 @@ pub(crate) fn part() -> impl Strategy<Value = BidPart> {
 }
 
 pub(crate) fn bid() -> impl Strategy<Value = Bid> {
-    (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), vec(part(), 0..4)).prop_map(
-        |(robot, role, time, energy, remaining, useful_charge, from, age_ms, parts)| Bid {
+    let present = (name(), name(), seconds()).prop_map(|(mission, role, time)| PresentRole { mission, role, time });
+    let of_plan = (vec(part(), 0..4), option::of(present));
+    (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), of_plan).prop_map(
+        |(robot, role, time, energy, remaining, useful_charge, from, age_ms, (parts, present))| Bid {
             robot,
             role,
             time,
@@ -43,6 +45,7 @@ pub(crate) fn bid() -> impl Strategy<Value = Bid> {
             from,
             age_ms,
             parts,
+            present,
         },
     )
 }
@@ -80,14 +83,15 @@ pub(crate) fn auction_record() -> impl Strategy<Value = AuctionRecord> {
         verdict,
         parts,
     });
-    let chosen = btree_map(name(), name(), 0..3);
-    (auction(), any::<u64>(), vec(entry, 0..4), any::<u32>(), chosen, option::of(text())).prop_map(
-        |(auction, at_ms, entries, omitted, chosen, failure)| AuctionRecord {
+    let (chosen, promised) = (btree_map(name(), name(), 0..3), btree_map(name(), seconds(), 0..3));
+    (auction(), any::<u64>(), vec(entry, 0..4), any::<u32>(), chosen, promised, option::of(text())).prop_map(
+        |(auction, at_ms, entries, omitted, chosen, promised, failure)| AuctionRecord {
             auction,
             at_ms,
             entries,
             omitted,
             chosen,
+            promised,
             failure,
         },
     )
@@ -128,8 +132,17 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
     prop_oneof![
         any::<u64>().prop_map(|cluster| Command::Bootstrap { cluster: ClusterId(cluster) }),
         submission().prop_map(|submission| Command::Submit(Box::new(submission))),
-        (name(), branch(), btree_map(name(), name(), 0..3), auction_record())
-            .prop_map(|(mission, branch, holders, auction)| Command::Award { mission, branch, holders, auction }),
+        (name(), branch(), btree_map(name(), name(), 0..3), btree_set(name(), 0..3), auction_record()).prop_map(
+            |(mission, branch, holders, promised, auction)| Command::Award {
+                mission,
+                branch,
+                holders,
+                promised,
+                auction
+            }
+        ),
+        held().prop_map(|(mission, role, epoch)| Command::AwardPromised { mission, role, epoch }),
+        held().prop_map(|(mission, role, epoch)| Command::Postpone { mission, role, epoch }),
         (name(), branch(), auction_record()).prop_map(|(mission, branch, auction)| Command::Defer {
             mission,
             branch,

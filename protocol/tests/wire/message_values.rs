@@ -33,7 +33,7 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
     prop_oneof![
         award.prop_map(|award| AwardNotice::Awarded(Box::new(award))),
         (epoch(), ending()).prop_map(|(epoch, reason)| AwardNotice::Revoked { epoch, reason }),
-        (epoch(), name()).prop_map(|(epoch, to)| AwardNotice::GiveWay { epoch, to }),
+        (epoch(), name(), any::<bool>()).prop_map(|(epoch, to, for_now)| AwardNotice::GiveWay { epoch, to, for_now }),
     ]
 }
 
@@ -56,6 +56,7 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
         Just(FailureKind::Plan),
         Just(FailureKind::GaveWay),
         Just(FailureKind::UnknownResult),
+        Just(FailureKind::Postponed),
     ];
     let failure = (option::of(name()), text(), kind, cause_class(), any::<bool>())
         .prop_map(|(task, cause, kind, class, moved_nothing)| TaskFailure { task, cause, kind, class, moved_nothing });

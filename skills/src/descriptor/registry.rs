@@ -5,7 +5,7 @@ use super::fixed::{FixedDuration, STEP_DURATION_S};
 use crate::bt::join_names;
 use crate::environment::Environment;
 use consort_protocol::auction::BidPart;
-use consort_protocol::ids::{TaskId, TaskType};
+use consort_protocol::ids::{PlaceId, TaskId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, Signal, StepAction, StepIndex};
 use consort_protocol::units::Seconds;
@@ -35,6 +35,8 @@ pub struct PlanBudget {
     /// Required charge as a share of a full battery: the estimated energy of all steps, plus the
     /// standard deviations of that sum that `DescriptorRegistry::with_energy_margin` sets.
     pub energy: f64,
+    /// Place at which the plan ends.
+    pub ends_at: PlaceId,
 }
 
 /// An environment descriptor that a skill lacks.
@@ -152,6 +154,13 @@ impl DescriptorRegistry {
     }
 }
 
+impl PlanBudget {
+    /// Returns the time of the whole plan.
+    pub fn time(&self) -> Seconds {
+        self.parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time)
+    }
+}
+
 impl Estimator {
     /// Prices every step of a plan, messages included, in the order of the plan: a robot executes a
     /// single step at a time.
@@ -187,7 +196,7 @@ impl Estimator {
             context.place = estimate.ends_at;
         }
         let mean: f64 = parts.iter().map(|part| part.energy).sum();
-        Ok(PlanBudget { parts, energy: mean + self.margin_sds * variance.sqrt() })
+        Ok(PlanBudget { parts, energy: mean + self.margin_sds * variance.sqrt(), ends_at: context.place })
     }
 
     /// Energy reserve in standard deviations of a plan's energy.

@@ -6,7 +6,9 @@ use consort_fleet::robot_driver::{
     DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState, StateStamp,
 };
 use consort_gossip::{GossipHarness, GossipInput as How};
-use consort_protocol::auction::{AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, RoleReply};
+use consort_protocol::auction::{
+    AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, PresentRole, RoleReply,
+};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec::{encode, encode_for_version, encode_record};
 use consort_protocol::ids::{ClusterId, NodeId, RoleId};
@@ -116,6 +118,7 @@ fn bid() -> Bid {
             time: seconds(120.0),
             energy: 0.1,
         }],
+        present: Some(PresentRole { mission: slug("lab-samples-2"), role: slug("r1"), time: seconds(20.0) }),
     }
 }
 
@@ -247,6 +250,7 @@ fn ledger_commands() -> Vec<Command> {
         entries: vec![],
         omitted: 0,
         chosen: BTreeMap::clone(&given),
+        promised: BTreeMap::from([(slug("r1"), Seconds::new(20.0).expect("a time"))]),
         failure: None,
     };
     let (role, epoch) = (roles[0].clone(), Epoch { term: 1, index: 3 });
@@ -254,7 +258,15 @@ fn ledger_commands() -> Vec<Command> {
     vec![
         Command::Bootstrap { cluster: ClusterId(1) },
         Command::Submit(Box::new(fleet::submission())),
-        Command::Award { mission: mission(), branch: Branch::default(), holders: given, auction: record },
+        Command::Award {
+            mission: mission(),
+            branch: Branch::default(),
+            holders: given,
+            promised: BTreeSet::from([slug("r1")]),
+            auction: record,
+        },
+        Command::AwardPromised { mission: mission(), role: slug("r1"), epoch: Epoch { term: 1, index: 5 } },
+        Command::Postpone { mission: mission(), role: slug("r1"), epoch: Epoch { term: 1, index: 5 } },
         Command::Accept { mission: mission(), role: role.clone(), epoch, incarnation: 5, from_checkpoint: false },
         Command::Progress {
             mission: mission(),

@@ -100,6 +100,7 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
         unavailable: &BTreeMap::new(),
         excluded: &BTreeMap::new(),
         limits: &limits,
+        promises: None,
         window_ms: 200,
         at_ms: 0,
     };

@@ -27,9 +27,10 @@ fn of(what: &EventKind) -> Option<String> {
             let why = record.failure.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
             format!("the auction for {mission} is closed{why}")
         }
-        EventKind::Awarded { mission, holders, .. } => {
-            let given: Vec<String> = holders.iter().map(|(role, robot)| format!("{role} to {robot}")).collect();
-            format!("{mission}: gives {}", given.join(", "))
+        EventKind::Awarded { mission, holders, promised, .. } => {
+            let promised = promised.iter().map(|(role, robot)| format!("promises {role} to {robot}"));
+            let given = holders.iter().map(|(role, robot)| format!("gives {role} to {robot}"));
+            format!("{mission}: {}", given.chain(promised).collect::<Vec<_>>().join(", "))
         }
         EventKind::Released { mission, role, cause } => format!("{mission}: takes {role} back: {cause}"),
         EventKind::Mission { mission, state, .. } => format!("{mission} is {}", state.as_str()),

@@ -231,7 +231,7 @@ impl Run {
             let ChaosAction::Submit { request, deadline_s, .. } = &step.action else { continue };
             (last_ms, missions) = (last_ms.max(step.at_ms), missions + 1);
             let awards = self.fleet.events().into_iter().filter(|kind| match kind {
-                EventKind::Awarded { mission, .. } => {
+                EventKind::Awarded { mission, holders, .. } if !holders.is_empty() => {
                     acknowledged.get(request).is_some_and(|id| *id == mission.as_str())
                 }
                 _ => false,

@@ -1,6 +1,7 @@
 //! Counters of a run, for the scoreboard.
 
 use crate::{Fleet, Observation, slug};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::ledger::MissionState;
 use serde::Serialize;
@@ -24,6 +25,8 @@ pub struct RunCounters {
     pub needs_intervention: usize,
     /// Canceled missions.
     pub canceled: usize,
+    /// Roles that were promised to a robot.
+    pub promised: usize,
     /// Acknowledged missions that no ledger contains: must be 0.
     pub lost: usize,
     /// Durations from the loss of each leader to the takeover by the next, in milliseconds.
@@ -52,6 +55,11 @@ impl RunCounters {
                 if self.leading.remove(node) && self.leading.is_empty() =>
             {
                 self.leaderless_since = Some(at);
+            }
+            Observation::Published(event) => {
+                if let EventKind::Awarded { promised, .. } = &event.kind {
+                    self.promised += promised.len();
+                }
             }
             _ => {}
         }

@@ -9,11 +9,14 @@
 use super::auctioneer;
 use super::ensemble_members::live_members;
 use super::message::{CollectedBids, CoordinatorMessage};
-use super::reconcile::{AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned, unavailable_robots};
+use super::reconcile::{
+    AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned, robot_queues, unavailable_robots,
+    unpromisable_robots,
+};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
-    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, Invitation, RoleReply,
-    clear_auction_with,
+    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, EnergyBudget, Invitation,
+    PromiseContext, RefusalReason, RobotQueue, RoleReply, clear_auction_with,
 };
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
@@ -26,7 +29,7 @@ use std::time::Duration;
 use tracing::debug;
 
 /// Timeout for the ledger to commit an award.
-const AWARD_TIMEOUT: Duration = Duration::from_secs(2);
+pub(super) const AWARD_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A mission fails after this number of consecutive rounds in which every remaining robot refuses a
 /// role permanently, provided that a robot has failed in that role before.
@@ -34,6 +37,20 @@ const HOPELESS_ROUNDS: u32 = 3;
 
 /// Maximum number of robots named in the cause of a failed mission.
 const NAMED_ROBOTS_MAX: usize = 8;
+
+/// Inputs of the clearing of an auction, from the ledger and the other auctions.
+struct AuctionInputs {
+    unavailable: BTreeMap<RobotId, RefusalReason>,
+    unpromisable: BTreeMap<RobotId, RefusalReason>,
+    queues: BTreeMap<RobotId, RobotQueue>,
+    startable: BTreeSet<RoleId>,
+    /// Robots that have failed at each role.
+    failed: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+    /// Robots that have lost or returned each role.
+    released: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+    is_under_way: bool,
+    energy: Option<EnergyBudget>,
+}
 
 /// Auctions of a session, by mission.
 #[derive(Default)]
@@ -133,7 +150,7 @@ impl Auctions {
             match &round.phase {
                 RoundPhase::Bidding => calling = true,
                 RoundPhase::BackingOff { since, .. } => waiting.push((mission, *since)),
-                RoundPhase::Proposing(_) => {}
+                RoundPhase::Proposing { .. } => {}
                 RoundPhase::BiddingClosed(closed) => {
                     let outcome = self.outcome(&closed.bids, context);
                     if outcome.holders.is_some() && now < closed.deadline {
@@ -156,36 +173,68 @@ impl Auctions {
     /// once, and not for ever.
     fn outcome(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
         let CollectedBids { call, invitation, responses } = bids;
-        let (unavailable, failed, released, energy) = context.read_ledger(|ledger| {
-            let entry = ledger.mission(&call.auction.mission);
+        let mission = &call.auction.mission;
+        let inputs = context.read_ledger(|ledger| {
+            let entry = ledger.mission(mission);
             let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {
                 let of_role = |role| entry.map(|entry| robots(entry, role)).unwrap_or_default();
                 call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
             };
-            let unavailable = unavailable_robots(ledger, &self.rounds, &call.auction.mission);
-            let energy = entry.and_then(MissionEntry::energy_budget);
-            (unavailable, of_roles(&MissionEntry::excluded), of_roles(&MissionEntry::former_robots), energy)
+            let can_start = |role: &&RoleId| entry.is_none_or(|entry| entry.can_start(role));
+            AuctionInputs {
+                unavailable: unavailable_robots(ledger, &self.rounds, mission),
+                unpromisable: unpromisable_robots(ledger, mission),
+                queues: robot_queues(ledger, &self.rounds),
+                startable: call.roles.keys().filter(can_start).cloned().collect(),
+                failed: of_roles(&MissionEntry::excluded),
+                released: of_roles(&MissionEntry::former_robots),
+                is_under_way: entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
+                energy: entry.and_then(MissionEntry::energy_budget),
+            }
         });
+        let AuctionInputs { unavailable, unpromisable, queues, startable, failed, released, is_under_way, energy } =
+            &inputs;
         let settings = &context.settings.auctions;
-        let clear = |excluded| {
+        let clear_with = |excluded, may_promise: bool| {
+            let promises = PromiseContext {
+                queues,
+                unavailable: unpromisable,
+                startable,
+                is_under_way: *is_under_way,
+                promises_max: settings.promises_max,
+            };
             let auction_context = AuctionContext {
                 invitation,
-                unavailable: &unavailable,
+                unavailable,
                 excluded,
                 limits: &settings.limits,
-                energy,
+                energy: *energy,
+                promises: Some(promises).filter(|_| may_promise),
                 window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
                 at_ms: context.settings.parts.clock.wall_ms(),
             };
             clear_auction_with(call, responses, &auction_context, &*settings.allocator)
         };
-        let by_others = (released != failed).then(|| clear(&released));
-        by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(&failed))
+        // Missions that would wait for each other are resolved by rank, once the reason is on record.
+        let is_possible = |outcome: &AuctionOutcome| {
+            let holders = outcome.holders.iter().filter(|_| !outcome.record.promised.is_empty());
+            let promised = outcome.record.promised.keys().cloned().collect();
+            let circular =
+                |holders| context.read_ledger(|ledger| ledger.would_wait_circularly(mission, holders, &promised));
+            !holders.into_iter().any(circular)
+        };
+        let clear = |excluded| {
+            let outcome = clear_with(excluded, settings.promises_max > 0);
+            if is_possible(&outcome) { outcome } else { clear_with(excluded, false) }
+        };
+        let by_others = (released != failed).then(|| clear(released));
+        by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(failed))
     }
 
     /// Proposes the award, or defers the mission and backs off.
     fn record(&mut self, mission: &MissionId, outcome: AuctionOutcome, context: &mut SessionContext) {
         let AuctionOutcome { holders, record, unfillable, energy_exceeded } = outcome;
+        let promised: BTreeSet<RoleId> = record.promised.keys().cloned().collect();
         context.publish_event(EventKind::Closed { mission: mission.clone(), record: record.clone() });
         let Some(round) = self.rounds.get_mut(mission) else { return };
         round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
@@ -193,8 +242,8 @@ impl Auctions {
         let mut failure = None;
         let command = match holders {
             Some(holders) => {
-                round.phase = RoundPhase::Proposing(holders.clone());
-                Command::Award { mission, branch, holders, auction: record }
+                round.phase = RoundPhase::Proposing { holders: holders.clone(), promised: promised.clone() };
+                Command::Award { mission, branch, holders, promised, auction: record }
             }
             None => {
                 let since = context.now();
@@ -244,12 +293,13 @@ impl Auctions {
         let since = context.now();
         let mission = &auction.mission;
         let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
-        let RoundPhase::Proposing(holders) = &round.phase else { return };
+        let RoundPhase::Proposing { holders, promised } = &round.phase else { return };
         match outcome {
             Ok(CommandOutcome::Awarded { epoch }) => {
                 let after_ms = time_known.map(|known| known.as_secs_f64() * 1000.0);
-                let (mission, holders) = (mission.clone(), holders.clone());
-                context.publish_event(EventKind::Awarded { mission, holders, epoch, after_ms });
+                let (promised, holders) = holders.clone().into_iter().partition(|(role, _)| promised.contains(role));
+                let mission = mission.clone();
+                context.publish_event(EventKind::Awarded { mission, holders, promised, epoch, after_ms });
                 // If a role of the mission is released, its rounds start again from 1.
                 self.rounds.remove(&auction.mission);
             }

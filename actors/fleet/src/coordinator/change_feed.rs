@@ -118,6 +118,7 @@ fn end_reason(entry: &MissionEntry, role: &RoleId, epoch: Epoch) -> Option<EndRe
         MissionState::Completed => Some(EndReason::Over),
         MissionState::Pending | MissionState::Running => match entry.roles.get(role) {
             Some(RoleEntry { holder: Some(holder), phase: RolePhase::Ended, .. }) if holder.epoch == epoch => None,
+            Some(RoleEntry { phase: RolePhase::Promised, .. }) => Some(EndReason::Released),
             Some(RoleEntry { holder: None, .. }) if entry.branch == Branch::Main => Some(EndReason::Released),
             Some(_) | None => Some(EndReason::Replaced),
         },

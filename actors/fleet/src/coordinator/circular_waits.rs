@@ -1,7 +1,7 @@
 //! Circular waits: missions that hold robots and wait for each other's.
 //!
-//! A mission that has lost a robot keeps its other robots while it waits for a replacement. Several
-//! such missions can wait for each other's robots for ever. The deadlock is resolved by rank (wait-die):
+//! A mission that has lost a robot keeps its other robots while it waits for a replacement, or for the robot of a
+//! promise. Several such missions can wait for each other's robots for ever. The deadlock is resolved by rank (wait-die):
 //! of the missions in a cycle, the worst-ranked mission with a role in which no step has ended gives up
 //! these roles. They are auctioned again after the roles of better-ranked missions. A cycle in which
 //! all held roles have ended steps remains until a person or a deadline ends one of its missions.
@@ -17,7 +17,12 @@ use std::collections::BTreeMap;
 /// Returns the roles to be given up, each with the best-ranked mission of its cycle.
 pub(super) fn roles_to_give_up(ledger: &Ledger) -> Vec<(AwardedRole, MissionId)> {
     let missions = ledger.active_missions();
-    let waiting: Vec<&MissionEntry> = missions.into_iter().filter(|entry| !entry.open_roles().is_empty()).collect();
+    // Promises alone form no cycle.
+    if missions.iter().all(|entry| entry.open_roles().is_empty()) {
+        return vec![];
+    }
+    let is_waiting = |entry: &&MissionEntry| !entry.open_roles().is_empty() || entry.promised_roles().next().is_some();
+    let waiting: Vec<&MissionEntry> = missions.into_iter().filter(is_waiting).collect();
     if waiting.len() < 2 {
         return vec![];
     }
@@ -26,7 +31,8 @@ pub(super) fn roles_to_give_up(ledger: &Ledger) -> Vec<(AwardedRole, MissionId)>
         .flat_map(|(rank, entry)| entry.held_roles().map(move |(.., holder)| (&holder.robot, rank)))
         .collect();
     let waits_for = (0..).zip(&waiting).flat_map(|(rank, entry)| {
-        let blocking = busy_robots(entry).filter_map(|robot| holders.get(robot).copied());
+        let promised = entry.promised_roles().map(|(_, robot)| &robot.robot);
+        let blocking = busy_robots(entry).chain(promised).filter_map(|robot| holders.get(robot).copied());
         blocking.filter(move |other| *other != rank).map(move |other| (rank, other))
     });
     let graph = DiGraph::<(), (), usize>::from_edges(waits_for);
@@ -99,12 +105,14 @@ mod tests {
                 entries,
                 omitted: 0,
                 chosen: BTreeMap::new(),
+                promised: BTreeMap::new(),
                 failure: failure.map(str::to_owned),
             };
             let lost = RobotId::new(format!("lost-{number}")).unwrap();
             let holders = BTreeMap::from([(r1.clone(), holder.parse().unwrap()), (r2.clone(), lost)]);
             let (branch, epoch) = (Branch::Main, at(10 * number + 1));
-            let award = Command::Award { mission: mission.clone(), branch, holders, auction: record(None, vec![]) };
+            let (auction, promised) = (record(None, vec![]), BTreeSet::new());
+            let award = Command::Award { mission: mission.clone(), branch, holders, promised, auction };
             assert_eq!(ledger.apply(epoch, award), CommandOutcome::Awarded { epoch });
             if *touched {
                 let (role, incarnation, from_checkpoint) = (r1.clone(), 1, false);

@@ -1,16 +1,19 @@
 //! Held roles: award notices, and holders that make no progress.
 
+use super::auctions::AWARD_TIMEOUT;
 use super::message::AwardedRole;
 use super::session_context::SessionContext;
 use super::stall_detector::{StallDetector, StalledRole};
 use consort_protocol::cause::CauseClass;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::{Award, Epoch, LeaseMonitor};
-use consort_protocol::ledger::Ledger;
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
+use tracing::debug;
 
 /// Held roles during a session.
 pub(super) struct HeldRoles {
@@ -18,7 +21,7 @@ pub(super) struct HeldRoles {
     /// Roles to be released because their holders reply but make no progress, once the leases have
     /// expired.
     stalled: BTreeMap<(Epoch, RoleId), String>,
-    /// Time of the last notice to the holder of each role.
+    /// Time of the last notice to the holder of each role, or of the last proposal to award a promised role.
     notified: BTreeMap<(Epoch, RoleId), NodeTime>,
 }
 
@@ -33,7 +36,8 @@ impl HeldRoles {
         }
     }
 
-    /// Returns the time of the last notice to the holder of each role.
+    /// Returns the time of the last notice to the holder of each role, or of the last proposal to award a
+    /// promised role.
     pub(super) fn notified(&self) -> &BTreeMap<(Epoch, RoleId), NodeTime> {
         &self.notified
     }
@@ -46,7 +50,10 @@ impl HeldRoles {
         lease_monitor: &mut LeaseMonitor,
         now: NodeTime,
     ) {
-        self.notified.retain(|(epoch, _), _| epochs.contains(epoch));
+        let missions = ledger.active_missions();
+        let promises: BTreeSet<Epoch> =
+            missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| robot.epoch)).collect();
+        self.notified.retain(|(epoch, _), _| epochs.contains(epoch) || promises.contains(epoch));
         self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
         for StalledRole { role, robot, epoch, cause } in self.stall_detector.check(ledger, now) {
             lease_monitor.stop_renewing(epoch, &robot, now);
@@ -59,7 +66,7 @@ impl HeldRoles {
         let award = context.read_ledger(|ledger| {
             let AwardedRole { mission, role, robot, epoch } = awarded.clone();
             let entry = ledger.mission(&mission)?;
-            let (plan, holders) = (entry.plan(&role)?.clone(), entry.role_holders());
+            let (plan, holders) = (entry.plan(&role)?.clone(), entry.role_robots());
             Some(Award { mission, role, robot, epoch, plan, holders })
         });
         let Some(award) = award else { return };
@@ -67,17 +74,35 @@ impl HeldRoles {
         context.notify_award(awarded, &AwardNotice::Awarded(Box::new(award)));
     }
 
-    /// Asks a robot to return a role for the mission `first`.
+    /// Awards a promised role to its robot.
+    pub(super) fn award_promised(&mut self, promised: AwardedRole, context: &mut SessionContext, now: NodeTime) {
+        let AwardedRole { mission, role, robot, epoch } = promised;
+        self.notified.insert((epoch, role.clone()), now);
+        let (replica, events) = (context.settings.parts.replica.clone(), context.settings.parts.events.clone());
+        context.tasks.spawn(async move {
+            let command = Command::AwardPromised { mission: mission.clone(), role: role.clone(), epoch };
+            match replica.propose(command, AWARD_TIMEOUT).await {
+                Ok(CommandOutcome::Awarded { epoch }) => {
+                    let (holders, promised) = (BTreeMap::from([(role, robot)]), BTreeMap::new());
+                    events.publish(EventKind::Awarded { mission, holders, promised, epoch, after_ms: None });
+                }
+                // The next reconciliation proposes it again, if it is still due.
+                outcome => debug!(%mission, %role, ?outcome, "promised role was not awarded"),
+            }
+        });
+    }
+
+    /// Asks a robot to return a role for the mission `first`. With `for_now` it gets the role again.
     pub(super) fn ask_to_give_way(
         &mut self,
         awarded: AwardedRole,
-        first: MissionId,
+        (first, for_now): (MissionId, bool),
         context: &mut SessionContext,
         now: NodeTime,
     ) {
         let AwardedRole { role, robot, epoch, .. } = awarded;
         self.notified.insert((epoch, role), now);
-        context.notify(robot, &AwardNotice::GiveWay { epoch, to: first });
+        context.notify(robot, &AwardNotice::GiveWay { epoch, to: first, for_now });
     }
 
     /// Releases a role with an expired lease. The holder of a stalled role may not get it again.

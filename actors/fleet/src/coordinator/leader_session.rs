@@ -21,9 +21,10 @@ use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus, rep
 use consort_protocol::auction::AuctionId;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{ClusterId, MissionId, NodeId, RoleId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
-use consort_protocol::lease::Epoch;
+use consort_protocol::knowledge::Availability;
+use consort_protocol::lease::{DeclineReason, Epoch};
 use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger, TaskQuestion};
 use consort_protocol::message::{AwardReply, Beacon, Report};
 use consort_protocol::units::NodeTime;
@@ -31,7 +32,7 @@ use consort_protocol::versions::VersionRange;
 use consort_raft::{LeadershipView, ProposeError};
 use consort_skills::actions::GoalId;
 use ractor::ActorRef;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, info, warn};
@@ -260,7 +261,8 @@ impl LeaderSession {
             failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_final()));
             held_roles.follow(ledger, &epochs, &mut lease_monitor, now);
             let (rounds, notified) = (auctions.rounds(), held_roles.notified());
-            let state = SessionState { lease_monitor: &lease_monitor, rounds, notified };
+            let unfit = &unfit_robots(ledger, context, now);
+            let state = SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit };
             let actions = pending_actions(ledger, &state, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
             actions
@@ -271,11 +273,14 @@ impl LeaderSession {
         match action {
             CoordinatorAction::CallForBids(mission) => self.auctions.call_for_bids(&mission, &mut self.context, now),
             CoordinatorAction::NotifyAward(awarded) => self.held_roles.notify_award(awarded, &mut self.context, now),
+            CoordinatorAction::AwardPromised(promised) => {
+                self.held_roles.award_promised(promised, &mut self.context, now);
+            }
             CoordinatorAction::ReleaseRole(awarded, cause) => {
                 self.held_roles.release(awarded, cause, &mut self.context);
             }
-            CoordinatorAction::AskToGiveWay(awarded, first) => {
-                self.held_roles.ask_to_give_way(awarded, first, &mut self.context, now);
+            CoordinatorAction::AskToGiveWay { awarded, to, for_now } => {
+                self.held_roles.ask_to_give_way(awarded, (to, for_now), &mut self.context, now);
             }
             CoordinatorAction::FailMission { mission, cause } => self.fail_mission(mission, cause, now),
         }
@@ -303,8 +308,17 @@ impl LeaderSession {
         self.reconcile();
     }
 
-    /// Handles the reply of a robot to an award notice: a declined role is released.
+    /// Handles the reply of a robot to an award notice: a declined role is released. A robot that has not yet
+    /// learned the end of its former role gets the notice again.
     pub(super) fn handle_notice_reply(&mut self, awarded: AwardedRole, reply: AwardReply) {
+        if let AwardReply::Declined(DeclineReason::Busy { mission, role }) = &reply {
+            let holds = |ledger: &Ledger| {
+                ledger.held_by(&awarded.robot).is_some_and(|(held, id, _)| held.id == *mission && id == role)
+            };
+            if !self.context.read_ledger(holds) {
+                return;
+            }
+        }
         if let AwardReply::Declined(why) = reply {
             let cause = format!("{} declined: {why}", awarded.robot);
             self.context.release_role(awarded, cause, None);
@@ -357,6 +371,29 @@ impl LeaderSession {
     pub(super) fn status(&self) -> CoordinatorStatus {
         CoordinatorStatus { term: self.context.term, since_ms: self.since_ms(), autopilot: self.autopilot.status() }
     }
+}
+
+/// Returns the robots with promises that cannot take a role, with the reasons, as far as this node knows.
+fn unfit_robots(ledger: &Ledger, context: &SessionContext, now: NodeTime) -> BTreeMap<RobotId, String> {
+    let knowledge = &context.settings.parts.knowledge;
+    let missions = ledger.active_missions();
+    let promised: BTreeSet<&RobotId> =
+        missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| &robot.robot)).collect();
+    let terms = context.settings.lease_terms;
+    // A new coordinator may not have received all records.
+    let knows_all = now.since(context.since) > terms.lease + terms.grace;
+    let unfit = |robot: &RobotId| {
+        let node = NodeId::from(robot.clone());
+        let availability =
+            knowledge.read(|base| Some(base.get(&node)?.record.knowledge.robot.as_ref()?.availability.clone()));
+        match availability {
+            None => knows_all.then(|| format!("{robot} is unknown")),
+            Some(_) if !knowledge.is_alive(&node) => Some(format!("{robot} was judged dead")),
+            Some(Availability::OutOfService { problem }) => Some(format!("{robot} is out of service: {problem}")),
+            Some(Availability::Free | Availability::Holding { .. }) => None,
+        }
+    };
+    promised.into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
 }
 
 /// Returns the time of a voter's clock, in milliseconds since 1970; `None` without a reply.

@@ -63,7 +63,8 @@ impl ModelSession {
 
     fn pending_actions(&self, now: NodeTime) -> Vec<CoordinatorAction> {
         let (rounds, notified) = (BTreeMap::new(), BTreeMap::new());
-        let state = SessionState { lease_monitor: &self.monitor, rounds: &rounds, notified: &notified };
+        let unfit = BTreeMap::new();
+        let state = SessionState { lease_monitor: &self.monitor, rounds: &rounds, notified: &notified, unfit: &unfit };
         pending_actions(&self.ledger, &state, now, None)
     }
 

@@ -3,11 +3,11 @@
 
 use super::circular_waits::roles_to_give_up;
 use super::message::{AwardedRole, CollectedBids};
-use consort_protocol::auction::RefusalReason;
+use consort_protocol::auction::{RefusalReason, RobotQueue};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
-use consort_protocol::ledger::{Branch, Ledger, MissionEntry, RolePhase};
-use consort_protocol::units::NodeTime;
+use consort_protocol::ledger::{Branch, Ledger, MissionEntry, RoleAssignment, RolePhase};
+use consort_protocol::units::{Energy, NodeTime, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -45,8 +45,13 @@ pub(super) enum RoundPhase {
     Bidding,
     /// All bids have arrived. Missions with a better rank may still need the same robots.
     BiddingClosed(Box<ClosedBidding>),
-    /// The award of these robots is proposed and not committed yet.
-    Proposing(BTreeMap<RoleId, RobotId>),
+    /// The award is proposed and not committed yet.
+    Proposing {
+        /// Robot of each role.
+        holders: BTreeMap<RoleId, RobotId>,
+        /// Roles that are promised and not awarded.
+        promised: BTreeSet<RoleId>,
+    },
     /// The round had no result.
     BackingOff {
         /// Time of the next call.
@@ -71,10 +76,18 @@ pub(super) enum CoordinatorAction {
     CallForBids(MissionId),
     /// Notify a robot of its award.
     NotifyAward(AwardedRole),
-    /// Release the role of a robot after its lease has certainly expired, with the cause.
+    /// Award a promised role to its robot, which is free.
+    AwardPromised(AwardedRole),
+    /// Release a role with the cause: the lease of its robot has certainly expired, or the robot of a
+    /// promise is out of service.
     ReleaseRole(AwardedRole, String),
-    /// Ask a robot to return a role for a better-ranked mission.
-    AskToGiveWay(AwardedRole, MissionId),
+    /// Ask a robot to return a role for another mission.
+    AskToGiveWay {
+        awarded: AwardedRole,
+        to: MissionId,
+        /// The robot gets the role again.
+        for_now: bool,
+    },
     /// Fail a mission.
     FailMission { mission: MissionId, cause: String },
 }
@@ -94,6 +107,8 @@ pub(super) struct SessionState<'a> {
     pub(super) lease_monitor: &'a LeaseMonitor,
     pub(super) rounds: &'a BTreeMap<MissionId, AuctionRound>,
     pub(super) notified: &'a BTreeMap<(Epoch, RoleId), NodeTime>,
+    /// Robots with promises that cannot take a role, with the reasons.
+    pub(super) unfit: &'a BTreeMap<RobotId, String>,
 }
 
 /// Returns all pending actions, in the order in which missions are served. `confirmed_ms` is the time
@@ -104,7 +119,7 @@ pub(super) fn pending_actions(
     now: NodeTime,
     confirmed_ms: Option<u64>,
 ) -> Vec<CoordinatorAction> {
-    let SessionState { lease_monitor, rounds, notified } = state;
+    let SessionState { lease_monitor, rounds, notified, .. } = state;
     let is_notice_due = |awarded: &AwardedRole| {
         let notified = notified.get(&(awarded.epoch, awarded.role.clone()));
         notified.is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL)
@@ -118,7 +133,7 @@ pub(super) fn pending_actions(
         let due = match rounds.get(&entry.id).map(|round| &round.phase) {
             None => true,
             Some(RoundPhase::BackingOff { until, .. }) => *until <= now,
-            Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_)) => false,
+            Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing { .. }) => false,
         };
         if due && entry.submission.may_start(confirmed_ms) && can_be_auctioned(entry, lease_monitor, now) {
             actions.push(CoordinatorAction::CallForBids(entry.id.clone()));
@@ -134,8 +149,55 @@ pub(super) fn pending_actions(
             }
         }
     }
+    actions.extend(promises_due(ledger, state, is_notice_due));
     let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
-    actions.extend(circular.map(|(awarded, first)| CoordinatorAction::AskToGiveWay(awarded, first)));
+    let give_way = |(awarded, to)| CoordinatorAction::AskToGiveWay { awarded, to, for_now: false };
+    actions.extend(circular.map(give_way));
+    actions
+}
+
+/// Returns the awards of promised roles to free robots, in the order in which missions are served, and the
+/// releases of promises that cannot be kept. A robot that only waits for others in its role is asked to return the
+/// role for a promised role that can start.
+fn promises_due(
+    ledger: &Ledger,
+    SessionState { rounds, unfit, .. }: &SessionState<'_>,
+    is_due: impl Fn(&AwardedRole) -> bool,
+) -> Vec<CoordinatorAction> {
+    let missions = ledger.active_missions();
+    let held = missions.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot));
+    let mut waiting: BTreeMap<&RobotId, AwardedRole> = BTreeMap::new();
+    for entry in &missions {
+        let untouched = entry.held_roles().filter(|(role, held, _)| held.ended.is_empty() && !entry.can_start(role));
+        waiting.extend(untouched.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
+    }
+    let proposed = rounds.values().flat_map(|round| match &round.phase {
+        RoundPhase::Proposing { holders, .. } => holders.values().collect(),
+        RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::BackingOff { .. } => vec![],
+    });
+    let mut taken: BTreeSet<&RobotId> = held.chain(proposed).collect();
+    let mut actions = vec![];
+    for entry in &missions {
+        for (role, robot) in entry.promised_roles() {
+            let promised = AwardedRole::of(entry, role, robot);
+            if let Some(reason) = unfit.get(&robot.robot) {
+                actions.push(CoordinatorAction::ReleaseRole(promised, reason.clone()));
+            } else if !entry.can_start(role) {
+                continue;
+            } else if !taken.contains(&robot.robot) {
+                if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
+                    taken.insert(&robot.robot);
+                    actions.extend(is_due(&promised).then_some(CoordinatorAction::AwardPromised(promised)));
+                }
+            } else {
+                // The robot gets the returned role again once that role can start.
+                let held = waiting.remove(&robot.robot).filter(&is_due);
+                let give_way =
+                    |awarded| CoordinatorAction::AskToGiveWay { awarded, to: entry.id.clone(), for_now: true };
+                actions.extend(held.map(give_way));
+            }
+        }
+    }
     actions
 }
 
@@ -159,30 +221,74 @@ fn past_deadline(entry: &MissionEntry) -> String {
     }
 }
 
+/// Returns what each robot holds and has promised. A proposed award counts as a held role.
+pub(super) fn robot_queues(
+    ledger: &Ledger,
+    rounds: &BTreeMap<MissionId, AuctionRound>,
+) -> BTreeMap<RobotId, RobotQueue> {
+    let mut queues: BTreeMap<RobotId, RobotQueue> = BTreeMap::new();
+    let mut queue_of = |robot: &RobotId, mission: &MissionId, role: &RoleId, promise: Option<&RoleAssignment>| {
+        let reason = RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
+        let empty = RobotQueue {
+            is_held: false,
+            promised: 0,
+            time: Seconds::ZERO,
+            energy: Energy::ZERO,
+            reason: reason.clone(),
+        };
+        let queue = queues.entry(robot.clone()).or_insert(empty);
+        match promise {
+            None => (queue.is_held, queue.reason) = (true, reason),
+            Some(promise) => {
+                queue.promised += 1;
+                queue.time += promise.time;
+                queue.energy += promise.energy;
+            }
+        }
+    };
+    for entry in ledger.active_missions() {
+        for (role, held, robot) in entry.assigned_roles() {
+            let is_promised = held.phase == RolePhase::Promised;
+            queue_of(&robot.robot, &entry.id, role, is_promised.then_some(robot));
+        }
+    }
+    for (mission, round) in rounds {
+        if let RoundPhase::Proposing { holders, .. } = &round.phase {
+            holders.iter().for_each(|(role, robot)| queue_of(robot, mission, role, None));
+        }
+    }
+    queues
+}
+
+/// Returns the robots that can be promised no role of the mission, with the reason: they carry an item of
+/// another mission, or have a role of this mission.
+pub(super) fn unpromisable_robots(ledger: &Ledger, of: &MissionId) -> BTreeMap<RobotId, RefusalReason> {
+    let own = ledger.mission(of).into_iter().flat_map(|entry| {
+        entry.assigned_roles().map(|(role, _, robot)| {
+            let reason = RefusalReason::Busy { mission: entry.id.clone(), role: role.clone() };
+            (robot.robot.clone(), reason)
+        })
+    });
+    carrying_robots(ledger, of).chain(own).collect()
+}
+
+/// Returns the robots with an item of another mission.
+fn carrying_robots(ledger: &Ledger, of: &MissionId) -> impl Iterator<Item = (RobotId, RefusalReason)> {
+    ledger.held_items().filter(|(entry, _)| entry.id != *of).map(|(entry, held_item)| {
+        let (item, mission) = (held_item.item, entry.id.clone());
+        (held_item.robot, RefusalReason::CarriesItem { item, mission })
+    })
+}
+
 /// Returns the robots that cannot get a role of the mission, with the reason: they hold a role, are
-/// about to get a role, or carry an item of another mission.
+/// about to get a role, have a promise, or carry an item of another mission.
 pub(super) fn unavailable_robots(
     ledger: &Ledger,
     rounds: &BTreeMap<MissionId, AuctionRound>,
     of: &MissionId,
 ) -> BTreeMap<RobotId, RefusalReason> {
-    let busy =
-        |mission: &MissionId, role: &RoleId| RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
-    let carrying = ledger.held_items().filter(|(entry, _)| entry.id != *of).map(|(entry, held_item)| {
-        let (item, mission) = (held_item.item, entry.id.clone());
-        (held_item.robot, RefusalReason::CarriesItem { item, mission })
-    });
-    let held = ledger
-        .active_missions()
-        .into_iter()
-        .flat_map(|entry| entry.held_roles().map(|(role, _, holder)| (holder.robot.clone(), busy(&entry.id, role))));
-    let proposed = rounds.iter().flat_map(|(mission, round)| match &round.phase {
-        RoundPhase::Proposing(holders) => {
-            holders.iter().map(|(role, robot)| (robot.clone(), busy(mission, role))).collect::<Vec<_>>()
-        }
-        RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::BackingOff { .. } => vec![],
-    });
-    carrying.chain(held).chain(proposed).collect()
+    let queues = robot_queues(ledger, rounds).into_iter().map(|(robot, queue)| (robot, queue.reason));
+    carrying_robots(ledger, of).chain(queues).collect()
 }
 
 /// Returns all awards, with their robots, that are in force or may still be acted on.
@@ -222,7 +328,8 @@ mod tests {
     #[test]
     fn a_branch_change_voids_the_round_and_makes_the_next_due() {
         let now = NodeTime::ZERO + Duration::from_secs(9);
-        let proposing = RoundPhase::Proposing(BTreeMap::from([("r1".parse().unwrap(), "amber".parse().unwrap())]));
+        let holders = BTreeMap::from([("r1".parse().unwrap(), "amber".parse().unwrap())]);
+        let proposing = RoundPhase::Proposing { holders, promised: BTreeSet::new() };
         let round = AuctionRound {
             number: 4,
             branch: Branch::Main,

@@ -68,6 +68,8 @@ pub(crate) struct AuctionSettings {
     pub(crate) ensembles: Arc<Ensembles>,
     /// Limits that bids must meet.
     pub(crate) limits: BidLimits,
+    /// Maximum number of roles that are promised to a robot.
+    pub(crate) promises_max: u32,
     /// Allocation rule of the auctions.
     pub(crate) allocator: Arc<dyn Allocator>,
     /// Time for which an auction waits for missing bids. Raised: robots on slow links still win

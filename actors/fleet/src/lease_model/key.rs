@@ -56,6 +56,7 @@ impl World {
             RolePhase::Awarded => 1,
             RolePhase::Active => 2,
             RolePhase::Ended => 3,
+            RolePhase::Promised => 4,
         };
         let deposed = if node == self.leader { 0 } else { (self.tick - self.deposed_at).min(2) as u8 };
         key.extend([deposed, phase]);

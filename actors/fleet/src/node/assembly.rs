@@ -275,6 +275,7 @@ impl Assembly {
             auctions: AuctionSettings {
                 ensembles: Arc::clone(&self.fleet.ensembles),
                 limits: self.fleet.limits,
+                promises_max: self.fleet.promises_max,
                 allocator: Arc::clone(&self.fleet.allocator),
                 bid_window: self.fleet.bid_window,
             },

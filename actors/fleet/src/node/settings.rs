@@ -33,6 +33,8 @@ pub struct FleetSettings {
     pub domain: Arc<Domain>,
     /// Limits that bids must meet.
     pub limits: BidLimits,
+    /// Maximum number of roles that are promised to a robot while it holds another; 0 for none.
+    pub promises_max: u32,
     /// Limits of accepted requests and missions.
     pub request_limits: RequestLimits,
     /// Limits of the ledger's history of ended missions.

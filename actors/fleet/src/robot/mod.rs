@@ -51,7 +51,7 @@ mod test_values;
 mod worker_record;
 
 pub(crate) use actor::{Robot, RobotMessage};
-pub use bidder::{BidContext, Bidder};
+pub use bidder::{BidContext, Bidder, PresentWork};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use sequencer::{AlternativeProgress, OwnProgress, Sequencer, SequencerAction, StepRef};
 pub(crate) use settings::{ExecutionSettings, PricingSettings, RobotLinks, RobotSettings, RobotStart};

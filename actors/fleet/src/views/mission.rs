@@ -92,6 +92,7 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
         },
         progress: MissionProgress {
             holders: entry.holders(),
+            promised: entry.promised_roles().map(|(role, robot)| (role.clone(), robot.robot.clone())).collect(),
             items: items(entry),
             done,
             steps,
@@ -108,7 +109,11 @@ fn role_view(entry: &MissionEntry, id: &RoleId, role: &RoleEntry) -> RoleView {
         eligible: entry.mission().roles.get(id).and_then(|role| role.eligible.clone()),
         phase: role.phase,
         holder: role.holder.as_ref().map(|holder| holder.robot.clone()),
-        epoch: role.holder.as_ref().map(|holder| holder.epoch.to_string()),
+        epoch: role
+            .holder
+            .as_ref()
+            .filter(|_| role.phase != RolePhase::Promised)
+            .map(|holder| holder.epoch.to_string()),
         steps: entry.plan(id).map(|plan| steps(plan, &role.ended)),
     }
 }

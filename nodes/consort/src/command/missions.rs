@@ -8,7 +8,7 @@ use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{HeldItem, MissionState};
 use consort_protocol::units::{Energy, EnergyLimit};
-use consort_protocol::view::{MissionBrief, MissionSummary, MissionsView};
+use consort_protocol::view::{MissionBrief, MissionProgress, MissionSummary, MissionsView};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -104,13 +104,20 @@ fn row(mission: &MissionSummary) -> Vec<String> {
         format!("{}/{}", progress.done, progress.steps),
         energy(progress.energy, terms.energy_max),
         pairs(&terms.parameters),
-        pairs(&progress.holders),
+        roles(progress),
         match why {
             Some(why) => why,
             None if status.detail == MissionState::Completed && !result.is_empty() => pairs(result),
             None => detail(&status.detail).trim_start_matches(": ").to_owned(),
         },
     ]
+}
+
+/// Formats the robots of a mission: `r1=amber, lab_arm=lab-arm later`.
+fn roles(progress: &MissionProgress) -> String {
+    let held = progress.holders.iter().map(|(role, robot)| (role, robot.to_string()));
+    let promised = progress.promised.iter().map(|(role, robot)| (role, format!("{robot} later")));
+    pairs(&held.chain(promised).collect())
 }
 
 /// Formats the estimated energy of a mission, with its bound: `3.1 % of 40.0 %`.

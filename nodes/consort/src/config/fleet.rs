@@ -6,7 +6,7 @@ use crate::diagnostic::Diagnostics;
 use crate::map_loader::is_shipped;
 use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
-use consort_protocol::auction::BidLimits;
+use consort_protocol::auction::{BidLimits, PROMISES_MAX};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
@@ -141,13 +141,16 @@ pub struct LeaseConfig {
 }
 
 /// `[auction]`: settings of auctions.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuctionConfig {
     /// Time that an auction waits for a member that does not answer, in milliseconds; it closes at
     /// once when all have answered. Default: that of `timing`, 200 or 800.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub window_ms: Option<u64>,
+    /// Maximum number of roles that are promised to a robot while it holds another; 0 for none. More: missions
+    /// start earlier, and their other robots wait for a scarce robot. Default 16.
+    pub promises: u32,
 }
 
 impl Default for FleetConfig {
@@ -178,6 +181,12 @@ impl Default for LimitsConfig {
     fn default() -> Self {
         let BidLimits { time, charge_min } = BidLimits::default();
         LimitsConfig { time_s: time, charge_min }
+    }
+}
+
+impl Default for AuctionConfig {
+    fn default() -> Self {
+        AuctionConfig { window_ms: None, promises: PROMISES_MAX }
     }
 }
 

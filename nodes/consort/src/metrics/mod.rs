@@ -150,7 +150,16 @@ mod tests {
         );
         let holders = std::collections::BTreeMap::new();
         let epoch = Epoch { term: 1, index: 3 };
-        publish(&metrics, EventKind::Awarded { mission: mission(), holders, epoch, after_ms: Some(7.0) });
+        publish(
+            &metrics,
+            EventKind::Awarded {
+                mission: mission(),
+                holders,
+                promised: std::collections::BTreeMap::new(),
+                epoch,
+                after_ms: Some(7.0),
+            },
+        );
         let text = metrics.text();
         let labels = r#"fleet="ward",node="ada""#;
         assert_eq!(line(&text, "consort_elections_total"), format!("consort_elections_total{{{labels}}} 1"));

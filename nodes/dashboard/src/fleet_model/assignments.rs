@@ -84,7 +84,7 @@ impl MissionModel {
     pub(super) fn apply_holders(&mut self, now_ms: u64) {
         let roles: Vec<_> = self.roles.iter().map(|(role, shown)| (role.clone(), shown.clone())).collect();
         for (role, shown) in roles {
-            let Some(holder) = shown.holder else { continue };
+            let Some(holder) = shown.holder.filter(|_| shown.phase != RolePhase::Promised) else { continue };
             let changes = self
                 .assignments
                 .iter()

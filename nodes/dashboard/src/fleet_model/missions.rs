@@ -2,7 +2,7 @@
 
 use super::state::{MissionModel, RoleModel, StepModel};
 use super::{FleetModel, bounds};
-use consort_protocol::ledger::MissionState;
+use consort_protocol::ledger::{MissionState, RolePhase};
 use consort_protocol::view::{MissionBrief, MissionSummary, MissionView, MissionsView, RoleView, StepView};
 use std::collections::BTreeMap;
 
@@ -47,7 +47,8 @@ impl FleetModel {
         let roles: BTreeMap<String, RoleModel> =
             roles.into_iter().map(|role| (role.role.to_string(), role_model(role))).collect();
         if !roles.is_empty() {
-            let held = roles.iter().filter_map(|(role, shown)| Some((role.clone(), shown.holder.clone()?)));
+            let held = roles.iter().filter(|(_, shown)| shown.phase != RolePhase::Promised);
+            let held = held.filter_map(|(role, shown)| Some((role.clone(), shown.holder.clone()?)));
             mission.holders = held.collect();
             mission.roles = roles;
             mission.apply_holders(now_ms);

@@ -349,13 +349,14 @@ fn many(chaos: &Chaos) -> Result<(), Failure> {
     if !args.json {
         output::line(format_args!(
             "{} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn)\n\
-             {}{}; converged{} after the last fault\n\
+             {}; {}{}; converged{} after the last fault\n\
              {:.1} simulated hours in {seconds:.1} s, {rate:.0} seeds a minute",
             count(seeds, "seed", "seeds"),
             count(totals.acknowledged, "mission", "missions"),
             totals.completed,
             totals.failed,
             totals.canceled,
+            count(totals.promised, "role promised", "roles promised"),
             count(totals.takeovers.len(), "takeover", "takeovers"),
             median_and_p99(&totals.takeovers, 1.0, "ms"),
             median_and_p99(&totals.converged, 1000.0, "s"),
@@ -381,6 +382,7 @@ struct Totals {
     completed: usize,
     failed: usize,
     canceled: usize,
+    promised: usize,
     takeovers: Vec<u64>,
     converged: Vec<u64>,
     simulated_ms: u64,
@@ -394,6 +396,7 @@ impl Totals {
         self.completed += counters.completed;
         self.failed += counters.failed + counters.needs_intervention;
         self.canceled += counters.canceled;
+        self.promised += counters.promised;
         self.takeovers.extend(&counters.takeovers_ms);
         self.converged.extend(counters.converged_ms);
         self.simulated_ms += counters.simulated_ms;

@@ -1,7 +1,7 @@
 //! `consort-lab experiment`: runs the published evaluation and others on whole fleets.
 
-use super::legs;
 use super::workload_flags::WorkloadFlags;
+use super::{legs, shift};
 use crate::design_file::DesignFile;
 use crate::evaluation::{Evaluation, InputOverrides};
 use clap::{Args as ClapArgs, Subcommand};
@@ -40,7 +40,8 @@ use std::time::Instant;
 Examples:
   consort-lab experiment run published --out results
   consort-lab experiment calibrate published --out calibrated
-  consort-lab experiment legs nav_legs.csv")]
+  consort-lab experiment legs nav_legs.csv
+  consort-lab experiment shift")]
 pub(crate) struct Args {
     /// The command
     #[command(subcommand)]
@@ -52,6 +53,7 @@ enum ExperimentCommand {
     Run(RunArgs),
     Calibrate(CalibrateArgs),
     Legs(legs::Args),
+    Shift(shift::Args),
 }
 
 /// Runs a design and writes rows (CSV), a report (Markdown, SVG) and statistics (JSON)
@@ -169,6 +171,7 @@ pub(crate) fn run(args: &Args, extensions: Extensions) -> Result<(), Failure> {
         ExperimentCommand::Run(args) => run_design(args, extensions),
         ExperimentCommand::Calibrate(args) => calibrate(args, extensions),
         ExperimentCommand::Legs(args) => legs::run(args),
+        ExperimentCommand::Shift(args) => shift::run(args),
     }
 }
 

@@ -8,6 +8,7 @@ pub(crate) mod experiment;
 mod legs;
 pub(crate) mod png;
 pub mod schema;
+mod shift;
 pub(crate) mod soak;
 pub mod test;
 mod workload_flags;

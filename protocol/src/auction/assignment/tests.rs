@@ -15,6 +15,7 @@ fn bid(robot: &str, role: &str, time: f64) -> Bid {
         from: PlaceId::new("dock").unwrap(),
         age_ms: 0,
         parts: vec![],
+        present: None,
     }
 }
 

@@ -6,6 +6,7 @@ use super::bid::{Bid, BidLimits, BidPart, BidResponse, CallForBids, RefusalReaso
 use super::energy::{EnergyBudget, EnergyOffer};
 use super::energy_exceeded::EnergyExceeded;
 use super::invitation::Invitation;
+use super::promise::PromiseContext;
 use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
 use crate::ids::{EnsembleId, RobotId, RoleId};
 use crate::units::{Energy, Seconds};
@@ -39,6 +40,8 @@ pub struct AuctionContext<'a> {
     pub limits: &'a BidLimits,
     /// Bound on the energy of the mission; `None` for no bound.
     pub energy: Option<EnergyBudget>,
+    /// Promises to robots that are busy; `None` for none.
+    pub promises: Option<PromiseContext<'a>>,
     /// Time waited for replies, in milliseconds.
     pub window_ms: u64,
     /// Time to write into the record, in milliseconds.
@@ -54,6 +57,23 @@ pub fn clear_auction(call: &CallForBids, responses: &[BidResponse], context: &Au
 
 /// Does the same with another allocator.
 pub fn clear_auction_with(
+    call: &CallForBids,
+    responses: &[BidResponse],
+    context: &AuctionContext<'_>,
+    allocator: &dyn Allocator,
+) -> AuctionOutcome {
+    let now = clear_by_preference(call, responses, context, allocator);
+    let Some(promises) = context.promises.as_ref().filter(|_| now.holders.is_none()) else { return now };
+    let later_responses = promises.later(responses);
+    let later_context = AuctionContext { unavailable: promises.unavailable, promises: None, ..context.clone() };
+    let later = clear_by_preference(call, &later_responses, &later_context, allocator);
+    match later.holders.as_ref().and_then(|holders| promises.promised(holders, responses)) {
+        Some(promised) => AuctionOutcome { record: AuctionRecord { promised, ..later.record }, ..later },
+        None => now,
+    }
+}
+
+fn clear_by_preference(
     call: &CallForBids,
     responses: &[BidResponse],
     context: &AuctionContext<'_>,
@@ -97,8 +117,15 @@ fn clear_among(
     let failure = energy_exceeded.as_ref().map(ToString::to_string).or(problem.map(|problem| problem.to_string()));
     let chosen = holders.clone().unwrap_or_default();
     keep_parts(&mut entries, &chosen, |role, robot| bid_of(replies, role, robot).map_or(&[], |bid| &bid.parts));
-    let mut record =
-        AuctionRecord { auction: call.auction.clone(), at_ms: context.at_ms, entries, omitted: 0, chosen, failure };
+    let mut record = AuctionRecord {
+        auction: call.auction.clone(),
+        at_ms: context.at_ms,
+        entries,
+        omitted: 0,
+        chosen,
+        promised: BTreeMap::new(),
+        failure,
+    };
     record.limit();
     AuctionOutcome { holders, record, unfillable, energy_exceeded }
 }
@@ -267,6 +294,9 @@ fn evaluate(bid: &Bid, context: &AuctionContext<'_>, preference: Option<Preferen
     let Bid { time, energy, remaining, .. } = *bid;
     if let Some(reason) = context.unavailable.get(&bid.robot) {
         return BidVerdict::Refused { reason: reason.clone() };
+    }
+    if let Some(present) = &bid.present {
+        return BidVerdict::Refused { reason: RefusalReason::from(present) };
     }
     if let Some(Preference { ensemble, robots }) = preference
         && !robots.contains(&bid.robot)

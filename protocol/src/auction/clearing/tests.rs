@@ -35,7 +35,16 @@ fn context<'a>(
     excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
 ) -> AuctionContext<'a> {
     static LIMITS: std::sync::LazyLock<BidLimits> = std::sync::LazyLock::new(BidLimits::default);
-    AuctionContext { invitation, unavailable: taken, excluded, limits: &LIMITS, energy: None, window_ms: 200, at_ms: 0 }
+    AuctionContext {
+        invitation,
+        unavailable: taken,
+        excluded,
+        limits: &LIMITS,
+        energy: None,
+        promises: None,
+        window_ms: 200,
+        at_ms: 0,
+    }
 }
 
 fn bids(name: &str, time: f64, remaining: f64) -> BidResponse {
@@ -53,6 +62,7 @@ fn bids_with_energy(name: &str, time: f64, remaining: f64, energy: f64) -> BidRe
         from: PlaceId::new("dock").unwrap(),
         age_ms: 0,
         parts: vec![],
+        present: None,
     };
     BidResponse { robot: robot(name), auction: call().auction, replies: vec![RoleReply::Bid(bid)] }
 }
@@ -112,7 +122,8 @@ fn a_record_with_long_refusals_fits_an_award() {
     assert_eq!((auction.entries.len() + auction.omitted as usize, auction.entries[0].robot.as_str()), (201, "zoe"));
     assert!(auction.entries.len() > 80, "{} replies are recorded", auction.entries.len());
     let mission = call().auction.mission;
-    let award = Command::Award { mission, branch: Branch::Main, holders, auction: auction.clone() };
+    let (branch, promised) = (Branch::Main, BTreeSet::new());
+    let award = Command::Award { mission, branch, holders, promised, auction: auction.clone() };
     assert!(codec::encode(&award).unwrap().len() < codec::MESSAGE_BYTES_MAX * 3 / 4);
     let mut again = auction.clone();
     again.limit();

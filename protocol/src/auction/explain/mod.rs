@@ -184,7 +184,7 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
             .then(one.robot.cmp(&other.robot))
     });
     let why = match winner {
-        Some(winner) => why_won(record, winner, won.map(|won| won.price), &robots),
+        Some(winner) => why_won(record, role, winner, won.map(|won| won.price), &robots),
         None => {
             let viable = robots.iter().filter(|robot| robot.outcome == RobotOutcome::RoleUnfilled).count();
             let cause = record.failure.as_deref().unwrap_or("the auction assigned no role");
@@ -203,7 +203,22 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
     RoleExplanation { role: role.clone(), winner: winner.cloned(), why, robots }
 }
 
-fn why_won(record: &AuctionRecord, winner: &RobotId, won: Option<BidCost>, robots: &[RobotExplanation]) -> String {
+/// Returns a text like ` in about 40 s` for a promised role.
+fn later_text(record: &AuctionRecord, role: &RoleId) -> String {
+    match record.promised.get(role) {
+        None => String::new(),
+        Some(start) if start.get() < 1.0 => " once it can start".to_owned(),
+        Some(start) => format!(" in about {:.0} s", start.get()),
+    }
+}
+
+fn why_won(
+    record: &AuctionRecord,
+    role: &RoleId,
+    winner: &RobotId,
+    won: Option<BidCost>,
+    robots: &[RobotExplanation],
+) -> String {
     let Some(won) = won else { return format!("{winner} gets the role; its bid is not in the record") };
     let rivals: Vec<&RobotExplanation> = robots
         .iter()
@@ -211,7 +226,7 @@ fn why_won(record: &AuctionRecord, winner: &RobotId, won: Option<BidCost>, robot
         .collect();
     let faster: Vec<&&RobotExplanation> =
         rivals.iter().filter(|robot| robot.behind_s.is_some_and(|behind| behind < 0.0)).collect();
-    let bid = format!("{winner} gets the role with {}", won.text());
+    let bid = format!("{winner} gets the role{} with {}", later_text(record, role), won.text());
     if let Some(rival) = faster.first() {
         return match rival.outcome {
             RobotOutcome::WonOtherRole => {
@@ -257,7 +272,9 @@ fn explain_robot(
             let bid = BidCost::of(*time, *energy, *remaining);
             let words = format!("{robot} bid {}", bid.text());
             let (outcome, why) = match (winner, elsewhere, won) {
-                (Some(winner), ..) if winner == robot => (RobotOutcome::Won, format!("{words}, and gets the role")),
+                (Some(winner), ..) if winner == robot => {
+                    (RobotOutcome::Won, format!("{words}, and gets the role{}", later_text(record, role)))
+                }
                 (_, Some((other, _)), _) => {
                     (RobotOutcome::WonOtherRole, format!("{words}; it gets {other} of this mission instead"))
                 }

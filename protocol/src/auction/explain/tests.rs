@@ -42,6 +42,7 @@ fn record(entries: Vec<AuctionEntry>, chosen: &[(&str, &str)], failure: Option<&
         entries,
         omitted: 0,
         chosen: chosen.iter().map(|(role, robot)| (slug(role), slug(robot))).collect(),
+        promised: BTreeMap::new(),
         failure: failure.map(str::to_owned),
     }
 }

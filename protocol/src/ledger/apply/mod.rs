@@ -16,6 +16,13 @@ use crate::units::Energy;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Robots of the open roles of a mission.
+struct AwardedRoles {
+    holders: BTreeMap<RoleId, RobotId>,
+    /// Roles that are promised and not awarded yet.
+    promised: BTreeSet<RoleId>,
+}
+
 /// Maximum number of ended missions before wire version 3.
 const HISTORY_MAX: usize = 500;
 
@@ -38,7 +45,11 @@ impl Ledger {
         let done = match command {
             Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
             Command::Submit(submission) => self.submit(*submission),
-            Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
+            Command::Award { mission, branch, holders, promised, auction } => {
+                self.award(&mission, branch, AwardedRoles { holders, promised }, auction, at)
+            }
+            Command::AwardPromised { mission, role, epoch } => self.award_promised(&mission, &role, epoch, at),
+            Command::Postpone { mission, role, epoch } => self.postpone(&mission, &role, epoch),
             Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
             Command::Accept { mission, role, epoch, incarnation, from_checkpoint } => {
                 self.accept(&mission, &role, epoch, incarnation, from_checkpoint)
@@ -237,40 +248,37 @@ impl Ledger {
         &mut self,
         mission: &MissionId,
         branch: Branch,
-        holders: BTreeMap<RoleId, RobotId>,
+        AwardedRoles { holders, promised }: AwardedRoles,
         auction: AuctionRecord,
         at: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
-        let open = self.in_branch(mission, branch)?.open_roles();
+        let entry = self.in_branch(mission, branch)?;
+        let open = entry.open_roles();
         if open.is_empty() || !holders.keys().eq(open.iter()) {
             return Err(CommandError::NotOpen { mission: mission.clone(), open });
         }
-        let mut taken: BTreeMap<&RobotId, &RoleId> = BTreeMap::new();
+        let assigned = entry.assigned_roles().map(|(role, _, holder)| (holder.robot.clone(), role.clone()));
+        let mut taken: BTreeMap<RobotId, RoleId> = assigned.collect();
         for (role, robot) in &holders {
-            let two_roles = |mission: &MissionId, role: &RoleId| CommandError::TwoRoles {
-                robot: robot.clone(),
-                mission: mission.clone(),
-                role: role.clone(),
-            };
-            if let Some((held, role, _)) = self.held_by(robot) {
-                return Err(two_roles(&held.id, role));
+            if let Some(role) = taken.insert(robot.clone(), role.clone()) {
+                let (robot, mission) = (robot.clone(), mission.clone());
+                return Err(CommandError::TwoRoles { robot, mission, role });
             }
-            if let Some(role) = taken.insert(robot, role) {
-                return Err(two_roles(mission, role));
+            match promised.contains(role) {
+                true => self.check_hands(mission, robot)?,
+                false => self.check_free(mission, robot)?,
             }
-            let mut others = self.held_items().filter(|(entry, _)| entry.id != *mission);
-            if let Some((entry, held_item)) = others.find(|(_, held_item)| held_item.robot == *robot) {
-                let (robot, item, mission) = (robot.clone(), held_item.item, entry.id.clone());
-                return Err(CommandError::CarriesItem { robot, item, mission });
-            }
+        }
+        if self.would_wait_circularly(mission, &holders, &promised) {
+            return Err(CommandError::CircularWait { mission: mission.clone() });
         }
         let entry = self.active_mission(mission)?;
         entry.former_holders.clear();
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
-                let energy = auction.energy_of(&id, &robot);
-                role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None, energy });
-                role.phase = RolePhase::Awarded;
+                let (energy, time) = (auction.energy_of(&id, &robot), auction.time_of(&id, &robot));
+                role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None, energy, time });
+                role.phase = if promised.contains(&id) { RolePhase::Promised } else { RolePhase::Awarded };
                 role.ended.clear();
             }
         }
@@ -383,6 +391,22 @@ impl Ledger {
 
     /// Returns a role of an active mission that is held under `epoch`, or an unmanaged role.
     pub(super) fn held_role(
+        &mut self,
+        mission: &MissionId,
+        id: &RoleId,
+        epoch: Epoch,
+    ) -> Result<&mut RoleEntry, CommandError> {
+        let role = self.assigned_role(mission, id, epoch)?;
+        match role.phase {
+            RolePhase::Promised => {
+                Err(CommandError::StaleEpoch { mission: mission.clone(), role: id.clone(), held: None })
+            }
+            _ => Ok(role),
+        }
+    }
+
+    /// Returns a role of an active mission that is held or promised under `epoch`, or an unmanaged role.
+    pub(super) fn assigned_role(
         &mut self,
         mission: &MissionId,
         id: &RoleId,

@@ -38,7 +38,7 @@ impl Ledger {
         epoch: Epoch,
         loss: &ReleaseCause,
     ) -> Result<CommandOutcome, CommandError> {
-        let role = self.held_role(mission, role_id, epoch)?;
+        let role = self.assigned_role(mission, role_id, epoch)?;
         if role.phase == RolePhase::Ended {
             return Ok(CommandOutcome::Done); // completed: it need not be repeated
         }
@@ -76,7 +76,7 @@ impl Ledger {
             return Ok(CommandOutcome::Done);
         }
         if entry.only_cleanup_remains(role_id) {
-            self.held_role(mission, role_id, epoch)?.phase = RolePhase::Ended;
+            self.assigned_role(mission, role_id, epoch)?.phase = RolePhase::Ended;
             return self.complete_if_done(mission);
         }
         let on_loss = entry.mission().roles.get(role_id).map_or(OnLoss::Fail, |role| role.on_loss);
@@ -96,7 +96,7 @@ impl Ledger {
             return self.end(mission, MissionState::Failed { cause }, &places, undone);
         }
         self.active_mission(mission)?.keep_energy_of(role_id);
-        let role = self.held_role(mission, role_id, epoch)?;
+        let role = self.assigned_role(mission, role_id, epoch)?;
         role.holder = None;
         role.phase = RolePhase::Open;
         role.ended.clear();

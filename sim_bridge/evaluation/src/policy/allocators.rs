@@ -142,6 +142,7 @@ mod tests {
             from: place("A"),
             age_ms: 0,
             parts: vec![],
+            present: None,
         }
     }
 

@@ -37,6 +37,7 @@ mod tests {
             from: PlaceId::new("Dock").unwrap(),
             age_ms: 0,
             parts: vec![],
+            present: None,
         }
     }
 

@@ -173,8 +173,8 @@ fn without_guards(query: Query) -> Query {
 /// Turns a request to give way into one for another award, which the robot ignores.
 fn without_giving_way(query: Query) -> Query {
     let Ok(ClusterEnvelope { cluster, payload }) = codec::decode(&query.payload) else { return query };
-    let Ok(AwardNotice::GiveWay { to, .. }) = codec::decode(&payload) else { return query };
-    let payload = encoded(&AwardNotice::GiveWay { epoch: Epoch::default(), to }).to_vec();
+    let Ok(AwardNotice::GiveWay { to, for_now, .. }) = codec::decode(&payload) else { return query };
+    let payload = encoded(&AwardNotice::GiveWay { epoch: Epoch::default(), to, for_now }).to_vec();
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
 }
 

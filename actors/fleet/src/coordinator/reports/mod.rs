@@ -161,7 +161,7 @@ enum ReportCase<'a> {
     /// The ledger does not contain all ended steps.
     NewSteps,
     /// The robot cannot continue.
-    Failed(&'a TaskFailure),
+    Failed(&'a MissionEntry, &'a TaskFailure),
     /// The ledger contains the whole report.
     NoNews(&'a MissionEntry, &'a RoleEntry),
 }
@@ -172,7 +172,8 @@ pub(super) fn next(entry: Option<&MissionEntry>, report: &Report) -> Step {
         ReportCase::Ended(reason) => Step::Reply(ended(entry, report, reason)),
         ReportCase::Unaccepted => Step::Commit(accept(report)),
         ReportCase::NewSteps => Step::Commit(progress(report)),
-        ReportCase::Failed(failure) => Step::Commit(release_failed(report, failure)),
+        ReportCase::Failed(entry, failure) if is_postponed(entry, report, failure) => Step::Commit(postpone(report)),
+        ReportCase::Failed(_, failure) => Step::Commit(release_failed(report, failure)),
         ReportCase::NoNews(entry, role) => Step::Reply(renewed(entry, role, report)),
     }
 }
@@ -187,7 +188,7 @@ fn report_case<'a>(entry: Option<&'a MissionEntry>, report: &'a Report) -> Repor
         (Some(obstacle), _) => obstacle,
         (None, _) if !report.ended.is_subset(&role.ended) => ReportCase::NewSteps,
         (None, _) if report.outcomes.keys().any(|task| entry.lacks_outcome(&report.role, task)) => ReportCase::NewSteps,
-        (None, Some(failure)) => ReportCase::Failed(failure),
+        (None, Some(failure)) => ReportCase::Failed(entry, failure),
         (None, None) => ReportCase::NoNews(entry, role),
     }
 }
@@ -210,6 +211,8 @@ fn robot_case<'a>(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> Op
             Some(ReportCase::Ended(EndReason::Replaced))
         }
         Some(_) if role.phase == RolePhase::Ended => Some(ReportCase::Ended(EndReason::Over)),
+        // The role was awarded to the robot before and is promised to it now.
+        Some(_) if role.phase == RolePhase::Promised => Some(ReportCase::Ended(EndReason::Released)),
         // A later incarnation of the same robot holds the role.
         Some(holder) if holder.incarnation.is_some_and(|known| known > report.incarnation) => {
             Some(ReportCase::Ended(EndReason::Replaced))
@@ -230,7 +233,7 @@ fn renewed(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> ReportRep
     ReportReply::Renewed {
         epoch: report.epoch,
         ended: role.ended.clone(),
-        holders: entry.role_holders(),
+        holders: entry.role_robots(),
         signals: entry.signals_to(&report.role),
         outcomes: entry.outcomes_for(&report.role),
         answer: report.question.as_ref().and_then(|asked| answer(entry, report, asked)),
@@ -268,10 +271,25 @@ fn progress(report: &Report) -> Command {
     Command::Progress { mission, role, epoch, branch: Branch::default(), ended, outcomes }
 }
 
+/// Checks whether the robot returns a role for now in which it could only wait. A role that can start is
+/// released instead, so that a robot cannot postpone it again and again.
+fn is_postponed(entry: &MissionEntry, report: &Report, failure: &TaskFailure) -> bool {
+    let is_untouched = entry.roles.get(&report.role).is_some_and(|role| role.ended.is_empty());
+    failure.kind == FailureKind::Postponed && is_untouched && !entry.can_start(&report.role)
+}
+
+fn postpone(report: &Report) -> Command {
+    let (mission, role, epoch) = (report.mission.clone(), report.role.clone(), report.epoch);
+    Command::Postpone { mission, role, epoch }
+}
+
 /// Releases the role. A robot that only leaves the fleet, that gives way, or that has started nothing because
 /// its checkpoint failed, may bid again.
 fn release_failed(report: &Report, failure: &TaskFailure) -> Command {
-    let gave_back = matches!(failure.kind, FailureKind::Leaving | FailureKind::Checkpoint | FailureKind::GaveWay);
+    let gave_back = matches!(
+        failure.kind,
+        FailureKind::Leaving | FailureKind::Checkpoint | FailureKind::GaveWay | FailureKind::Postponed
+    );
     let (mission, role, epoch) = (report.mission.clone(), report.role.clone(), report.epoch);
     Command::Release {
         mission,

@@ -10,7 +10,7 @@ mod state;
 
 pub(crate) use message::RobotMessage;
 
-use super::bidder::{BidContext, Bidder};
+use super::bidder::{BidContext, Bidder, PresentWork};
 use super::checkpoint::Checkpoint;
 use super::checkpoint_storage::CheckpointStorage;
 use super::driver_link::DriverLink;
@@ -30,6 +30,7 @@ use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::Event;
 use consort_protocol::message::{Beacon, TaskFailure};
+use consort_protocol::units::NodeTime;
 use ractor::{Actor, ActorProcessingErr, ActorRef, RpcReplyPort, SupervisionEvent};
 use state::{DecommissionRequests, RobotState, leaving};
 use std::sync::Arc;
@@ -203,11 +204,24 @@ impl RobotState {
         let coordinator = self.lease.coordinator().unwrap_or(&me);
         let membership =
             links.knowledge.read(|base| pricing.ensembles.membership_of(&call.ensembles, &me, coordinator, base, now));
+        let present = self.present_work(now);
+        let RobotSettings { robot, links, pricing, .. } = &self.settings;
         let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
-        let context = BidContext { worker: self.driver.worker(), closed_lanes, age_ms, membership };
+        let context = BidContext { worker: self.driver.worker(), closed_lanes, age_ms, membership, present };
         let response = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).respond(&call, &context);
         let key = links.keys.write(&Key::Bid(robot.clone()));
         reply::wire_in(&mut self.tasks, query, key, response);
+    }
+
+    /// Returns the role that the robot performs, unless it is leaving or may lose the role.
+    fn present_work(&mut self, now: NodeTime) -> Option<PresentWork> {
+        if self.decommission.is_leaving() || !self.lease.may_act(now) {
+            return None;
+        }
+        let context = self.driver.estimate_context();
+        let active = self.execution.continuing_plan()?;
+        let rest = active.sequencer.remaining_plan();
+        PresentWork::of(&active.award, &rest, &self.settings.pricing.estimator, &context)
     }
 
     /// Refuses new roles and releases the held role.

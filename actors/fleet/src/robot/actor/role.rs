@@ -25,14 +25,14 @@ impl RobotState {
         let Some((query, notice)) = reply::decode_or_refuse_in(&mut self.tasks, query) else { return Ok(()) };
         let now = self.now();
         let give_way = match &notice {
-            AwardNotice::GiveWay { epoch, to } => Some((*epoch, to.clone())),
+            AwardNotice::GiveWay { epoch, to, for_now } => Some((*epoch, to.clone(), *for_now)),
             AwardNotice::Awarded(_) | AwardNotice::Revoked { .. } => None,
         };
         let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
         let key = self.settings.links.keys.write(&Key::Award(self.settings.robot.clone()));
         reply::wire_in(&mut self.tasks, query, key, reply);
-        if let Some((epoch, to)) = give_way {
-            self.give_way(epoch, &to).await?;
+        if let Some((epoch, to, for_now)) = give_way {
+            self.give_way(epoch, &to, for_now).await?;
         }
         match event {
             Some(event) => self.handle_lease_event(event, now).await,
@@ -41,10 +41,11 @@ impl RobotState {
     }
 
     /// Returns a role in which the robot has not acted to a mission that waits for the robot.
-    async fn give_way(&mut self, epoch: Epoch, to: &MissionId) -> Result<(), ActorProcessingErr> {
+    async fn give_way(&mut self, epoch: Epoch, to: &MissionId, for_now: bool) -> Result<(), ActorProcessingErr> {
         let may_give_way = |active: &mut ActivePlan| active.award.epoch == epoch && active.sequencer.is_untouched();
         if self.execution.continuing_plan().is_some_and(may_give_way) {
-            let (kind, cause) = (FailureKind::GaveWay, format!("it gives way to {to}"));
+            let kind = if for_now { FailureKind::Postponed } else { FailureKind::GaveWay };
+            let cause = format!("it gives way to {to}");
             self.handle_failure(AttemptFailure::new(kind, cause)).await?;
         }
         Ok(())

@@ -1,0 +1,116 @@
+//! Promises: roles for robots that hold another role, or that cannot start yet.
+//!
+//! An auction that cannot fill its roles with free robots is cleared again. A role that waits for other roles
+//! first may then get a busy robot, after the time that the robot needs for what it holds and has promised. So may a
+//! role of a robot that has promises already; otherwise it would never be its turn. The result counts if
+//! another role starts at once and takes longer than that time, so that nobody waits for long, or if the mission
+//! is under way, or if all its robots have promises. Otherwise the mission waits, and gets the robots that are
+//! free first.
+
+use super::bid::{Bid, BidRefusal, BidResponse, RefusalReason, RoleReply};
+use crate::ids::{RobotId, RoleId};
+use crate::units::{Energy, Seconds};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Maximum number of roles that are promised to a robot, unless the fleet sets another.
+pub const PROMISES_MAX: u32 = 16;
+
+/// What a robot holds and has promised.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotQueue {
+    /// The robot holds a role, or is about to get one.
+    pub is_held: bool,
+    /// Number of promised roles.
+    pub promised: u32,
+    /// Estimated time of the promised roles.
+    pub time: Seconds,
+    /// Estimated energy of the promised roles.
+    pub energy: Energy,
+    /// The role that it holds, otherwise a promised role, as the reason of a refusal.
+    pub reason: RefusalReason,
+}
+
+/// Inputs for promises.
+#[derive(Debug, Clone)]
+pub struct PromiseContext<'a> {
+    /// Robots that hold a role or have promised roles.
+    pub queues: &'a BTreeMap<RobotId, RobotQueue>,
+    /// Robots that can be promised nothing, and the reasons.
+    pub unavailable: &'a BTreeMap<RobotId, RefusalReason>,
+    /// Roles that can start now: no step of another robot must end first.
+    pub startable: &'a BTreeSet<RoleId>,
+    /// Robots hold other roles of the mission.
+    pub is_under_way: bool,
+    /// Maximum number of roles that are promised to a robot.
+    pub promises_max: u32,
+}
+
+impl PromiseContext<'_> {
+    /// Returns the replies with the bids of busy robots: each takes the time until its robot has ended what it
+    /// holds and has promised, and leaves the charge after that.
+    pub(super) fn later(&self, responses: &[BidResponse]) -> Vec<BidResponse> {
+        let reply = |reply: &RoleReply| match reply {
+            RoleReply::Bid(bid) => self.later_bid(bid),
+            RoleReply::Refusal(_) => reply.clone(),
+        };
+        let response = |response: &BidResponse| BidResponse {
+            replies: response.replies.iter().map(reply).collect(),
+            ..response.clone()
+        };
+        responses.iter().map(response).collect()
+    }
+
+    fn later_bid(&self, bid: &Bid) -> RoleReply {
+        let queue = self.queues.get(&bid.robot);
+        let present = bid.present.as_ref();
+        let reason = queue.map(|queue| queue.reason.clone()).or_else(|| present.map(RefusalReason::from));
+        let Some(reason) = reason.filter(|_| self.is_later(bid)) else {
+            return RoleReply::Bid(bid.clone());
+        };
+        let start = self.start_of(bid);
+        let promised = queue.map_or(0, |queue| queue.promised);
+        let may_be_late = promised > 0 || !self.startable.contains(&bid.role);
+        if promised >= self.promises_max || !may_be_late {
+            return RoleReply::Refusal(BidRefusal { robot: bid.robot.clone(), role: bid.role.clone(), reason });
+        }
+        let energy = queue.map_or(0.0, |queue| queue.energy.get());
+        RoleReply::Bid(Bid { time: start + bid.time, remaining: bid.remaining - energy, present: None, ..bid.clone() })
+    }
+
+    /// Returns the estimated time until the robot has ended what it holds and has promised.
+    fn start_of(&self, bid: &Bid) -> Seconds {
+        let present = bid.present.as_ref().map_or(Seconds::ZERO, |present| present.time);
+        present + self.queues.get(&bid.robot).map_or(Seconds::ZERO, |queue| queue.time)
+    }
+
+    /// Checks whether the bid is for a promise.
+    fn is_later(&self, bid: &Bid) -> bool {
+        let is_held = self.queues.get(&bid.robot).is_some_and(|queue| queue.is_held);
+        is_held || bid.present.is_some() || !self.startable.contains(&bid.role)
+    }
+
+    /// Returns the roles that are promised with these holders, with the times until their robots are free; `None`
+    /// if the mission waits instead.
+    pub(super) fn promised(
+        &self,
+        holders: &BTreeMap<RoleId, RobotId>,
+        responses: &[BidResponse],
+    ) -> Option<BTreeMap<RoleId, Seconds>> {
+        let bids = responses.iter().flat_map(|response| &response.replies).filter_map(|reply| match reply {
+            RoleReply::Bid(bid) => Some(bid),
+            RoleReply::Refusal(_) => None,
+        });
+        let chosen = bids.filter(|bid| holders.get(&bid.role) == Some(&bid.robot));
+        let (later, now): (Vec<&Bid>, Vec<&Bid>) = chosen.partition(|bid| self.is_later(bid));
+        let longest =
+            now.iter().map(|bid| bid.time).fold(Seconds::ZERO, |one, other| if one > other { one } else { other });
+        let promised: BTreeMap<_, _> = later.into_iter().map(|bid| (bid.role.clone(), self.start_of(bid))).collect();
+        let has_promises = |robot| self.queues.get(robot).is_some_and(|queue| queue.promised > 0);
+        let is_in_time = !now.is_empty() && promised.values().all(|start| *start <= longest);
+        let is_accepted = is_in_time || self.is_under_way || holders.values().all(has_promises);
+        is_accepted.then_some(promised)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,157 @@
+use super::super::bid::{AuctionId, BidLimits, CallForBids, PresentRole};
+use super::super::clearing::{AuctionContext, AuctionOutcome, clear_auction};
+use super::super::invitation::Invitation;
+use super::super::record::BidVerdict;
+use super::*;
+use crate::ids::MissionId;
+use crate::plan::LocalPlan;
+use crate::units::BatteryShare;
+
+fn seconds(value: f64) -> Seconds {
+    Seconds::new(value).unwrap()
+}
+
+fn role(name: &str) -> RoleId {
+    name.parse().unwrap()
+}
+
+fn auction() -> AuctionId {
+    AuctionId { mission: "bring-2".parse().unwrap(), term: 1, round: 1 }
+}
+
+/// Returns a bid of 10 s for an arm and of 100 s for a cart, of a robot that holds another role for `busy_s`, if at all.
+fn bid(robot: &str, id: &str, busy_s: Option<f64>) -> BidResponse {
+    let mission: MissionId = "bring-1".parse().unwrap();
+    let bid = Bid {
+        robot: robot.parse().unwrap(),
+        role: role(id),
+        time: seconds(if id == "cart" { 100.0 } else { 10.0 }),
+        energy: 0.1,
+        remaining: 0.5,
+        useful_charge: BatteryShare::new(0.1).unwrap(),
+        from: "dock".parse().unwrap(),
+        age_ms: 0,
+        parts: vec![],
+        present: busy_s.map(|busy| PresentRole { mission, role: role("arm"), time: seconds(busy) }),
+    };
+    BidResponse { robot: bid.robot.clone(), auction: auction(), replies: vec![RoleReply::Bid(bid)] }
+}
+
+fn queue(is_held: bool, promised: u32) -> RobotQueue {
+    RobotQueue {
+        is_held,
+        promised,
+        time: seconds(20.0 * f64::from(promised)),
+        energy: Energy::of_share(0.05 * f64::from(promised)),
+        reason: RefusalReason::Busy { mission: "bring-1".parse().unwrap(), role: role("arm") },
+    }
+}
+
+struct Case<'a> {
+    queues: &'a [(&'a str, RobotQueue)],
+    startable: &'a [&'a str],
+    is_under_way: bool,
+}
+
+/// Clears an auction of the roles `arm` and `cart`.
+fn clear(case: &Case<'_>, responses: &[BidResponse]) -> AuctionOutcome {
+    let plan = |id: &str| (role(id), LocalPlan::of(role(id), vec![]));
+    let roles = [plan("arm"), plan("cart")].into();
+    let call = CallForBids { auction: auction(), ensembles: vec![], roles, eligible: BTreeMap::new() };
+    let queues: BTreeMap<RobotId, RobotQueue> =
+        case.queues.iter().map(|(robot, queue)| (robot.parse().unwrap(), queue.clone())).collect();
+    let busy = queues.iter().map(|(robot, queue)| (robot.clone(), queue.reason.clone())).collect();
+    let startable = case.startable.iter().map(|id| role(id)).collect();
+    let none = BTreeMap::new();
+    let (is_under_way, unavailable) = (case.is_under_way, &none);
+    let robots = responses.iter().map(|response| response.robot.clone()).collect();
+    let context = AuctionContext {
+        invitation: &Invitation { robots, preferred: vec![] },
+        unavailable: &busy,
+        excluded: &BTreeMap::new(),
+        limits: &BidLimits::default(),
+        energy: None,
+        promises: Some(PromiseContext {
+            queues: &queues,
+            unavailable,
+            startable: &startable,
+            is_under_way,
+            promises_max: 3,
+        }),
+        window_ms: 200,
+        at_ms: 0,
+    };
+    clear_auction(&call, responses, &context)
+}
+
+fn promised(outcome: &AuctionOutcome) -> Vec<(&str, f64)> {
+    outcome.record.promised.iter().map(|(role, start)| (role.as_str(), start.get())).collect()
+}
+
+#[test]
+fn a_busy_robot_is_promised_a_role_beside_one_that_starts() {
+    let responses = [bid("arm-1", "arm", Some(30.0)), bid("ada", "cart", None)];
+    let case = Case { queues: &[("arm-1", queue(true, 2))], startable: &["cart"], is_under_way: false };
+    let outcome = clear(&case, &responses);
+    assert_eq!(outcome.holders.as_ref().map(BTreeMap::len), Some(2), "{outcome:?}");
+    assert_eq!(promised(&outcome), [("arm", 70.0)], "30 s for its role, 20 s for each of two promises");
+    let entry = outcome.record.entries.iter().find(|entry| entry.robot.as_str() == "arm-1").unwrap();
+    let BidVerdict::Viable { time, remaining, .. } = entry.verdict else { panic!("{entry:?}") };
+    assert_eq!((time.get(), (remaining * 100.0).round()), (80.0, 40.0));
+}
+
+#[test]
+fn a_free_robot_comes_first() {
+    let responses = [bid("arm-1", "arm", Some(1.0)), bid("arm-2", "arm", None), bid("ada", "cart", None)];
+    let case = Case { queues: &[("arm-1", queue(true, 0))], startable: &["cart"], is_under_way: false };
+    let outcome = clear(&case, &responses);
+    assert_eq!(outcome.holders.as_ref().unwrap()[&role("arm")].as_str(), "arm-2");
+    assert_eq!(promised(&outcome), []);
+}
+
+#[test]
+fn a_mission_that_cannot_start_waits_for_whichever_robot_is_free_first() {
+    let responses = [bid("arm-1", "arm", None), bid("ada", "cart", Some(60.0))];
+    let queues = [("ada", queue(true, 0))];
+    let no_cart = Some("no viable bid for cart");
+    for is_under_way in [false, true] {
+        let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way }, &responses);
+        assert_eq!((outcome.record.failure.as_deref(), promised(&outcome)), (no_cart, vec![]));
+    }
+    // Both roles wait for others of a mission that is under way.
+    let outcome = clear(&Case { queues: &queues, startable: &[], is_under_way: true }, &responses);
+    assert_eq!(promised(&outcome), [("arm", 0.0), ("cart", 60.0)]);
+    let outcome = clear(&Case { queues: &queues, startable: &[], is_under_way: false }, &responses);
+    assert_eq!(promised(&outcome), []);
+}
+
+#[test]
+fn no_robot_waits_for_longer_than_it_works() {
+    let waits = |busy_s| {
+        let responses = [bid("arm-1", "arm", Some(busy_s)), bid("ada", "cart", None)];
+        let case = Case { queues: &[("arm-1", queue(true, 0))], startable: &["cart"], is_under_way: false };
+        clear(&case, &responses).holders.is_none()
+    };
+    assert_eq!([99.0, 100.0, 101.0].map(waits), [false, false, true]);
+}
+
+#[test]
+fn robots_with_promises_are_promised_in_turn() {
+    let responses = [bid("arm-1", "arm", None), bid("ada", "cart", Some(9.0))];
+    let queues = [("ada", queue(true, 1)), ("arm-1", queue(false, 1))];
+    let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way: false }, &responses);
+    assert_eq!(promised(&outcome), [("arm", 20.0), ("cart", 29.0)]);
+}
+
+#[test]
+fn a_long_queue_is_full() {
+    let responses = [bid("arm-1", "arm", Some(9.0)), bid("ada", "cart", None)];
+    let full = |queue| {
+        let outcome =
+            clear(&Case { queues: &[("arm-1", queue)], startable: &["cart"], is_under_way: true }, &responses);
+        outcome.record.failure
+    };
+    let no_arm = Some("no viable bid for arm".to_owned());
+    assert_eq!(full(queue(true, 2)), None);
+    assert_eq!(full(queue(true, 3)), no_arm, "at most three promises");
+}

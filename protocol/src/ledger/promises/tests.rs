@@ -1,0 +1,276 @@
+use super::super::branch::Branch;
+use super::super::command::Command;
+use super::super::submission::Submission;
+use super::*;
+use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidPart, BidVerdict};
+use crate::mission::test_data::domain;
+use crate::mission::{Format, MissionTemplate};
+use crate::plan::divide_and_check;
+use crate::units::Seconds;
+use proptest::prelude::*;
+
+/// The cart brings something, and the arm takes it.
+const MISSION: &str = r#"
+mission: bring
+roles: { arm: { kind: managed }, cart: { kind: managed } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - { task: go, type: wait, roles: [cart], parameters: { seconds: "5" } }
+    - { task: take, type: wait, roles: [arm], parameters: { seconds: "5" } }
+"#;
+
+fn role(name: &str) -> RoleId {
+    name.parse().unwrap()
+}
+
+fn robot(name: &str) -> RobotId {
+    name.parse().unwrap()
+}
+
+/// A ledger, the index of its next entry, and the latest award of each role.
+struct Log(Ledger, u64);
+
+impl Log {
+    fn with_missions(count: usize) -> (Log, Vec<MissionId>) {
+        let mut log = Log(Ledger::default(), 1);
+        let mission = MissionTemplate::parse(MISSION, Format::Yaml).unwrap();
+        let mission = mission.instantiate(&BTreeMap::new(), &domain()).unwrap();
+        let division = divide_and_check(&mission).unwrap();
+        for number in 0..count {
+            let request = format!("request-{number}").parse().unwrap();
+            log.apply(Command::Submit(Box::new(Submission::of(request, mission.clone(), division.clone()))));
+        }
+        let missions = log.0.active_missions().into_iter().map(|entry| entry.id.clone()).collect();
+        (log, missions)
+    }
+
+    fn apply(&mut self, command: Command) -> CommandOutcome {
+        let at = Epoch { term: 1, index: self.1 };
+        self.1 += 1;
+        self.0.apply(at, command)
+    }
+
+    /// Awards the open roles of a mission, or promises those in `promised`.
+    fn award(&mut self, mission: &MissionId, robots: &[(&str, &str)], promised: &[&str]) -> CommandOutcome {
+        let holders = robots.iter().map(|(id, name)| (role(id), robot(name))).collect();
+        let promised = promised.iter().map(|id| role(id)).collect();
+        let auction = record(mission, robots);
+        self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, promised, auction })
+    }
+
+    fn epoch(&self, mission: &MissionId, id: &str) -> Epoch {
+        self.0.mission(mission).unwrap().role_robots()[&role(id)].epoch
+    }
+
+    fn award_promised(&mut self, mission: &MissionId, id: &str) -> CommandOutcome {
+        let (epoch, role) = (self.epoch(mission, id), role(id));
+        self.apply(Command::AwardPromised { mission: mission.clone(), role, epoch })
+    }
+
+    fn release(&mut self, mission: &MissionId, id: &str) -> CommandOutcome {
+        let (epoch, role, cause) = (self.epoch(mission, id), role(id), "lost".to_owned());
+        let (mission, class, place) = (mission.clone(), None, None);
+        self.apply(Command::Release { mission, role, epoch, cause, class, moved_nothing: true, place })
+    }
+
+    /// Ends all steps of a held role.
+    fn end(&mut self, mission: &MissionId, id: &str) {
+        let (epoch, role, branch) = (self.epoch(mission, id), role(id), Branch::Main);
+        let (ended, outcomes) = ((0..9).collect(), BTreeMap::new());
+        self.apply(Command::Accept {
+            mission: mission.clone(),
+            role: role.clone(),
+            epoch,
+            incarnation: 1,
+            from_checkpoint: false,
+        });
+        self.apply(Command::Progress { mission: mission.clone(), role, epoch, branch, ended, outcomes });
+    }
+
+    fn phase(&self, mission: &MissionId, id: &str) -> RolePhase {
+        self.0.mission(mission).unwrap().roles[&role(id)].phase
+    }
+}
+
+fn record(mission: &MissionId, robots: &[(&str, &str)]) -> AuctionRecord {
+    let time = Seconds::new(20.0).unwrap();
+    let part = BidPart { step: 0, label: "take".to_owned(), skill: "wait".parse().unwrap(), time, energy: 0.1 };
+    let entry = |(id, name): &(&str, &str)| AuctionEntry {
+        role: role(id),
+        robot: robot(name),
+        verdict: BidVerdict::Viable { time: Seconds::new(90.0).unwrap(), energy: 0.1, remaining: 0.5 },
+        parts: vec![part.clone()],
+    };
+    AuctionRecord {
+        auction: AuctionId { mission: mission.clone(), term: 1, round: 1 },
+        at_ms: 0,
+        entries: robots.iter().map(entry).collect(),
+        omitted: 0,
+        chosen: BTreeMap::new(),
+        promised: BTreeMap::new(),
+        failure: None,
+    }
+}
+
+#[test]
+fn a_promised_role_is_awarded_once_its_robot_is_free() {
+    let (mut log, missions) = Log::with_missions(2);
+    let [first, second] = &missions[..] else { panic!() };
+    log.award(first, &[("arm", "arm"), ("cart", "ada")], &[]);
+    let outcome = log.award(second, &[("arm", "arm"), ("cart", "bob")], &["arm"]);
+    assert!(matches!(outcome, CommandOutcome::Awarded { .. }), "{outcome:?}");
+    let entry = log.0.mission(second).unwrap();
+    assert_eq!((log.phase(second, "arm"), entry.state.as_str()), (RolePhase::Promised, "running"));
+    let (_, promise) = entry.promised_roles().next().unwrap();
+    assert_eq!(promise.time, Seconds::new(20.0).unwrap(), "the time of its tasks, without the wait");
+    assert_eq!(entry.holders(), BTreeMap::from([(role("cart"), robot("bob"))]));
+    assert!(entry.role_robots().contains_key(&role("arm")), "other robots learn who comes");
+    assert!(!entry.can_start(&role("arm")), "the cart is still on its way");
+
+    assert!(matches!(log.award_promised(second, "arm"), CommandOutcome::Refused(CommandError::TwoRoles { .. })));
+    log.end(first, "arm");
+    log.end(second, "cart");
+    assert!(log.0.mission(second).unwrap().can_start(&role("arm")));
+    let promised = log.epoch(second, "arm");
+    assert!(matches!(log.award_promised(second, "arm"), CommandOutcome::Awarded { .. }));
+    assert_eq!(log.phase(second, "arm"), RolePhase::Awarded);
+    assert!(log.epoch(second, "arm") > promised, "the award has an epoch of its own");
+    assert_eq!(log.0.held_by(&robot("arm")).unwrap().0.id, *second);
+    let again = log.award_promised(second, "arm");
+    assert!(matches!(again, CommandOutcome::Refused(CommandError::NotPromised { .. })), "{again:?}");
+}
+
+/// The robot may know the epoch of its promise, which permits nothing.
+#[test]
+fn a_promise_is_neither_accepted_nor_executed() {
+    let (mut log, missions) = Log::with_missions(2);
+    log.award(&missions[0], &[("arm", "arm"), ("cart", "ada")], &[]);
+    log.award(&missions[1], &[("arm", "arm"), ("cart", "bob")], &["arm"]);
+    let before = log.0.clone();
+    log.end(&missions[1], "arm");
+    assert_eq!(log.0, before);
+    assert_eq!(log.release(&missions[1], "arm"), CommandOutcome::Done);
+    assert_eq!(
+        (log.phase(&missions[1], "arm"), log.phase(&missions[1], "cart")),
+        (RolePhase::Open, RolePhase::Awarded)
+    );
+    let releases = &log.0.mission(&missions[1]).unwrap().releases;
+    assert!(releases.iter().all(|release| !release.confirmed), "it does not count as a lost robot");
+}
+
+#[test]
+fn an_untouched_role_is_postponed() {
+    let (mut log, missions) = Log::with_missions(1);
+    log.award(&missions[0], &[("arm", "arm"), ("cart", "ada")], &[]);
+    let postpone = |log: &mut Log, id: &str| {
+        let (mission, role, epoch) = (missions[0].clone(), role(id), log.epoch(&missions[0], id));
+        log.apply(Command::Postpone { mission, role, epoch })
+    };
+    assert_eq!(postpone(&mut log, "arm"), CommandOutcome::Done);
+    assert_eq!(log.phase(&missions[0], "arm"), RolePhase::Promised);
+    assert!(log.0.held_by(&robot("arm")).is_none() && log.0.mission(&missions[0]).unwrap().releases.is_empty());
+    log.end(&missions[0], "cart");
+    assert!(matches!(log.award_promised(&missions[0], "arm"), CommandOutcome::Awarded { .. }));
+    let late = postpone(&mut log, "cart");
+    assert!(matches!(late, CommandOutcome::Refused(CommandError::CanStart { .. })), "{late:?}");
+}
+
+#[test]
+fn missions_do_not_wait_for_each_other() {
+    let (mut log, missions) = Log::with_missions(2);
+    let [first, second] = &missions[..] else { panic!() };
+    log.award(first, &[("arm", "bob"), ("cart", "ada")], &["arm"]);
+    let crossed = log.award(second, &[("arm", "ada"), ("cart", "bob")], &["arm"]);
+    assert_eq!(crossed, CommandOutcome::Refused(CommandError::CircularWait { mission: second.clone() }));
+    assert_eq!(log.phase(second, "cart"), RolePhase::Open);
+    // A robot has a single role in a mission, promised or not.
+    log.release(first, "cart");
+    let twice = log.award(first, &[("cart", "bob")], &[]);
+    assert!(matches!(twice, CommandOutcome::Refused(CommandError::TwoRoles { .. })), "{twice:?}");
+}
+
+#[derive(Debug, Clone)]
+enum Move {
+    Award { mission: usize, arm: usize, cart: usize, promised: (bool, bool) },
+    AwardPromised { mission: usize, of_arm: bool },
+    End { mission: usize, of_arm: bool },
+    Release { mission: usize, of_arm: bool },
+    Postpone { mission: usize, of_arm: bool },
+}
+
+const ROBOTS: [&str; 4] = ["ada", "bob", "cyd", "dan"];
+const ROLES: [&str; 2] = ["cart", "arm"];
+
+fn moves() -> impl Strategy<Value = Move> {
+    let (mission, robot) = (|| 0..5_usize, || 0..ROBOTS.len());
+    prop_oneof![
+        3 => (mission(), robot(), robot(), any::<(bool, bool)>())
+            .prop_map(|(mission, arm, cart, promised)| Move::Award { mission, arm, cart, promised }),
+        2 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::AwardPromised { mission, of_arm }),
+        1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::End { mission, of_arm }),
+        1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::Release { mission, of_arm }),
+        1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::Postpone { mission, of_arm }),
+    ]
+}
+
+fn perform(log: &mut Log, missions: &[MissionId], next: &Move) {
+    let has = |log: &Log, mission: &MissionId, id: &str| {
+        log.0.mission(mission).is_some_and(|entry| entry.role_robots().contains_key(&role(id)))
+    };
+    match *next {
+        Move::Award { mission, arm, cart, promised } => {
+            let mission = &missions[mission];
+            let open = log.0.mission(mission).map(MissionEntry::open_roles).unwrap_or_default();
+            let robots = [("arm", ROBOTS[arm], promised.0), ("cart", ROBOTS[cart], promised.1)];
+            let robots: Vec<_> = robots.into_iter().filter(|(id, ..)| open.contains(&role(id))).collect();
+            let promised: Vec<&str> = robots.iter().filter(|(.., promised)| *promised).map(|(id, ..)| *id).collect();
+            let robots: Vec<(&str, &str)> = robots.iter().map(|(id, robot, _)| (*id, *robot)).collect();
+            log.award(mission, &robots, &promised);
+        }
+        Move::AwardPromised { mission, of_arm } if has(log, &missions[mission], ROLES[usize::from(of_arm)]) => {
+            log.award_promised(&missions[mission], ROLES[usize::from(of_arm)]);
+        }
+        Move::End { mission, of_arm } if has(log, &missions[mission], ROLES[usize::from(of_arm)]) => {
+            log.end(&missions[mission], ROLES[usize::from(of_arm)]);
+        }
+        Move::Release { mission, of_arm } if has(log, &missions[mission], ROLES[usize::from(of_arm)]) => {
+            log.release(&missions[mission], ROLES[usize::from(of_arm)]);
+        }
+        Move::Postpone { mission, of_arm } if has(log, &missions[mission], ROLES[usize::from(of_arm)]) => {
+            let id = ROLES[usize::from(of_arm)];
+            let (mission, role, epoch) = (missions[mission].clone(), role(id), log.epoch(&missions[mission], id));
+            log.apply(Command::Postpone { mission, role, epoch });
+        }
+        Move::AwardPromised { .. } | Move::End { .. } | Move::Release { .. } | Move::Postpone { .. } => {}
+    }
+}
+
+proptest! {
+    /// No robot ever holds two roles, no missions wait for each other, and a free robot with promises can
+    /// get one of them.
+    #[test]
+    fn promises_can_always_be_kept(moves in proptest::collection::vec(moves(), 1..60)) {
+        let (mut log, missions) = Log::with_missions(5);
+        for next in &moves {
+            perform(&mut log, &missions, next);
+            let active = log.0.active_missions();
+            let held: Vec<&RobotId> =
+                active.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot)).collect();
+            prop_assert_eq!(held.len(), held.iter().collect::<BTreeSet<_>>().len());
+            let waits = Waits::of(&log.0);
+            prop_assert!(!missions.iter().any(|mission| waits.contain_cycle_of(mission)));
+            for free in ROBOTS.map(robot).iter().filter(|robot| !held.contains(robot)) {
+                let promises: Vec<_> = active
+                    .iter()
+                    .flat_map(|entry| entry.promised_roles().map(move |(role, robot)| (&entry.id, role, robot)))
+                    .filter(|(.., robot)| robot.robot == *free)
+                    .collect();
+                let can_be_kept =
+                    |(mission, role, robot): &(&MissionId, &RoleId, &RoleAssignment)| log.0.check_promise(mission, role, robot.epoch).is_ok();
+                prop_assert!(promises.is_empty() || promises.iter().any(can_be_kept), "{:?}", promises);
+            }
+        }
+    }
+}

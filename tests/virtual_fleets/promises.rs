@@ -1,0 +1,130 @@
+//! Promises: missions that share a scarce robot.
+
+use crate::support::task_began;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::{Ledger, RolePhase};
+use consort_protocol::message::FailureKind;
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use serde_json::{Value, json};
+use std::cell::Cell;
+use std::time::Duration;
+
+const SEEDS: [u64; 3] = [81, 82, 83];
+const SOON: Duration = Duration::from_secs(60);
+const ROOMS: [&str; 4] = ["IC Room 6", "PC Room 8", "PC Room 2", "IC Room 4"];
+
+/// Starts four carriers and the named arms.
+async fn fleet(seed: u64, arms: &[&str], stations: &[&str]) -> Fleet {
+    let carriers = [("amber", "PC Room 8"), ("birch", "IC Room 4"), ("fern", "Dock"), ("gorse", "PC Room 2")];
+    let carriers = carriers.map(|(name, place)| RobotSpec::carrier(name, place));
+    let arms = arms.iter().map(|name| RobotSpec::arm(name, "Laboratory").with_skills(&["pick_up", "wait"]));
+    let mut fleet = Fleet::hospital(seed, carriers.into_iter().chain(arms).collect(), stations, &ROOMS).await;
+    fleet.wait_for_coordinator().await;
+    fleet
+}
+
+async fn submit_all(fleet: &Fleet) -> Vec<MissionId> {
+    let mut missions = vec![];
+    for (request, room) in ["a", "b", "c", "d"].into_iter().zip(ROOMS) {
+        missions.push(fleet.submit(request, room).await);
+    }
+    missions
+}
+
+/// Returns the robots with promises, each as often as it has one.
+fn promised(ledger: &Ledger) -> Vec<RobotId> {
+    let missions = ledger.active_missions();
+    missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| robot.robot.clone())).collect()
+}
+
+fn has_promises(fleet: &Fleet, count: usize) -> bool {
+    fleet.ledger(promised).is_some_and(|promised| promised.len() >= count)
+}
+
+async fn assert_all_complete(fleet: &mut Fleet, missions: &[MissionId]) {
+    for (mission, room) in missions.iter().zip(ROOMS) {
+        fleet.assert_completes(mission).await;
+        fleet.assert_each_task_once(mission);
+        fleet.assert_sample_delivered(room);
+    }
+    fleet.assert_exclusive_roles();
+}
+
+#[test]
+fn one_arm_serves_missions_that_are_under_way_together() {
+    let postponed = Cell::new(0);
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, &["lab-arm"], &["aba"]).await;
+        let missions = submit_all(&fleet).await;
+        fleet
+            .wait_until("all carriers to start", SOON, |fleet| {
+                fleet.event_log.times(task_began("navto_room")).len() == 4
+            })
+            .await;
+        assert!(has_promises(&fleet, 3), "seed {seed}: the arm has a role and three promises");
+        let view = fleet.view(&format!("mission/{}", missions[3])).await;
+        let text = serde_json::to_string(&view).expect("JSON");
+        assert!(
+            text.contains(r#""phase":"promised""#) && text.contains(r#""holder":"lab-arm""#),
+            "seed {seed}: {text}"
+        );
+        assert_all_complete(&mut fleet, &missions).await;
+        let arm: RoleId = slug("lab_arm");
+        let ended = fleet.ledger(|ledger| {
+            missions
+                .iter()
+                .all(|id| ledger.mission(id).is_some_and(|entry| entry.roles[&arm].phase == RolePhase::Ended))
+        });
+        assert_eq!(ended, Some(true), "seed {seed}");
+        let is_postponed = |what: &EventKind| matches!(what, EventKind::GaveUp { kind: FailureKind::Postponed, .. });
+        postponed.set(postponed.get() + fleet.event_log.count(is_postponed));
+    });
+    assert!(postponed.get() > 0, "the arm never left a mission whose sample was still on its way");
+}
+
+#[test]
+fn promises_survive_the_coordinator() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, &["lab-arm"], &["aba", "bab", "cab"]).await;
+        let missions = submit_all(&fleet).await;
+        fleet.wait_until("promises", SOON, |fleet| has_promises(fleet, 3)).await;
+        fleet.kill_coordinator().await;
+        assert_all_complete(&mut fleet, &missions).await;
+    });
+}
+
+/// Returns a mission in which a carrier drives somewhere, and then an arm does something.
+fn drive_and_wait(room: &str, request: &str) -> Value {
+    let managed = json!({ "kind": "managed" });
+    let drive = json!({ "task": "go", "type": "navigation", "roles": ["cart"], "parameters": { "to": room } });
+    let wait = json!({ "task": "act", "type": "wait", "roles": ["arm"], "parameters": { "seconds": "5" } });
+    let mission = json!({
+        "mission": "go-and-act", "roles": { "cart": managed, "arm": managed },
+        "root": { "task": "all", "method": "sequential", "tasks": [drive, wait] },
+    });
+    json!({ "mission": mission, "request": request })
+}
+
+#[test]
+fn promises_of_a_lost_robot_pass_to_another() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, &["lab-arm-1", "lab-arm-2"], &["aba", "bab", "cab"]).await;
+        let mut missions: Vec<MissionId> = vec![];
+        for (request, room) in ["a", "b", "c", "d"].into_iter().zip(ROOMS) {
+            let answer = fleet.request_answered(ApiCall::Submit, &drive_and_wait(room, request)).await;
+            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+        }
+        fleet.wait_until("a promise", SOON, |fleet| has_promises(fleet, 1)).await;
+        let lost = fleet.ledger(promised).expect("a ledger").remove(0);
+        fleet.kill(lost.as_str()).await;
+        for mission in &missions {
+            fleet.assert_completes(mission).await;
+        }
+        fleet.assert_exclusive_roles();
+        let released = format!("{lost} was judged dead");
+        let is_promise = |what: &EventKind| matches!(what, EventKind::Released { cause, .. } if *cause == released);
+        assert!(fleet.has_event(is_promise), "seed {seed}:\n{}", fleet.event_log_text());
+    });
+}
