@@ -143,6 +143,12 @@ impl AddAssign for Seconds {
     }
 }
 
+impl Sum for Seconds {
+    fn sum<I: Iterator<Item = Seconds>>(times: I) -> Seconds {
+        times.fold(Seconds::ZERO, Add::add)
+    }
+}
+
 impl BatteryShare {
     /// A full battery.
     pub const FULL: BatteryShare = BatteryShare(1.0);

@@ -18,7 +18,7 @@ use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::plan::divide_and_check;
-use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
 use consort_skills::domain::hospital;
 use consort_skills::environment::{Environment, Routes};
@@ -138,7 +138,7 @@ impl Scene {
             let bid = Bid {
                 robot: robot.clone(),
                 role: role.clone(),
-                time: parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time),
+                time: parts.iter().map(|part| part.time).sum(),
                 energy,
                 remaining: worker.battery.get() - energy,
                 useful_charge: worker.useful_charge,

@@ -24,8 +24,7 @@ pub struct AllocationRun {
 /// Allocates the jobs of an instance. The same seed gives the same messages. `orders_max` bounds the orders of
 /// [`AllocationPolicy::Consort`].
 pub fn allocate_on_bus(instance: &Instance, policy: AllocationPolicy, orders_max: usize, seed: u64) -> AllocationRun {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
-    runtime.expect("a runtime without I/O").block_on(async {
+    crate::paused_runtime().block_on(async {
         let network = VirtualNetwork::new(seed, LinkModel::steady(Duration::from_millis(1)));
         let instance = Arc::new(instance.clone());
         for robot in 0..instance.robots {

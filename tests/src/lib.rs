@@ -33,18 +33,22 @@ pub use station_fleet::StationFleet;
 pub use stolen_key::{StolenKey, report_of_all_steps, signals_sent};
 
 use std::fmt;
+use tokio::runtime::{Builder, Runtime};
 
 /// Parses a slug that the test itself contains.
 pub fn slug<T: std::str::FromStr<Err: fmt::Debug>>(text: &str) -> T {
     text.parse().expect("a test's own name")
 }
 
+/// Returns a runtime whose clock advances while nothing else is to be done.
+pub(crate) fn paused_runtime() -> Runtime {
+    Builder::new_current_thread().enable_time().start_paused(true).build().expect("a runtime without I/O")
+}
+
 /// Runs a test once per seed, each time on a new paused runtime, so that no state passes from one
 /// run to the next.
 pub fn for_each_seed(seeds: impl IntoIterator<Item = u64>, test: impl AsyncFn(u64)) {
     for seed in seeds {
-        let mut builder = tokio::runtime::Builder::new_current_thread();
-        let runtime = builder.enable_time().start_paused(true).build().expect("a runtime");
-        runtime.block_on(test(seed));
+        paused_runtime().block_on(test(seed));
     }
 }

@@ -2,10 +2,9 @@
 
 use crate::fleet::{Fleet, NodeOptions, nurse_in};
 use crate::percentiles::Percentiles;
-use crate::{RobotSpec, slug};
+use crate::{RobotSpec, paused_runtime};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
-use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
 use consort_skills::environment::TopologicalMap;
 use consort_world::map::shipped;
@@ -14,10 +13,8 @@ use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
-use serde_json::json;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
-use tokio::runtime::Builder;
 
 /// Work of a shift.
 #[derive(Debug, Clone, Copy)]
@@ -70,8 +67,7 @@ const LIMIT: Duration = Duration::from_secs(24 * 3600);
 
 /// Runs a shift. `progress` receives the number of missions that have ended.
 pub fn run(setup: ShiftSetup, progress: impl Fn(usize)) -> ShiftFigures {
-    let runtime = Builder::new_current_thread().enable_time().start_paused(true).build();
-    runtime.expect("a runtime without I/O").block_on(run_on_virtual_time(setup, progress))
+    paused_runtime().block_on(run_on_virtual_time(setup, progress))
 }
 
 async fn run_on_virtual_time(setup: ShiftSetup, progress: impl Fn(usize)) -> ShiftFigures {
@@ -90,7 +86,7 @@ async fn run_on_virtual_time(setup: ShiftSetup, progress: impl Fn(usize)) -> Shi
             tokio::time::sleep((began + at).saturating_sub(fleet.elapsed())).await; // virtual time
         }
         let room = places.choose(&mut chance).expect("the hospital has rooms");
-        missions.push(submit(&fleet, number, room).await);
+        missions.push(fleet.submit(&format!("shift-{number}"), room).await);
     }
     let has_ended =
         |fleet: &Fleet, mission: &MissionId| fleet.mission_state(mission).is_some_and(|state| state.is_final());
@@ -129,19 +125,6 @@ async fn start(setup: ShiftSetup, places: &[String], chance: &mut ChaCha8Rng) ->
     let mut fleet = Fleet::hospital_with(setup.seed, robots, &STATIONS, people, options).await;
     fleet.wait_for_coordinator().await;
     fleet
-}
-
-async fn submit(fleet: &Fleet, number: usize, room: &str) -> MissionId {
-    let request = json!({
-        "mission": "lab-samples",
-        "parameters": { "room": room },
-        "request": format!("shift-{number}"),
-    });
-    let acknowledged = async |fleet: &Fleet| {
-        fleet.request(ApiCall::Submit, &request).await.filter(|answer| answer["mission"].is_string())
-    };
-    let answer = fleet.poll_until("the acknowledgement", Duration::from_secs(300), acknowledged).await;
-    slug(answer["mission"].as_str().expect("an acknowledgement names it"))
 }
 
 fn figures(fleet: &Fleet, setup: ShiftSetup, missions: &[MissionId], began: Duration, wall: Instant) -> ShiftFigures {

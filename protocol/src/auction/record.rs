@@ -22,7 +22,8 @@ pub struct AuctionRecord {
     pub omitted: u32,
     /// Robot chosen for each role.
     pub chosen: BTreeMap<RoleId, RobotId>,
-    /// Roles that are promised to the chosen robots, with the estimated time until each robot is free.
+    /// Roles that are promised to the chosen robots and not awarded yet, with the estimated time until each
+    /// robot is free.
     #[serde(default)]
     pub promised: BTreeMap<RoleId, Seconds>,
     /// Reason, if no roles were assigned.
@@ -41,10 +42,26 @@ impl AuctionRecord {
     /// and must fit a message.
     pub(crate) const BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
 
+    /// Creates the record of an auction without replies.
+    pub fn empty(auction: AuctionId) -> AuctionRecord {
+        AuctionRecord {
+            auction,
+            at_ms: 0,
+            entries: vec![],
+            omitted: 0,
+            chosen: BTreeMap::new(),
+            promised: BTreeMap::new(),
+            failure: None,
+        }
+    }
+
+    fn entry(&self, role: &RoleId, robot: &RobotId) -> Option<&AuctionEntry> {
+        self.entries.iter().find(|entry| entry.role == *role && entry.robot == *robot)
+    }
+
     /// Returns the estimated energy of a robot's bid for a role; none without a bid.
     pub(crate) fn energy_of(&self, role: &RoleId, robot: &RobotId) -> Energy {
-        let entry = self.entries.iter().find(|entry| entry.role == *role && entry.robot == *robot);
-        match entry.map(|entry| &entry.verdict) {
+        match self.entry(role, robot).map(|entry| &entry.verdict) {
             Some(BidVerdict::Viable { energy, .. } | BidVerdict::Unviable { energy, .. }) => Energy::of_share(*energy),
             Some(BidVerdict::Refused { .. }) | None => Energy::ZERO,
         }
@@ -53,9 +70,7 @@ impl AuctionRecord {
     /// Returns the estimated time of a robot's bid for the tasks of a role; none without a bid, or without its
     /// parts.
     pub(crate) fn time_of(&self, role: &RoleId, robot: &RobotId) -> Seconds {
-        let entry = self.entries.iter().find(|entry| entry.role == *role && entry.robot == *robot);
-        let parts = entry.map_or(&[][..], |entry| &entry.parts);
-        parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time)
+        self.entry(role, robot).into_iter().flat_map(|entry| &entry.parts).map(|part| part.time).sum()
     }
 
     /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:

@@ -32,9 +32,7 @@ pub enum Command {
         branch: Branch,
         /// Robot of each open role: all open roles, and no others.
         holders: BTreeMap<RoleId, RobotId>,
-        /// Roles that are promised to their robots and not awarded yet.
-        promised: BTreeSet<RoleId>,
-        /// Record of the auction.
+        /// Record of the auction. Its promised roles are promised to their robots, and not awarded yet.
         auction: AuctionRecord,
     },
     /// Records an auction that could not fill the open roles. The mission stays pending.

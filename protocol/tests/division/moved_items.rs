@@ -14,7 +14,7 @@ use consort_protocol::plan::{
     Division, DivisionError, DivisionViolation, check_division, divide_and_check, item_moves,
 };
 use proptest::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 /// Creates the mission of a tree in which ordered tasks move up to two items, to roles and out of
 /// the mission.
@@ -51,21 +51,10 @@ fn ledger_with_holders(mission: &Mission, division: &Division) -> Ledger {
     ledger.apply(Epoch { term: 1, index: 1 }, Command::Submit(Box::new(submission)));
     let mission = ledger.missions().next().unwrap().id.clone();
     let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
-    let auction = AuctionRecord {
-        auction,
-        at_ms: 0,
-        entries: vec![],
-        omitted: 0,
-        chosen: BTreeMap::new(),
-        promised: BTreeMap::new(),
-        failure: None,
-    };
+    let auction = AuctionRecord::empty(auction);
     let roles = ledger.mission(&mission).unwrap().open_roles();
     let holders = roles.iter().map(|role| (role.clone(), RobotId::new(role.as_str()).unwrap())).collect();
-    ledger.apply(
-        AWARD,
-        Command::Award { mission: mission.clone(), branch: Branch::Main, holders, promised: [].into(), auction },
-    );
+    ledger.apply(AWARD, Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
     for role in roles {
         ledger.apply(
             AWARD,

@@ -132,15 +132,8 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
     prop_oneof![
         any::<u64>().prop_map(|cluster| Command::Bootstrap { cluster: ClusterId(cluster) }),
         submission().prop_map(|submission| Command::Submit(Box::new(submission))),
-        (name(), branch(), btree_map(name(), name(), 0..3), btree_set(name(), 0..3), auction_record()).prop_map(
-            |(mission, branch, holders, promised, auction)| Command::Award {
-                mission,
-                branch,
-                holders,
-                promised,
-                auction
-            }
-        ),
+        (name(), branch(), btree_map(name(), name(), 0..3), auction_record())
+            .prop_map(|(mission, branch, holders, auction)| Command::Award { mission, branch, holders, auction }),
         held().prop_map(|(mission, role, epoch)| Command::AwardPromised { mission, role, epoch }),
         held().prop_map(|(mission, role, epoch)| Command::Postpone { mission, role, epoch }),
         (name(), branch(), auction_record()).prop_map(|(mission, branch, auction)| Command::Defer {

@@ -157,7 +157,7 @@ impl DescriptorRegistry {
 impl PlanBudget {
     /// Returns the time of the whole plan.
     pub fn time(&self) -> Seconds {
-        self.parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time)
+        self.parts.iter().map(|part| part.time).sum()
     }
 }
 

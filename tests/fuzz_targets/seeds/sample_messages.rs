@@ -258,13 +258,7 @@ fn ledger_commands() -> Vec<Command> {
     vec![
         Command::Bootstrap { cluster: ClusterId(1) },
         Command::Submit(Box::new(fleet::submission())),
-        Command::Award {
-            mission: mission(),
-            branch: Branch::default(),
-            holders: given,
-            promised: BTreeSet::from([slug("r1")]),
-            auction: record,
-        },
+        Command::Award { mission: mission(), branch: Branch::default(), holders: given, auction: record },
         Command::AwardPromised { mission: mission(), role: slug("r1"), epoch: Epoch { term: 1, index: 5 } },
         Command::Postpone { mission: mission(), role: slug("r1"), epoch: Epoch { term: 1, index: 5 } },
         Command::Accept { mission: mission(), role: role.clone(), epoch, incarnation: 5, from_checkpoint: false },

@@ -15,7 +15,7 @@ use super::run_counters::{RunCounters, millis};
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
 use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;
-use crate::{Fleet, Observation, slug};
+use crate::{Fleet, Observation, paused_runtime, slug};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, RoleEntry};
@@ -96,8 +96,7 @@ pub struct Violation {
 /// Executes a run. It uses its own paused runtime on the calling thread; no state remains
 /// afterwards.
 pub fn run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
-    let mut builder = tokio::runtime::Builder::new_current_thread();
-    let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O");
+    let runtime = paused_runtime();
     let outcome = catch_unwind(AssertUnwindSafe(|| runtime.block_on(execute_run(config, schedule))));
     outcome.unwrap_or_else(|panic| RunOutcome {
         seed: config.seed,

@@ -4,6 +4,7 @@ use super::setup::ExperimentSetup;
 use super::trial_id::Trial;
 use super::trial_observer::{ObserverSettings, TrialObserver, TrialState};
 use crate::inspection::current_coordinator;
+use crate::paused_runtime;
 use consort_bus::clock::Clock;
 use consort_bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
 use consort_evaluation::calibration::Observation;
@@ -74,8 +75,7 @@ pub struct TrialOutcome {
 
 /// Runs a trial on a paused runtime of its own, which is dropped afterwards.
 pub(super) fn run_trial(setup: &ExperimentSetup, trial: &Trial) -> TrialOutcome {
-    let mut builder = tokio::runtime::Builder::new_current_thread();
-    let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O starts");
+    let runtime = paused_runtime();
     // Created within the runtime: outside, the clock is that of the machine, and no two runs would
     // be equal.
     let trial_run = async { TrialRun::new(setup, trial).run().await };

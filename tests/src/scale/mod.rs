@@ -25,7 +25,7 @@ pub use traffic::FRAME_BYTES;
 
 use crate::fleet::NodeOptions;
 use crate::percentiles::Percentiles;
-use crate::{Fleet, RobotSpec, slug};
+use crate::{Fleet, RobotSpec, paused_runtime, slug};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
 use consort_protocol::keys::{ApiCall, KeyKind};
@@ -34,7 +34,7 @@ use consort_skills::environment::TopologicalMap;
 use consort_world::map::shipped;
 use procfs_core::FromRead as _;
 use procfs_core::process::Status;
-use runtimes::{Runtimes, paused};
+use runtimes::Runtimes;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -84,7 +84,7 @@ pub fn measure(setup: ScaleSetup, progress: impl Fn(&str)) -> ScaleFigures {
     let wall = Instant::now();
     progress("computing time");
     let computing = measure_computing(setup);
-    let figures = paused().block_on(measure_messages(setup, computing, &progress));
+    let figures = paused_runtime().block_on(measure_messages(setup, computing, &progress));
     ScaleFigures { memory_mb: memory_mb(), wall_s: wall.elapsed().as_secs_f64(), ..figures }
 }
 

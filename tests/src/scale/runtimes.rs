@@ -1,11 +1,12 @@
 //! Runtimes with virtual clocks that advance together, in a single thread.
 
+use crate::paused_runtime;
 use rustix::time::{ClockId, clock_gettime};
 use std::cell::{Cell, RefCell};
 use std::pin::pin;
 use std::rc::Rc;
 use std::time::Duration;
-use tokio::runtime::{Builder, Handle, Runtime};
+use tokio::runtime::{Handle, Runtime};
 use tokio::time::{Instant, advance, sleep_until};
 
 /// Time by which the clocks advance at once.
@@ -44,12 +45,12 @@ impl SeparateRuntime {
 
 impl Runtimes {
     pub(super) fn new() -> Runtimes {
-        Runtimes { main: paused(), separate: RefCell::default() }
+        Runtimes { main: paused_runtime(), separate: RefCell::default() }
     }
 
     /// Adds a separate runtime.
     pub(super) fn separate(&self) -> SeparateRuntime {
-        let runtime = SeparateRuntime { runtime: Rc::new(paused()), cpu: Rc::default() };
+        let runtime = SeparateRuntime { runtime: Rc::new(paused_runtime()), cpu: Rc::default() };
         self.separate.borrow_mut().push(runtime.clone());
         runtime
     }
@@ -86,11 +87,6 @@ impl Runtimes {
         all().for_each(|runtime| runtime.block_on(async { advance(latest - Instant::now()).await }));
         latest
     }
-}
-
-/// Returns a runtime with a clock that advances while nothing else is to be done.
-pub(super) fn paused() -> Runtime {
-    Builder::new_current_thread().enable_time().start_paused(true).build().expect("a runtime without I/O")
 }
 
 /// Returns the computing time of this thread.

@@ -9,10 +9,8 @@
 use super::auctioneer;
 use super::ensemble_members::live_members;
 use super::message::{CollectedBids, CoordinatorMessage};
-use super::reconcile::{
-    AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned, robot_queues, unavailable_robots,
-    unpromisable_robots,
-};
+use super::queues::{robot_queues, unavailable_robots, unpromisable_robots};
+use super::reconcile::{AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
     AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, EnergyBudget, Invitation,
@@ -40,9 +38,12 @@ const NAMED_ROBOTS_MAX: usize = 8;
 
 /// Inputs of the clearing of an auction, from the ledger and the other auctions.
 struct AuctionInputs {
+    /// Robots that can get no role now.
     unavailable: BTreeMap<RobotId, RefusalReason>,
+    /// Robots that can be promised no role.
     unpromisable: BTreeMap<RobotId, RefusalReason>,
     queues: BTreeMap<RobotId, RobotQueue>,
+    /// Roles that can start now.
     startable: BTreeSet<RoleId>,
     /// Robots that have failed at each role.
     failed: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
@@ -180,11 +181,12 @@ impl Auctions {
                 let of_role = |role| entry.map(|entry| robots(entry, role)).unwrap_or_default();
                 call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
             };
+            let queues = robot_queues(ledger, &self.rounds);
             let can_start = |role: &&RoleId| entry.is_none_or(|entry| entry.can_start(role));
             AuctionInputs {
-                unavailable: unavailable_robots(ledger, &self.rounds, mission),
+                unavailable: unavailable_robots(ledger, &queues, mission),
                 unpromisable: unpromisable_robots(ledger, mission),
-                queues: robot_queues(ledger, &self.rounds),
+                queues,
                 startable: call.roles.keys().filter(can_start).cloned().collect(),
                 failed: of_roles(&MissionEntry::excluded),
                 released: of_roles(&MissionEntry::former_robots),
@@ -217,11 +219,10 @@ impl Auctions {
         };
         // Missions that would wait for each other are resolved by rank, once the reason is on record.
         let is_possible = |outcome: &AuctionOutcome| {
-            let holders = outcome.holders.iter().filter(|_| !outcome.record.promised.is_empty());
-            let promised = outcome.record.promised.keys().cloned().collect();
-            let circular =
-                |holders| context.read_ledger(|ledger| ledger.would_wait_circularly(mission, holders, &promised));
-            !holders.into_iter().any(circular)
+            let promised = &outcome.record.promised;
+            let is_circular =
+                |holders| context.read_ledger(|ledger| ledger.would_wait_circularly(mission, holders, promised));
+            promised.is_empty() || !outcome.holders.iter().any(is_circular)
         };
         let clear = |excluded| {
             let outcome = clear_with(excluded, settings.promises_max > 0);
@@ -242,8 +243,8 @@ impl Auctions {
         let mut failure = None;
         let command = match holders {
             Some(holders) => {
-                round.phase = RoundPhase::Proposing { holders: holders.clone(), promised: promised.clone() };
-                Command::Award { mission, branch, holders, promised, auction: record }
+                round.phase = RoundPhase::Proposing { holders: holders.clone(), promised };
+                Command::Award { mission, branch, holders, auction: record }
             }
             None => {
                 let since = context.now();

@@ -100,19 +100,14 @@ mod tests {
             ledger.apply(at(10 * number), Command::Submit(Box::new(Submission::of(request, mission, division))));
             let mission = ledger.missions().last().unwrap().id.clone();
             let record = |failure: Option<&str>, entries| AuctionRecord {
-                auction: AuctionId { mission: mission.clone(), term: 1, round: 1 },
-                at_ms: 0,
                 entries,
-                omitted: 0,
-                chosen: BTreeMap::new(),
-                promised: BTreeMap::new(),
                 failure: failure.map(str::to_owned),
+                ..AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 })
             };
             let lost = RobotId::new(format!("lost-{number}")).unwrap();
             let holders = BTreeMap::from([(r1.clone(), holder.parse().unwrap()), (r2.clone(), lost)]);
             let (branch, epoch) = (Branch::Main, at(10 * number + 1));
-            let (auction, promised) = (record(None, vec![]), BTreeSet::new());
-            let award = Command::Award { mission: mission.clone(), branch, holders, promised, auction };
+            let award = Command::Award { mission: mission.clone(), branch, holders, auction: record(None, vec![]) };
             assert_eq!(ledger.apply(epoch, award), CommandOutcome::Awarded { epoch });
             if *touched {
                 let (role, incarnation, from_checkpoint) = (r1.clone(), 1, false);

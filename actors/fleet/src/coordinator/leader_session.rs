@@ -6,6 +6,7 @@ use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
 use super::people::People;
+use super::promises::unfit_robots;
 use super::reconcile::{CoordinatorAction, SessionState, pending_actions, stop_renewing_released, track_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
@@ -21,9 +22,8 @@ use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus, rep
 use consort_protocol::auction::AuctionId;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
-use consort_protocol::knowledge::Availability;
 use consort_protocol::lease::{DeclineReason, Epoch};
 use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger, TaskQuestion};
 use consort_protocol::message::{AwardReply, Beacon, Report};
@@ -32,7 +32,7 @@ use consort_protocol::versions::VersionRange;
 use consort_raft::{LeadershipView, ProposeError};
 use consort_skills::actions::GoalId;
 use ractor::ActorRef;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, info, warn};
@@ -261,7 +261,11 @@ impl LeaderSession {
             failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_final()));
             held_roles.follow(ledger, &epochs, &mut lease_monitor, now);
             let (rounds, notified) = (auctions.rounds(), held_roles.notified());
-            let unfit = &unfit_robots(ledger, context, now);
+            let NodeParts { knowledge, .. } = &context.settings.parts;
+            let terms = context.settings.lease_terms;
+            // Until then a new coordinator may lack records.
+            let has_all_records = now.since(context.since) > terms.lease + terms.grace;
+            let unfit = &unfit_robots(ledger, knowledge, has_all_records);
             let state = SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit };
             let actions = pending_actions(ledger, &state, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
@@ -371,29 +375,6 @@ impl LeaderSession {
     pub(super) fn status(&self) -> CoordinatorStatus {
         CoordinatorStatus { term: self.context.term, since_ms: self.since_ms(), autopilot: self.autopilot.status() }
     }
-}
-
-/// Returns the robots with promises that cannot take a role, with the reasons, as far as this node knows.
-fn unfit_robots(ledger: &Ledger, context: &SessionContext, now: NodeTime) -> BTreeMap<RobotId, String> {
-    let knowledge = &context.settings.parts.knowledge;
-    let missions = ledger.active_missions();
-    let promised: BTreeSet<&RobotId> =
-        missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| &robot.robot)).collect();
-    let terms = context.settings.lease_terms;
-    // A new coordinator may not have received all records.
-    let knows_all = now.since(context.since) > terms.lease + terms.grace;
-    let unfit = |robot: &RobotId| {
-        let node = NodeId::from(robot.clone());
-        let availability =
-            knowledge.read(|base| Some(base.get(&node)?.record.knowledge.robot.as_ref()?.availability.clone()));
-        match availability {
-            None => knows_all.then(|| format!("{robot} is unknown")),
-            Some(_) if !knowledge.is_alive(&node) => Some(format!("{robot} was judged dead")),
-            Some(Availability::OutOfService { problem }) => Some(format!("{robot} is out of service: {problem}")),
-            Some(Availability::Free | Availability::Holding { .. }) => None,
-        }
-    };
-    promised.into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
 }
 
 /// Returns the time of a voter's clock, in milliseconds since 1970; `None` without a reply.

@@ -1,7 +1,7 @@
 //! The coordinator: a role for which every voter is ready. The leader of the ledger is the only
 //! active coordinator.
 //!
-//! The coordinator owns no durable state. Its promises are in the ledger. Everything else (last
+//! The coordinator owns no durable state. Its decisions are in the ledger. Everything else (last
 //! contacts, open auctions) can be lost at any time: the next coordinator starts with empty state
 //! and full leases.
 //!
@@ -30,6 +30,8 @@ mod message;
 pub(crate) mod model_session;
 mod no_leader;
 mod people;
+mod promises;
+mod queues;
 mod rate_limit;
 mod reconcile;
 mod reports;

@@ -3,11 +3,11 @@
 
 use super::circular_waits::roles_to_give_up;
 use super::message::{AwardedRole, CollectedBids};
-use consort_protocol::auction::{RefusalReason, RobotQueue};
+use super::promises::promises_due;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
-use consort_protocol::ledger::{Branch, Ledger, MissionEntry, RoleAssignment, RolePhase};
-use consort_protocol::units::{Energy, NodeTime, Seconds};
+use consort_protocol::ledger::{Branch, Ledger, MissionEntry, RolePhase};
+use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -125,7 +125,8 @@ pub(super) fn pending_actions(
         notified.is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL)
     };
     let mut actions = vec![];
-    for entry in ledger.active_missions() {
+    let missions = ledger.active_missions();
+    for entry in &missions {
         if entry.submission.deadline_ms.zip(confirmed_ms).is_some_and(|(deadline, now_ms)| deadline <= now_ms) {
             actions.push(CoordinatorAction::FailMission { mission: entry.id.clone(), cause: past_deadline(entry) });
             continue;
@@ -149,55 +150,10 @@ pub(super) fn pending_actions(
             }
         }
     }
-    actions.extend(promises_due(ledger, state, is_notice_due));
+    actions.extend(promises_due(ledger, &missions, state, is_notice_due));
     let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
     let give_way = |(awarded, to)| CoordinatorAction::AskToGiveWay { awarded, to, for_now: false };
     actions.extend(circular.map(give_way));
-    actions
-}
-
-/// Returns the awards of promised roles to free robots, in the order in which missions are served, and the
-/// releases of promises that cannot be kept. A robot that only waits for others in its role is asked to return the
-/// role for a promised role that can start.
-fn promises_due(
-    ledger: &Ledger,
-    SessionState { rounds, unfit, .. }: &SessionState<'_>,
-    is_due: impl Fn(&AwardedRole) -> bool,
-) -> Vec<CoordinatorAction> {
-    let missions = ledger.active_missions();
-    let held = missions.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot));
-    let mut waiting: BTreeMap<&RobotId, AwardedRole> = BTreeMap::new();
-    for entry in &missions {
-        let untouched = entry.held_roles().filter(|(role, held, _)| held.ended.is_empty() && !entry.can_start(role));
-        waiting.extend(untouched.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
-    }
-    let proposed = rounds.values().flat_map(|round| match &round.phase {
-        RoundPhase::Proposing { holders, .. } => holders.values().collect(),
-        RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::BackingOff { .. } => vec![],
-    });
-    let mut taken: BTreeSet<&RobotId> = held.chain(proposed).collect();
-    let mut actions = vec![];
-    for entry in &missions {
-        for (role, robot) in entry.promised_roles() {
-            let promised = AwardedRole::of(entry, role, robot);
-            if let Some(reason) = unfit.get(&robot.robot) {
-                actions.push(CoordinatorAction::ReleaseRole(promised, reason.clone()));
-            } else if !entry.can_start(role) {
-                continue;
-            } else if !taken.contains(&robot.robot) {
-                if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
-                    taken.insert(&robot.robot);
-                    actions.extend(is_due(&promised).then_some(CoordinatorAction::AwardPromised(promised)));
-                }
-            } else {
-                // The robot gets the returned role again once that role can start.
-                let held = waiting.remove(&robot.robot).filter(&is_due);
-                let give_way =
-                    |awarded| CoordinatorAction::AskToGiveWay { awarded, to: entry.id.clone(), for_now: true };
-                actions.extend(held.map(give_way));
-            }
-        }
-    }
     actions
 }
 
@@ -219,76 +175,6 @@ fn past_deadline(entry: &MissionEntry) -> String {
         (false, Some(reason)) => format!("its deadline passed while it waited: {reason}"),
         (false, None) => "its deadline passed before an auction was held".to_owned(),
     }
-}
-
-/// Returns what each robot holds and has promised. A proposed award counts as a held role.
-pub(super) fn robot_queues(
-    ledger: &Ledger,
-    rounds: &BTreeMap<MissionId, AuctionRound>,
-) -> BTreeMap<RobotId, RobotQueue> {
-    let mut queues: BTreeMap<RobotId, RobotQueue> = BTreeMap::new();
-    let mut queue_of = |robot: &RobotId, mission: &MissionId, role: &RoleId, promise: Option<&RoleAssignment>| {
-        let reason = RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
-        let empty = RobotQueue {
-            is_held: false,
-            promised: 0,
-            time: Seconds::ZERO,
-            energy: Energy::ZERO,
-            reason: reason.clone(),
-        };
-        let queue = queues.entry(robot.clone()).or_insert(empty);
-        match promise {
-            None => (queue.is_held, queue.reason) = (true, reason),
-            Some(promise) => {
-                queue.promised += 1;
-                queue.time += promise.time;
-                queue.energy += promise.energy;
-            }
-        }
-    };
-    for entry in ledger.active_missions() {
-        for (role, held, robot) in entry.assigned_roles() {
-            let is_promised = held.phase == RolePhase::Promised;
-            queue_of(&robot.robot, &entry.id, role, is_promised.then_some(robot));
-        }
-    }
-    for (mission, round) in rounds {
-        if let RoundPhase::Proposing { holders, .. } = &round.phase {
-            holders.iter().for_each(|(role, robot)| queue_of(robot, mission, role, None));
-        }
-    }
-    queues
-}
-
-/// Returns the robots that can be promised no role of the mission, with the reason: they carry an item of
-/// another mission, or have a role of this mission.
-pub(super) fn unpromisable_robots(ledger: &Ledger, of: &MissionId) -> BTreeMap<RobotId, RefusalReason> {
-    let own = ledger.mission(of).into_iter().flat_map(|entry| {
-        entry.assigned_roles().map(|(role, _, robot)| {
-            let reason = RefusalReason::Busy { mission: entry.id.clone(), role: role.clone() };
-            (robot.robot.clone(), reason)
-        })
-    });
-    carrying_robots(ledger, of).chain(own).collect()
-}
-
-/// Returns the robots with an item of another mission.
-fn carrying_robots(ledger: &Ledger, of: &MissionId) -> impl Iterator<Item = (RobotId, RefusalReason)> {
-    ledger.held_items().filter(|(entry, _)| entry.id != *of).map(|(entry, held_item)| {
-        let (item, mission) = (held_item.item, entry.id.clone());
-        (held_item.robot, RefusalReason::CarriesItem { item, mission })
-    })
-}
-
-/// Returns the robots that cannot get a role of the mission, with the reason: they hold a role, are
-/// about to get a role, have a promise, or carry an item of another mission.
-pub(super) fn unavailable_robots(
-    ledger: &Ledger,
-    rounds: &BTreeMap<MissionId, AuctionRound>,
-    of: &MissionId,
-) -> BTreeMap<RobotId, RefusalReason> {
-    let queues = robot_queues(ledger, rounds).into_iter().map(|(robot, queue)| (robot, queue.reason));
-    carrying_robots(ledger, of).chain(queues).collect()
 }
 
 /// Returns all awards, with their robots, that are in force or may still be acted on.

@@ -259,19 +259,10 @@ impl World {
         let epoch = Epoch { term: self.term, index: index(self.awards.len()) };
         let (mission, role) = (self.setup.mission.clone(), self.setup.role.clone());
         let auction = AuctionId { mission: mission.clone(), term: self.term, round: 1 };
-        let auction = AuctionRecord {
-            auction,
-            at_ms: 0,
-            entries: vec![],
-            omitted: 0,
-            chosen: BTreeMap::new(),
-            promised: BTreeMap::new(),
-            failure: None,
-        };
+        let auction = AuctionRecord::empty(auction);
         let holders = BTreeMap::from([(role, self.setup.robots[robot].clone())]);
         self.awards.push(Awarded { robot, epoch, at: self.tick });
-        let outcome =
-            self.commit(Command::Award { mission, branch: Branch::Main, holders, promised: [].into(), auction }, epoch);
+        let outcome = self.commit(Command::Award { mission, branch: Branch::Main, holders, auction }, epoch);
         assert_eq!(outcome, CommandOutcome::Awarded { epoch });
         self.update_answers(robot);
     }

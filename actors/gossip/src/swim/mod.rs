@@ -126,7 +126,7 @@ fn with_version(packet: impl AsRef<[u8]>) -> Bytes {
     [&[codec::FIRST_VERSION], packet.as_ref()].concat().into()
 }
 
-/// Returns the node in whose name a packet is sent.
+/// Returns the sender that a packet states.
 pub(super) fn packet_sender(bytes: &[u8]) -> Result<NodeId, SwimError> {
     decode(bytes).map(|(header, _)| header.src.node)
 }

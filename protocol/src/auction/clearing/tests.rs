@@ -122,8 +122,7 @@ fn a_record_with_long_refusals_fits_an_award() {
     assert_eq!((auction.entries.len() + auction.omitted as usize, auction.entries[0].robot.as_str()), (201, "zoe"));
     assert!(auction.entries.len() > 80, "{} replies are recorded", auction.entries.len());
     let mission = call().auction.mission;
-    let (branch, promised) = (Branch::Main, BTreeSet::new());
-    let award = Command::Award { mission, branch, holders, promised, auction: auction.clone() };
+    let award = Command::Award { mission, branch: Branch::Main, holders, auction: auction.clone() };
     assert!(codec::encode(&award).unwrap().len() < codec::MESSAGE_BYTES_MAX * 3 / 4);
     let mut again = auction.clone();
     again.limit();

@@ -16,13 +16,6 @@ use crate::units::Energy;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Robots of the open roles of a mission.
-struct AwardedRoles {
-    holders: BTreeMap<RoleId, RobotId>,
-    /// Roles that are promised and not awarded yet.
-    promised: BTreeSet<RoleId>,
-}
-
 /// Maximum number of ended missions before wire version 3.
 const HISTORY_MAX: usize = 500;
 
@@ -45,9 +38,7 @@ impl Ledger {
         let done = match command {
             Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
             Command::Submit(submission) => self.submit(*submission),
-            Command::Award { mission, branch, holders, promised, auction } => {
-                self.award(&mission, branch, AwardedRoles { holders, promised }, auction, at)
-            }
+            Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
             Command::AwardPromised { mission, role, epoch } => self.award_promised(&mission, &role, epoch, at),
             Command::Postpone { mission, role, epoch } => self.postpone(&mission, &role, epoch),
             Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
@@ -248,7 +239,7 @@ impl Ledger {
         &mut self,
         mission: &MissionId,
         branch: Branch,
-        AwardedRoles { holders, promised }: AwardedRoles,
+        holders: BTreeMap<RoleId, RobotId>,
         auction: AuctionRecord,
         at: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
@@ -264,12 +255,12 @@ impl Ledger {
                 let (robot, mission) = (robot.clone(), mission.clone());
                 return Err(CommandError::TwoRoles { robot, mission, role });
             }
-            match promised.contains(role) {
-                true => self.check_hands(mission, robot)?,
+            match auction.promised.contains_key(role) {
+                true => self.check_carries_nothing(mission, robot)?,
                 false => self.check_free(mission, robot)?,
             }
         }
-        if self.would_wait_circularly(mission, &holders, &promised) {
+        if self.would_wait_circularly(mission, &holders, &auction.promised) {
             return Err(CommandError::CircularWait { mission: mission.clone() });
         }
         let entry = self.active_mission(mission)?;
@@ -278,7 +269,8 @@ impl Ledger {
             if let Some(role) = entry.roles.get_mut(&id) {
                 let (energy, time) = (auction.energy_of(&id, &robot), auction.time_of(&id, &robot));
                 role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None, energy, time });
-                role.phase = if promised.contains(&id) { RolePhase::Promised } else { RolePhase::Awarded };
+                let is_promised = auction.promised.contains_key(&id);
+                role.phase = if is_promised { RolePhase::Promised } else { RolePhase::Awarded };
                 role.ended.clear();
             }
         }

@@ -47,15 +47,7 @@ fn submission(request: &str) -> Box<Submission> {
 fn record() -> AuctionRecord {
     let mission = MissionId::new("unload-1").unwrap();
     let auction = AuctionId { mission, term: 1, round: 1 };
-    AuctionRecord {
-        auction,
-        at_ms: 0,
-        entries: vec![],
-        omitted: 0,
-        chosen: BTreeMap::new(),
-        promised: BTreeMap::new(),
-        failure: None,
-    }
+    AuctionRecord::empty(auction)
 }
 
 /// A ledger and the index of its next entry.
@@ -109,13 +101,7 @@ impl Log {
 
     fn award(&mut self, mission: &MissionId, arm: &str, r1: &str) -> CommandOutcome {
         let holders = BTreeMap::from([(role("lab_arm"), robot(arm)), (role("r1"), robot(r1))]);
-        self.apply(Command::Award {
-            mission: mission.clone(),
-            branch: Branch::Main,
-            holders,
-            promised: [].into(),
-            auction: record(),
-        })
+        self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() })
     }
 
     fn ended(&mut self, mission: &MissionId, who: &str, epoch: Epoch, ended: &[StepIndex]) -> CommandOutcome {
@@ -184,13 +170,8 @@ fn the_first_outcome_of_a_task_is_kept() {
     let released = log.release(&mission, "lab_arm", epoch(2));
     assert_eq!(released, CommandOutcome::Done);
     let holders = BTreeMap::from([(role("lab_arm"), robot("arm"))]);
-    let again = log.apply(Command::Award {
-        mission: mission.clone(),
-        branch: Branch::Main,
-        holders,
-        promised: [].into(),
-        auction: record(),
-    });
+    let again =
+        log.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() });
     let CommandOutcome::Awarded { epoch: later } = again else { panic!("{again:?}") };
     assert_eq!(report(&mut log, "lab_arm", later, pulse(90)), CommandOutcome::Done);
     assert_eq!(recorded(&log), [pulse(70)]);
@@ -232,13 +213,8 @@ fn an_award_fills_all_open_roles_or_is_rejected() {
     let mut log = Log::new();
     let mission = log.submit("a");
     let holders = BTreeMap::from([(role("r1"), robot("ada"))]);
-    let outcome = log.apply(Command::Award {
-        mission: mission.clone(),
-        branch: Branch::Main,
-        holders,
-        promised: [].into(),
-        auction: record(),
-    });
+    let outcome =
+        log.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() });
     let open = BTreeSet::from([role("lab_arm"), role("r1")]);
     assert_eq!(outcome, CommandOutcome::Refused(CommandError::NotOpen { mission: mission.clone(), open }));
     log.award(&mission, "arm", "ada");
@@ -256,13 +232,7 @@ fn reports_of_the_former_holder_of_a_released_role_are_rejected() {
     assert_eq!(log.0.mission(&mission).unwrap().open_roles(), BTreeSet::from([role("lab_arm")]));
 
     let holders = BTreeMap::from([(role("lab_arm"), robot("bob"))]);
-    let award = Command::Award {
-        mission: mission.clone(),
-        branch: Branch::Main,
-        holders,
-        promised: [].into(),
-        auction: record(),
-    };
+    let award = Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() };
     assert_eq!(log.apply(award), CommandOutcome::Awarded { epoch: epoch(5) });
     let held = Some(epoch(5));
     let stale =
@@ -461,7 +431,7 @@ fn long_texts_do_not_exceed_the_limit_of_a_mission() {
         let holders = BTreeMap::from([(role("lab_arm"), robot("arm")), (role("r1"), robot("ada"))]);
         let (branch, auction) = (Branch::Main, auction.clone());
         let holders = if log.1 == 3 { holders } else { BTreeMap::from([(role("r1"), robot("ada"))]) };
-        let award = Command::Award { mission: mission.clone(), branch, holders, promised: [].into(), auction };
+        let award = Command::Award { mission: mission.clone(), branch, holders, auction };
         let CommandOutcome::Awarded { epoch } = log.apply(award) else { panic!("not awarded") };
         let (mission, role, cause) = (mission.clone(), role("r1"), long.clone());
         log.apply(Command::Release {

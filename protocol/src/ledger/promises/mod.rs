@@ -18,6 +18,7 @@ use crate::ids::{MissionId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
 use crate::plan::{Signal, Step, StepAction};
+use crate::units::Seconds;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Waits between missions.
@@ -110,11 +111,11 @@ impl Ledger {
         &self,
         mission: &MissionId,
         holders: &BTreeMap<RoleId, RobotId>,
-        promised: &BTreeSet<RoleId>,
+        promised: &BTreeMap<RoleId, Seconds>,
     ) -> bool {
         let mut waits = Waits::of(self);
         for (role, robot) in holders {
-            waits.add(mission, robot, promised.contains(role));
+            waits.add(mission, robot, promised.contains_key(role));
         }
         waits.contain_cycle_of(mission)
     }
@@ -126,15 +127,13 @@ impl Ledger {
     pub fn check_promise(&self, mission: &MissionId, role: &RoleId, epoch: Epoch) -> Result<(), CommandError> {
         let not_promised = || CommandError::NotPromised { mission: mission.clone(), role: role.clone() };
         let entry = self.mission(mission).ok_or_else(|| self.no_mission(mission))?;
-        let (role, robot) = entry.promised_roles().find(|(id, _)| *id == role).ok_or_else(not_promised)?;
+        let (_, robot) = entry.promised_roles().find(|(id, _)| *id == role).ok_or_else(not_promised)?;
         if entry.state.is_final() || robot.epoch != epoch {
             return Err(not_promised());
         }
         self.check_free(mission, &robot.robot)?;
         let mut waits = Waits::of(self);
         waits.add(mission, &robot.robot, false);
-        // Its own promise of the same robot is fulfilled, and is not a wait.
-        debug_assert_eq!(entry.assigned_roles().filter(|(.., other)| other.robot == robot.robot).count(), 1, "{role}");
         match waits.contain_cycle_of(mission) {
             true => Err(CommandError::CircularWait { mission: mission.clone() }),
             false => Ok(()),
@@ -183,11 +182,11 @@ impl Ledger {
             let (robot, mission, role) = (robot.clone(), held.id.clone(), role.clone());
             return Err(CommandError::TwoRoles { robot, mission, role });
         }
-        self.check_hands(mission, robot)
+        self.check_carries_nothing(mission, robot)
     }
 
     /// Checks that a robot has no item of another mission.
-    pub(super) fn check_hands(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
+    pub(super) fn check_carries_nothing(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
         let mut others = self.held_items().filter(|(entry, _)| entry.id != *mission);
         match others.find(|(_, held_item)| held_item.robot == *robot) {
             None => Ok(()),

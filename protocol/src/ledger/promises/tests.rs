@@ -55,9 +55,9 @@ impl Log {
     /// Awards the open roles of a mission, or promises those in `promised`.
     fn award(&mut self, mission: &MissionId, robots: &[(&str, &str)], promised: &[&str]) -> CommandOutcome {
         let holders = robots.iter().map(|(id, name)| (role(id), robot(name))).collect();
-        let promised = promised.iter().map(|id| role(id)).collect();
-        let auction = record(mission, robots);
-        self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, promised, auction })
+        let promised = promised.iter().map(|id| (role(id), Seconds::ZERO)).collect();
+        let auction = AuctionRecord { promised, ..record(mission, robots) };
+        self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction })
     }
 
     fn epoch(&self, mission: &MissionId, id: &str) -> Epoch {
@@ -104,13 +104,8 @@ fn record(mission: &MissionId, robots: &[(&str, &str)]) -> AuctionRecord {
         parts: vec![part.clone()],
     };
     AuctionRecord {
-        auction: AuctionId { mission: mission.clone(), term: 1, round: 1 },
-        at_ms: 0,
         entries: robots.iter().map(entry).collect(),
-        omitted: 0,
-        chosen: BTreeMap::new(),
-        promised: BTreeMap::new(),
-        failure: None,
+        ..AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 })
     }
 }
 

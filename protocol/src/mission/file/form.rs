@@ -167,7 +167,7 @@ pub(super) struct TaskFile {
     /// skipped unless it holds. `${name}` stands for a parameter of the mission.
     #[serde(default)]
     pub(super) when: Option<String>,
-    /// Choice: the first branch whose condition holds is executed.
+    /// Branches of a choice. The first branch with a true condition is executed.
     #[serde(default)]
     pub(super) choose: Option<Vec<ChoiceFile>>,
     /// Choice: executed if no condition holds.

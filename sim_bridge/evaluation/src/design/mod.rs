@@ -139,7 +139,7 @@ pub struct DesignMission {
     pub phases: Vec<MissionPhase>,
 }
 
-/// A phase of a mission: tasks whose failures are counted together.
+/// Phase of a mission. The report counts the failures of its tasks together.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MissionPhase {

@@ -4,7 +4,6 @@ use super::{SuccessEstimate, greedy, optimal, random};
 use crate::seeds::generator;
 use consort_protocol::auction::{Allocator, AllocatorInput, AssignmentError, Bid};
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_protocol::units::Seconds;
 use consort_skills::descriptor::{EstimateContext, Estimator};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -35,7 +34,7 @@ impl GreedyAllocator {
         let Some(parts) = own else { return bid.clone() };
         let charge = bid.remaining + bid.energy;
         let energy: f64 = parts.iter().map(|part| part.energy).sum();
-        let time = parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time);
+        let time = parts.iter().map(|part| part.time).sum();
         Bid { time, energy, remaining: charge - energy, parts, ..bid.clone() }
     }
 }
@@ -101,7 +100,7 @@ mod tests {
     use consort_protocol::mission::TaskSpec;
     use consort_protocol::plan::{LocalPlan, Step, StepAction};
     use consort_protocol::pose::Pose;
-    use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+    use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
     use consort_skills::descriptor::DescriptorRegistry;
     use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
 

@@ -37,8 +37,7 @@ impl Map {
             if doors.is_empty() && lane.speed_limit.is_none() {
                 continue;
             }
-            let expected_wait =
-                doors.iter().fold(Seconds::ZERO, |expected_wait, lane_door| expected_wait + lane_door.door.opening);
+            let expected_wait = doors.iter().map(|lane_door| lane_door.door.opening).sum();
             let passage = Passage::Drive { speed_limit: lane.speed_limit, expected_wait };
             passages = passages.with(lane.from.clone(), lane.to.clone(), passage);
             if lane.two_way {

@@ -1,4 +1,4 @@
-//! Control nodes that execute one of their children: `IfThenElse`, `WhileDoElse` and `Switch`.
+//! The control nodes `IfThenElse`, `WhileDoElse` and `Switch`, which execute one of their children.
 
 use crate::bt::node::{ChildNode, Node, halt_all};
 use crate::bt::ports::{PortError, Ports};

@@ -38,22 +38,11 @@ pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
     ledger.apply(at(1), Command::Submit(Box::new(submission)));
     let mission = ledger.missions().next().unwrap().id.clone();
     let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
-    let auction = AuctionRecord {
-        auction,
-        at_ms: 0,
-        entries: vec![],
-        omitted: 0,
-        chosen: BTreeMap::new(),
-        promised: BTreeMap::new(),
-        failure: None,
-    };
+    let auction = AuctionRecord::empty(auction);
     let (r1, amber) = (RoleId::new("r1").unwrap(), RobotId::new("amber").unwrap());
     let holders = BTreeMap::from([(r1.clone(), amber)]);
     assert_eq!(
-        ledger.apply(
-            at(2),
-            Command::Award { mission: mission.clone(), branch: Branch::Main, holders, promised: [].into(), auction }
-        ),
+        ledger.apply(at(2), Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction }),
         CommandOutcome::Awarded { epoch: at(2) }
     );
     if lost {

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// decide in the same way, as does a robot that takes over the role.
 #[derive(Debug, Clone)]
 pub(super) struct Outcomes {
-    /// Tasks whose results each step uses; empty for most.
+    /// Steps that use the results of tasks, with these tasks.
     used: BTreeMap<StepIndex, BTreeSet<TaskId>>,
     recorded: TaskOutcomes,
     own: TaskOutcomes,

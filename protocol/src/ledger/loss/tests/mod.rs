@@ -91,7 +91,7 @@ impl Log {
     fn award_in(&mut self, branch: Branch, holders: &[(&str, &str)]) -> CommandOutcome {
         let (mission, auction) = (self.2.clone(), self.record());
         let holders = holders.iter().map(|(of, who)| (role(of), robot(who))).collect();
-        self.apply(Command::Award { mission, branch, holders, promised: [].into(), auction })
+        self.apply(Command::Award { mission, branch, holders, auction })
     }
 
     /// Awards open roles to robots whose bids have estimated this energy.
@@ -105,7 +105,7 @@ impl Log {
         };
         let auction = AuctionRecord { entries: holders.iter().map(entry).collect(), ..record };
         let holders = holders.iter().map(|(of, who, _)| (role(of), robot(who))).collect();
-        match self.apply(Command::Award { mission, branch, holders, promised: [].into(), auction }) {
+        match self.apply(Command::Award { mission, branch, holders, auction }) {
             CommandOutcome::Awarded { epoch } => epoch,
             other => panic!("{other:?}"),
         }
@@ -114,15 +114,7 @@ impl Log {
     fn record(&self) -> AuctionRecord {
         let mission = self.2.clone();
         let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
-        AuctionRecord {
-            auction,
-            at_ms: 0,
-            entries: vec![],
-            omitted: 0,
-            chosen: BTreeMap::new(),
-            promised: BTreeMap::new(),
-            failure: None,
-        }
+        AuctionRecord::empty(auction)
     }
 
     fn hold(&mut self, holders: &[(&str, &str)]) -> Epoch {

@@ -165,7 +165,6 @@ fn an_auction_of_a_branch_has_no_effect_in_the_other_branch() {
                 mission: mission.clone(),
                 branch,
                 holders: [(role("lab_arm"), robot("other"))].into(),
-                promised: [].into(),
                 auction: auction.clone(),
             },
             Command::Defer { mission: mission.clone(), branch, auction },

@@ -1,0 +1,82 @@
+//! Promises that are due: the award of a promised role, or the end of a promise that cannot be kept.
+
+use super::message::AwardedRole;
+use super::reconcile::{CoordinatorAction, RoundPhase, SessionState};
+use consort_gossip::SharedKnowledge;
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::knowledge::Availability;
+use consort_protocol::ledger::{Ledger, MissionEntry};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Returns the awards of promised roles to free robots, in the order of `missions`, and the
+/// releases of promises that cannot be kept. A robot that only waits for others in its role is asked to return the
+/// role for a promised role that can start.
+pub(super) fn promises_due(
+    ledger: &Ledger,
+    missions: &[&MissionEntry],
+    SessionState { rounds, unfit, .. }: &SessionState<'_>,
+    is_due: impl Fn(&AwardedRole) -> bool,
+) -> Vec<CoordinatorAction> {
+    if missions.iter().all(|entry| entry.promised_roles().next().is_none()) {
+        return vec![];
+    }
+    let held = missions.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot));
+    let mut waiting: BTreeMap<&RobotId, AwardedRole> = BTreeMap::new();
+    for entry in missions {
+        let untouched = entry.held_roles().filter(|(role, held, _)| held.ended.is_empty() && !entry.can_start(role));
+        waiting.extend(untouched.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
+    }
+    let proposed = rounds.values().flat_map(|round| match &round.phase {
+        RoundPhase::Proposing { holders, .. } => holders.values().collect(),
+        RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::BackingOff { .. } => vec![],
+    });
+    let mut taken: BTreeSet<&RobotId> = held.chain(proposed).collect();
+    let mut actions = vec![];
+    for entry in missions {
+        for (role, robot) in entry.promised_roles() {
+            let promised = AwardedRole::of(entry, role, robot);
+            if let Some(reason) = unfit.get(&robot.robot) {
+                actions.push(CoordinatorAction::ReleaseRole(promised, reason.clone()));
+            } else if !entry.can_start(role) {
+                continue;
+            } else if !taken.contains(&robot.robot) {
+                if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
+                    taken.insert(&robot.robot);
+                    actions.extend(is_due(&promised).then_some(CoordinatorAction::AwardPromised(promised)));
+                }
+            } else {
+                // The robot gets the returned role again once that role can start.
+                let held = waiting.remove(&robot.robot).filter(&is_due);
+                let give_way =
+                    |awarded| CoordinatorAction::AskToGiveWay { awarded, to: entry.id.clone(), for_now: true };
+                actions.extend(held.map(give_way));
+            }
+        }
+    }
+    actions
+}
+
+/// Returns the robots with promises that cannot take a role, with the reasons, as far as this node knows.
+///
+/// With `has_all_records`, a robot without a record is unknown to the whole fleet.
+pub(super) fn unfit_robots(
+    ledger: &Ledger,
+    knowledge: &SharedKnowledge,
+    has_all_records: bool,
+) -> BTreeMap<RobotId, String> {
+    let missions = ledger.active_missions();
+    let promised: BTreeSet<&RobotId> =
+        missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| &robot.robot)).collect();
+    let unfit = |robot: &RobotId| {
+        let node = NodeId::from(robot.clone());
+        let availability =
+            knowledge.read(|base| Some(base.get(&node)?.record.knowledge.robot.as_ref()?.availability.clone()));
+        match availability {
+            None => has_all_records.then(|| format!("{robot} is unknown")),
+            Some(_) if !knowledge.is_alive(&node) => Some(format!("{robot} was judged dead")),
+            Some(Availability::OutOfService { problem }) => Some(format!("{robot} is out of service: {problem}")),
+            Some(Availability::Free | Availability::Holding { .. }) => None,
+        }
+    };
+    promised.into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
+}
