@@ -79,6 +79,7 @@ impl Scene {
                 ensembles: vec![slug("logistics")],
                 roles: BTreeMap::from([(slug("r1"), plan)]),
                 eligible: BTreeMap::new(),
+                spread: BTreeSet::new(),
             },
             roles: BTreeSet::from([slug("r1")]),
             bidders: (0..workers).map(|number| Bidder::new(robot(number), Arc::clone(&estimator))).collect(),
@@ -150,7 +151,7 @@ impl Scene {
             bid.check_viable(&self.limits).is_ok().then_some(bid)
         };
         let bids: Vec<Bid> = self.expected.robots.iter().zip(&self.circumstances).filter_map(bid).collect();
-        let chosen = optimal_assignment(&self.roles, &bids).expect("a worker can fill the role");
+        let chosen = optimal_assignment(&self.roles, &BTreeSet::new(), &bids).expect("a worker can fill the role");
         bids[chosen[role]].robot.clone()
     }
 }

@@ -42,7 +42,7 @@ pub(crate) struct WorkerBid {
 pub(crate) struct DryRunOutcome {
     /// Bids and refusals by role, in the order of the workers.
     pub bids: BTreeMap<RoleId, Vec<WorkerBid>>,
-    /// Assignment of roles: every role, or none.
+    /// Assignment of roles: every role, except for roles of spread loops that stay open; or none.
     pub holders: BTreeMap<RoleId, RobotId>,
     /// Reason if no role is assigned.
     pub failure: Option<String>,
@@ -64,6 +64,7 @@ pub(crate) fn simulate_auction(
         auction: AuctionId { mission: MissionId::new("dry-run").expect("a slug"), term: 0, round: 1 },
         ensembles: vec![],
         eligible: mission.roles.iter().filter_map(condition).collect(),
+        spread: mission.roles.iter().filter(|(_, declared)| declared.spread).map(|(role, _)| role.clone()).collect(),
         roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
     };
     let tenders: Vec<BidResponse> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();

@@ -27,7 +27,8 @@ pub struct AllocatorInput<'a> {
 
 /// Allocator. Deterministic: the same input gives the same result.
 pub trait Allocator: fmt::Debug + Send + Sync {
-    /// Assigns every role of the call to a different robot from [`AllocatorInput::candidates`].
+    /// Assigns every role of the call to a different robot from [`AllocatorInput::candidates`]. Roles of spread
+    /// loops may stay open.
     ///
     /// # Errors
     /// [`AssignmentError`] if the roles cannot be assigned; then no role is assigned.
@@ -41,7 +42,7 @@ pub struct OptimalAssignment;
 impl Allocator for OptimalAssignment {
     fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
         let roles = input.call.roles.keys().cloned().collect();
-        let picks = optimal_assignment(&roles, input.viable)?;
+        let picks = optimal_assignment(&roles, &input.call.spread, input.viable)?;
         Ok(picks.into_iter().map(|(role, index)| (role, input.viable[index].robot.clone())).collect())
     }
 }

@@ -7,7 +7,7 @@ use crate::plan::LocalPlan;
 use crate::units::{BatteryShare, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Round of bidding for the open roles of a mission.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
@@ -34,6 +34,9 @@ pub struct CallForBids {
     /// Conditions on the robots, for the roles that have one.
     #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
     pub eligible: BTreeMap<RoleId, String>,
+    /// Roles that may stay open: those of spread loops.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
+    pub spread: BTreeSet<RoleId>,
 }
 
 /// Replies of a robot to a call: a bid or a refusal for each role.

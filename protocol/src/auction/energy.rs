@@ -71,7 +71,7 @@ impl EnergyBudget {
             .iter()
             .map(|offer| Offer { role: offer.role, robot: offer.robot, cost: offer.energy.get() })
             .collect();
-        let picks = cheapest_assignment(roles, &costs)?;
+        let picks = cheapest_assignment(roles, &BTreeSet::new(), &costs)?;
         let least: Energy = picks.values().map(|index| offers[*index].energy).sum();
         let holders = picks.into_iter().map(|(role, index)| (role, offers[index].robot.clone())).collect();
         Ok(match self.admits(least) {

@@ -99,7 +99,7 @@ impl RoleRelease {
 pub enum MissionState {
     /// At least 1 managed role is open.
     Pending,
-    /// All managed roles are held, promised or ended.
+    /// All managed roles are held, promised or ended. Of a mission with spread loops: some are.
     Running,
     /// Completed successfully.
     Completed,
@@ -227,6 +227,39 @@ impl MissionEntry {
         self.roles.iter().filter(open).map(|(id, _)| id.clone()).collect()
     }
 
+    /// Checks whether the role belongs to a spread loop. It may stay open while other roles are held.
+    pub fn is_spread(&self, role: &RoleId) -> bool {
+        self.mission().roles.get(role).is_some_and(|role| role.spread)
+    }
+
+    /// Returns the open roles to be auctioned now: all, unless some belong to a spread loop. Then roles that wait
+    /// for others are left out, because the robots are needed for the loop.
+    pub fn roles_to_auction(&self) -> BTreeSet<RoleId> {
+        let mut roles = self.open_roles();
+        if roles.iter().any(|role| self.is_spread(role)) {
+            roles.retain(|role| self.can_proceed(role));
+        }
+        roles
+    }
+
+    /// Checks whether robots can be assigned to these roles together.
+    pub(super) fn may_be_awarded(&self, roles: &BTreeSet<RoleId>) -> bool {
+        let open = self.open_roles();
+        match open.iter().any(|role| self.is_spread(role)) {
+            true => !roles.is_empty() && roles.is_subset(&open),
+            false => !roles.is_empty() && *roles == open,
+        }
+    }
+
+    /// Returns the state of an active mission.
+    pub(super) fn active_state(&self) -> MissionState {
+        let is_under_way = self.assigned_roles().next().is_some();
+        match is_under_way && self.roles_to_auction().iter().all(|role| self.is_spread(role)) {
+            true => MissionState::Running,
+            false => MissionState::Pending,
+        }
+    }
+
     /// Returns the robots that hold, or have completed, the managed roles.
     pub fn holders(&self) -> BTreeMap<RoleId, RobotId> {
         self.role_holders().into_iter().map(|(role, holder)| (role, holder.robot)).collect()
@@ -312,9 +345,10 @@ impl MissionEntry {
         self.division()?.plans.get(role)
     }
 
-    /// Returns the call for bids for the open roles; `None` if there are none, or a plan is missing.
+    /// Returns the call for bids for the open roles; `None` if there are none to be auctioned now, or a plan is
+    /// missing.
     pub fn call_for_bids(&self, auction: AuctionId) -> Option<CallForBids> {
-        let open = self.open_roles();
+        let open = self.roles_to_auction();
         if open.is_empty() {
             return None;
         }
@@ -326,6 +360,7 @@ impl MissionEntry {
             ensembles: ensembles.clone(),
             roles: open.iter().map(plan).collect::<Option<_>>()?,
             eligible: open.iter().filter_map(condition).collect(),
+            spread: open.iter().filter(|role| self.is_spread(role)).cloned().collect(),
         })
     }
 

@@ -47,6 +47,9 @@ pub struct Role {
     /// Condition on the robot that fills a managed role: see [`Eligibility`](crate::ensemble::Eligibility).
     #[serde(default)]
     pub eligible: Option<String>,
+    /// Role of one iteration of a spread loop. It may stay open until a robot is free.
+    #[serde(default)]
+    pub spread: bool,
 }
 
 /// Consequence if a robot is lost after other roles have acted on its work, while it has no item.
@@ -66,7 +69,7 @@ pub enum OnLoss {
 impl Role {
     /// Creates a role of this kind with the default [`OnLoss::Fail`].
     pub fn of(kind: RoleKind) -> Self {
-        Role { kind, on_loss: OnLoss::Fail, eligible: None }
+        Role { kind, on_loss: OnLoss::Fail, eligible: None, spread: false }
     }
 }
 

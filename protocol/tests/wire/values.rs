@@ -137,8 +137,8 @@ pub(crate) fn mission() -> impl Strategy<Value = Mission> {
         }),
     ];
     let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
-    let role = (kind, on_loss, option::of(text()));
-    let role = role.prop_map(|(kind, on_loss, eligible)| Role { kind, on_loss, eligible });
+    let role = (kind, on_loss, option::of(text()), any::<bool>());
+    let role = role.prop_map(|(kind, on_loss, eligible, spread)| Role { kind, on_loss, eligible, spread });
     let energy_max = option::of((0.01..9.0).prop_map(|limit| EnergyLimit::new(limit).expect("a bound on energy")));
     let results = btree_map(text(), text(), 0..2);
     (name(), btree_map(name(), role, 0..4), vec(name(), 0..3), energy_max, vec(node, 0..6), results).prop_map(

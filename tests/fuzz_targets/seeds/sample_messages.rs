@@ -204,6 +204,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
             ensembles: vec![slug("icu"), slug("all")],
             roles: plans(),
             eligible: [(slug("r1"), r#"robot.attributes.section == "icu""#.to_owned())].into(),
+            spread: [slug("r1")].into(),
         }),
         encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),
         encoded(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),

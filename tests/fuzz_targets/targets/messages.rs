@@ -91,7 +91,13 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
     });
     let roles = call.map(|call| call.roles).unwrap_or_default();
     let roles = requested.map(|role| (role.clone(), LocalPlan::of(role, vec![]))).chain(roles).collect();
-    let call = CallForBids { auction: tender.auction.clone(), ensembles: vec![], roles, eligible: BTreeMap::new() };
+    let call = CallForBids {
+        auction: tender.auction.clone(),
+        ensembles: vec![],
+        roles,
+        eligible: BTreeMap::new(),
+        spread: BTreeSet::new(),
+    };
     let robots = BTreeSet::from([tender.robot.clone()]);
     let (limits, invitation) = (BidLimits::default(), Invitation { robots, preferred: vec![] });
     let circumstances = AuctionContext {

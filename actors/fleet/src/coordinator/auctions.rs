@@ -182,12 +182,12 @@ impl Auctions {
                 call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
             };
             let queues = robot_queues(ledger, &self.rounds);
-            let can_start = |role: &&RoleId| entry.is_none_or(|entry| entry.can_start(role));
+            let can_proceed = |role: &&RoleId| entry.is_none_or(|entry| entry.can_proceed(role));
             AuctionInputs {
                 unavailable: unavailable_robots(ledger, &queues, mission),
                 unpromisable: unpromisable_robots(ledger, mission),
                 queues,
-                startable: call.roles.keys().filter(can_start).cloned().collect(),
+                startable: call.roles.keys().filter(can_proceed).cloned().collect(),
                 failed: of_roles(&MissionEntry::excluded),
                 released: of_roles(&MissionEntry::former_robots),
                 is_under_way: entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),

@@ -50,9 +50,11 @@ pub(super) fn roles_to_give_up(ledger: &Ledger) -> Vec<(AwardedRole, MissionId)>
 }
 
 /// Returns the robots that could not bid for the open roles because they hold a role. The latest auction
-/// of the mission, if it failed, names them.
+/// of the mission, if it failed, names them. Nothing waits for a role of a spread loop while another role can proceed.
 fn busy_robots(entry: &MissionEntry) -> impl Iterator<Item = &RobotId> {
-    let open = entry.open_roles();
+    let proceeds = entry.held_roles().any(|(role, ..)| entry.can_proceed(role));
+    let mut open = entry.open_roles();
+    open.retain(|role| !proceeds || !entry.is_spread(role));
     let failed = entry.auction.iter().filter(|auction| auction.failure.is_some());
     let entries = failed.flat_map(|auction| &auction.entries).filter(move |entry| open.contains(&entry.role));
     entries.filter_map(|entry| match &entry.verdict {

@@ -23,7 +23,7 @@ pub(super) fn promises_due(
     let held = missions.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot));
     let mut waiting: BTreeMap<&RobotId, AwardedRole> = BTreeMap::new();
     for entry in missions {
-        let untouched = entry.held_roles().filter(|(role, held, _)| held.ended.is_empty() && !entry.can_start(role));
+        let untouched = entry.held_roles().filter(|(role, held, _)| held.ended.is_empty() && !entry.can_proceed(role));
         waiting.extend(untouched.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
     }
     let proposed = rounds.values().flat_map(|round| match &round.phase {
@@ -37,7 +37,7 @@ pub(super) fn promises_due(
             let promised = AwardedRole::of(entry, role, robot);
             if let Some(reason) = unfit.get(&robot.robot) {
                 actions.push(CoordinatorAction::ReleaseRole(promised, reason.clone()));
-            } else if !entry.can_start(role) {
+            } else if !entry.can_proceed(role) {
                 continue;
             } else if !taken.contains(&robot.robot) {
                 if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {

@@ -162,7 +162,7 @@ pub(super) fn pending_actions(
 pub(super) fn can_be_auctioned(entry: &MissionEntry, lease_monitor: &LeaseMonitor, now: NodeTime) -> bool {
     let former_expired =
         entry.former_holders.iter().all(|held| lease_monitor.has_expired(held.epoch, &held.robot, now));
-    former_expired && !entry.open_roles().is_empty()
+    former_expired && !entry.roles_to_auction().is_empty()
 }
 
 fn past_deadline(entry: &MissionEntry) -> String {

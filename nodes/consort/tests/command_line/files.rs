@@ -8,6 +8,7 @@ fn the_shipped_examples_missions_and_maps_are_valid() {
         ("../../examples/arm.toml", "a robot: lab-arm"),
         ("../../examples/station.toml", "a station: station-1"),
         ("../../examples/world.toml", "a world: 2 robots, 1 person"),
+        ("../../examples/disinfect-rooms.yaml", "a mission: disinfect-rooms, 8 roles, 16 steps"),
         ("../../examples/workers.toml", "workers: 4 of them"),
         ("../../examples/follow-path.yaml", "a mission: follow-path, 1 role, 2 steps"),
         ("../../examples/calibration.toml", "a calibration: 0 skills, 0 legs"),

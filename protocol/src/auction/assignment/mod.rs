@@ -4,6 +4,8 @@
 //! are resolved by the smallest sum of the robots' ranks (in the order of their names). Remaining ties
 //! are resolved by the solver. It receives roles and robots in the order of their names, so the result
 //! is deterministic.
+//!
+//! Roles of spread loops may stay open. As many of them as possible are assigned, but at least one.
 
 use super::bid::Bid;
 use super::energy_exceeded::EnergyExceeded;
@@ -13,8 +15,7 @@ use pathfinding::prelude::kuhn_munkres_min;
 use std::borrow::Borrow;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Error: the roles cannot be assigned. No role is assigned: a mission is filled completely or not
-/// at all.
+/// Error: the roles cannot be assigned. No role is assigned.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AssignmentError {
     /// Some roles have no viable bid; common in a busy fleet.
@@ -45,12 +46,13 @@ fn names<T: std::fmt::Display>(list: &[T]) -> String {
 
 /// Selects a bid for each role, by index into `bids`; all bids must be viable. Bids for roles that
 /// are not open are ignored. Of several bids by the same robot for the same role the first counts.
-/// Bids may be owned or borrowed.
+/// Bids may be owned or borrowed. The roles in `spread` may stay open.
 ///
 /// # Errors
-/// [`AssignmentError`] if not every role can be filled by a different robot.
+/// [`AssignmentError`] if not every other role, or no role at all, can be filled by a different robot.
 pub fn optimal_assignment<B: Borrow<Bid>>(
     roles: &BTreeSet<RoleId>,
+    spread: &BTreeSet<RoleId>,
     bids: &[B],
 ) -> Result<BTreeMap<RoleId, usize>, AssignmentError> {
     let offers: Vec<Offer<'_>> = bids
@@ -58,7 +60,7 @@ pub fn optimal_assignment<B: Borrow<Bid>>(
         .map(Borrow::borrow)
         .map(|bid: &Bid| Offer { role: &bid.role, robot: &bid.robot, cost: bid.time.get() })
         .collect();
-    cheapest_assignment(roles, &offers)
+    cheapest_assignment(roles, spread, &offers)
 }
 
 /// A robot that can take a role, at a cost of 0 or more.
@@ -71,11 +73,13 @@ pub(super) struct Offer<'a> {
 
 /// Selects an offer for each role with the smallest sum of costs, by index into `offers`. Offers for
 /// roles that are not open are ignored. Of several offers of a robot for the same role the first counts.
+/// The roles in `spread` may stay open.
 ///
 /// # Errors
-/// [`AssignmentError`] if not every role can be filled by a different robot.
+/// [`AssignmentError`] if not every other role, or no role at all, can be filled by a different robot.
 pub(super) fn cheapest_assignment(
     roles: &BTreeSet<RoleId>,
+    spread: &BTreeSet<RoleId>,
     offers: &[Offer<'_>],
 ) -> Result<BTreeMap<RoleId, usize>, AssignmentError> {
     let robots: BTreeSet<&RobotId> =
@@ -89,40 +93,51 @@ pub(super) fn cheapest_assignment(
             costs_by_pair.entry((row, columns[offer.robot])).or_insert(index);
         }
     }
+    if roles.is_empty() {
+        return Ok(BTreeMap::new());
+    }
     let bid_for: BTreeSet<usize> = costs_by_pair.keys().map(|(row, _)| *row).collect();
-    if bid_for.len() < roles.len() {
-        let roles = rows.iter().filter(|(_, row)| !bid_for.contains(row)).map(|(role, _)| (*role).clone()).collect();
+    let lacks_bid = |(role, row): &(&&RoleId, &usize)| !bid_for.contains(row) && !spread.contains(**role);
+    let without: Vec<RoleId> = rows.iter().filter(lacks_bid).map(|(role, _)| (*role).clone()).collect();
+    if !without.is_empty() || bid_for.is_empty() {
+        let roles = if without.is_empty() { roles.iter().cloned().collect() } else { without };
         return Err(AssignmentError::NoViableBid { roles });
     }
     let too_few = || AssignmentError::TooFewRobots {
         roles: roles.iter().cloned().collect(),
         robots: robots.iter().map(|robot| (*robot).clone()).collect(),
     };
-    if robots.len() < roles.len() {
+    // A role that may stay open has a column of its own, which leaves it open.
+    let open_columns: BTreeMap<usize, usize> =
+        rows.iter().filter(|(role, _)| spread.contains(**role)).map(|(_, row)| *row).zip(robots.len()..).collect();
+    if robots.len() + open_columns.len() < roles.len() {
         return Err(too_few());
     }
-    if roles.is_empty() {
-        return Ok(BTreeMap::new());
-    }
 
-    // The sum of ranks weighs less than a millionth, and no feasible assignment costs as much as
-    // an impossible pair.
+    // The sum of ranks weighs less than a millionth. No assignment costs as much as an open role, nor as an
+    // impossible pair, with any number of open roles.
     let millionth = i128::try_from(robots.len() * roles.len() + 1).expect("the sizes of a fleet fit 128 bits");
     let cost = |index: usize, column: usize| {
         (offers[index].cost * 1e6).round() as i128 * millionth
             + i128::try_from(column).expect("the sizes of a fleet fit 128 bits")
     };
     let largest_cost = costs_by_pair.iter().map(|((_, column), index)| cost(*index, *column)).max().unwrap_or(0);
-    let impossible = (largest_cost + 1) * i128::try_from(roles.len() + 1).expect("the sizes of a fleet fit 128 bits");
-    let mut weights = Matrix::new(roles.len(), robots.len(), impossible);
+    let all = i128::try_from(roles.len() + 1).expect("the sizes of a fleet fit 128 bits");
+    let open = (largest_cost + 1) * all;
+    let impossible = if open_columns.is_empty() { open } else { open * all };
+    let mut weights = Matrix::new(roles.len(), robots.len() + open_columns.len(), impossible);
     for (&(row, column), &index) in &costs_by_pair {
         weights[(row, column)] = cost(index, column);
+    }
+    for (&row, &column) in &open_columns {
+        weights[(row, column)] = open;
     }
     let (_, assignment) = kuhn_munkres_min(&weights);
     roles
         .iter()
         .zip(assignment)
         .enumerate()
+        .filter(|(row, (_, column))| open_columns.get(row) != Some(column))
         .map(|(row, (role, column))| {
             costs_by_pair.get(&(row, column)).map(|index| (role.clone(), *index)).ok_or_else(too_few)
         })

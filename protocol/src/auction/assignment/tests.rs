@@ -24,7 +24,7 @@ fn roles(names: &[&str]) -> BTreeSet<RoleId> {
 }
 
 fn chosen(names: &[&str], bids: &[Bid]) -> Result<Vec<String>, AssignmentError> {
-    let picks = optimal_assignment(&roles(names), bids)?;
+    let picks = optimal_assignment(&roles(names), &BTreeSet::new(), bids)?;
     Ok(picks.values().map(|index| bids[*index].robot.to_string()).collect())
 }
 
@@ -87,7 +87,52 @@ fn cheapest(costs: &[Vec<Option<u64>>], row: usize, taken: &mut Vec<bool>) -> Op
     best
 }
 
+/// Tries all assignments of different robots to roles, where roles may stay open, and returns the smallest number
+/// of open roles and the smallest sum of microseconds with it.
+fn most_filled(costs: &[Vec<Option<u64>>], spread: &[bool], row: usize, taken: &mut Vec<bool>) -> Option<(u64, u64)> {
+    let Some(costs_by_pair) = costs.get(row) else { return Some((0, 0)) };
+    let mut found = vec![];
+    if spread[row] {
+        found.extend(most_filled(costs, spread, row + 1, taken).map(|(open, cost)| (open + 1, cost)));
+    }
+    for (robot, offer) in costs_by_pair.iter().enumerate() {
+        let Some(cost) = offer.filter(|_| !taken[robot]) else { continue };
+        taken[robot] = true;
+        found.extend(most_filled(costs, spread, row + 1, taken).map(|(open, rest)| (open, cost + rest)));
+        taken[robot] = false;
+    }
+    found.into_iter().min()
+}
+
 proptest! {
+    #[test]
+    fn as_many_spread_roles_as_possible_are_assigned(
+        costs in (1usize..5, 1usize..5).prop_flat_map(|(rows, columns)| {
+            prop::collection::vec(prop::collection::vec(prop::option::weighted(0.7, 1u64..50), columns), rows)
+        }),
+        spread in prop::collection::vec(prop::bool::weighted(0.7), 4),
+    ) {
+        let mut bids = vec![];
+        for (row, costs_by_pair) in costs.iter().enumerate() {
+            for (robot, offer) in costs_by_pair.iter().enumerate() {
+                bids.extend(offer.map(|seconds| bid(&format!("robot{robot}"), &format!("role{row}"), seconds as f64)));
+            }
+        }
+        let role = |row: usize| RoleId::new(format!("role{row}")).unwrap();
+        let roles: BTreeSet<RoleId> = (0..costs.len()).map(role).collect();
+        let may_stay_open = (0..costs.len()).filter(|row| spread[*row]).map(role).collect();
+        let found = optimal_assignment(&roles, &may_stay_open, &bids).ok();
+        let found = found.map(|picks| {
+            let robots: BTreeSet<_> = picks.values().map(|index| &bids[*index].robot).collect();
+            assert_eq!(robots.len(), picks.len());
+            assert!(roles.iter().all(|role| picks.contains_key(role) || may_stay_open.contains(role)));
+            let open = (roles.len() - picks.len()) as u64;
+            (open, picks.values().map(|i| bids[*i].time.get() as u64).sum::<u64>())
+        });
+        let expected = most_filled(&costs, &spread, 0, &mut vec![false; costs[0].len()]);
+        prop_assert_eq!(found, expected.filter(|(open, _)| *open < roles.len() as u64));
+    }
+
     #[test]
     fn the_assignment_is_the_cheapest_of_all(
         costs in (1usize..4, 1usize..6).prop_flat_map(|(rows, columns)| {
@@ -104,7 +149,7 @@ proptest! {
         }
         let roles = (0..costs.len()).map(|row| RoleId::new(format!("role{row}")).unwrap()).collect();
         let expected = cheapest(&costs, 0, &mut vec![false; costs[0].len()]);
-        let found = optimal_assignment(&roles, &bids).ok();
+        let found = optimal_assignment(&roles, &BTreeSet::new(), &bids).ok();
         let total = found.as_ref().map(|picks| picks.values().map(|i| bids[*i].time.get() as u64).sum::<u64>());
         prop_assert_eq!(total, expected);
         if let Some(picks) = found {
@@ -133,7 +178,7 @@ proptest! {
             }
         }
         let roles = (0..offers.len()).map(|row| RoleId::new(format!("role{row}")).unwrap()).collect();
-        let Ok(picks) = optimal_assignment(&roles, &bids) else { return Ok(()) };
+        let Ok(picks) = optimal_assignment(&roles, &BTreeSet::new(), &bids) else { return Ok(()) };
         let fastest: BTreeMap<_, _> = picks.into_iter().map(|(role, i)| (role, bids[i].robot.clone())).collect();
         let energy_of = |holders: &BTreeMap<RoleId, RobotId>| {
             let of = |(role, robot): (&RoleId, &RobotId)| bids.iter().find(|bid| bid.role == *role && bid.robot == *robot).unwrap().energy;

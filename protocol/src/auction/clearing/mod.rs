@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Outcome of an auction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AuctionOutcome {
-    /// Robot of each role: all roles of the call, or `None`.
+    /// Robot of each role: all roles of the call, except for roles of spread loops that stay open; or `None`.
     pub holders: Option<BTreeMap<RoleId, RobotId>>,
     /// Record of the auction.
     pub record: AuctionRecord,
@@ -198,15 +198,19 @@ fn unfillable_roles(call: &CallForBids, entries: &[AuctionEntry], context: &Auct
 /// Checks whether the robot cannot get the role any more, whatever it does meanwhile.
 fn is_out(call: &CallForBids, entry: &AuctionEntry) -> bool {
     match &entry.verdict {
-        // A robot that holds a role of this same mission will not be free before the mission ends.
-        BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } => *mission == call.auction.mission,
+        // A robot that holds a role of this same mission is taken to be busy until the mission ends, but the
+        // roles of a spread loop wait for it.
+        BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } => {
+            *mission == call.auction.mission && !call.spread.contains(&entry.role)
+        }
         BidVerdict::Refused { reason } => reason.is_permanent(),
         BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => false,
     }
 }
 
 /// Returns the excess over the bound if even the assignment with the least energy exceeds it, among
-/// all robots that can still get the roles. The energy of a robot that may bid later is unknown, and
+/// all robots that can still get the roles. Of roles of spread loops a single one counts: the energy of the
+/// next depends on where the robots are then. The energy of a robot that may bid later is unknown, and
 /// counts as none.
 fn inevitable_excess(call: &CallForBids, entries: &[AuctionEntry], budget: EnergyBudget) -> Option<EnergyExceeded> {
     let offers = entries.iter().filter(|entry| !is_out(call, entry)).map(|entry| EnergyOffer {
@@ -217,8 +221,13 @@ fn inevitable_excess(call: &CallForBids, entries: &[AuctionEntry], budget: Energ
             BidVerdict::Refused { .. } => Energy::ZERO,
         },
     });
-    let roles = call.roles.keys().cloned().collect();
-    budget.least(&roles, &offers.collect::<Vec<_>>()).ok()?.err()
+    let offers: Vec<EnergyOffer<'_>> = offers.collect();
+    let mut roles: BTreeSet<RoleId> = call.roles.keys().filter(|role| !call.spread.contains(*role)).cloned().collect();
+    if roles.is_empty() {
+        let cheapest = offers.iter().min_by(|one, other| one.energy.get().total_cmp(&other.energy.get()))?;
+        roles.insert(cheapest.role.clone());
+    }
+    budget.least(&roles, &offers).ok()?.err()
 }
 
 /// Assigns the roles with the allocator, among the robots that the verdicts permit, within the bound on
@@ -243,11 +252,16 @@ fn allocate_roles(
         .filter_map(|(_, reply)| if let RoleReply::Bid(bid) = reply { Some(bid) } else { None })
         .collect();
     let limits = context.limits;
-    let holders =
+    let mut holders =
         allocator.allocate(&AllocatorInput { call, candidates: &open, bids: &bids, viable: &viable, limits })?;
-    match context.energy {
-        Some(budget) => budget.restrict(holders, &viable),
-        None => Ok(holders),
+    let Some(budget) = context.energy else { return Ok(holders) };
+    // Roles of spread loops stay open, as far as needed to remain within the bound.
+    loop {
+        let spread = holders.keys().rfind(|role| call.spread.contains(*role)).cloned();
+        match (budget.restrict(holders.clone(), &viable), spread) {
+            (Err(AssignmentError::EnergyExceeded(_)), Some(role)) if holders.len() > 1 => holders.remove(&role),
+            (restricted, _) => return restricted,
+        };
     }
 }
 

@@ -24,6 +24,7 @@ fn call() -> CallForBids {
         ensembles: vec![],
         roles: BTreeMap::from([(role(), LocalPlan::of(role(), vec![]))]),
         eligible: BTreeMap::new(),
+        spread: BTreeSet::new(),
     }
 }
 
@@ -242,6 +243,57 @@ fn a_bound_on_energy_is_hopeless_only_without_other_robots() {
     assert_eq!(excess(&busy, &[ada(), refuses]), (true, problem.to_owned()));
     // Without any robot, the bound is not the reason.
     assert_eq!(excess(&Invitation::default(), &[]), (false, "no viable bid for r1".to_owned()));
+}
+
+/// A call for the iterations `r1` and `r2` of a spread loop.
+fn spread_call() -> CallForBids {
+    let roles = [role(), RoleId::new("r2").unwrap()];
+    let plans = roles.iter().map(|role| (role.clone(), LocalPlan::of(role.clone(), vec![]))).collect();
+    CallForBids { roles: plans, spread: roles.into(), ..call() }
+}
+
+/// Bids of a robot for both iterations.
+fn bids_for_both(name: &str, energy: f64) -> BidResponse {
+    let of_role = |role: &str| match bids_with_energy(name, 9.0, 0.5, energy).replies.remove(0) {
+        RoleReply::Bid(bid) => RoleReply::Bid(Bid { role: role.parse().unwrap(), ..bid }),
+        refusal => refusal,
+    };
+    BidResponse { robot: robot(name), auction: call().auction, replies: vec![of_role("r1"), of_role("r2")] }
+}
+
+#[test]
+fn roles_of_a_spread_loop_stay_open_without_robots_or_energy_for_them() {
+    let expected = invited(&["ada", "bob"]);
+    let unavailable = BTreeMap::new();
+    let cleared = |responses: &[BidResponse], energy| {
+        let context = AuctionContext { energy, ..context(&expected, &unavailable, &NO_EXCLUDED) };
+        clear_auction(&spread_call(), responses, &context)
+    };
+    let filled = |outcome: &AuctionOutcome| outcome.holders.as_ref().map_or(0, BTreeMap::len);
+    let (ada, bob) = (bids_for_both("ada", 0.1), bids_for_both("bob", 0.1));
+    assert_eq!(filled(&cleared(&[ada.clone(), bob.clone()], None)), 2);
+    assert_eq!(filled(&cleared(std::slice::from_ref(&ada), None)), 1);
+    assert_eq!(filled(&cleared(&[], None)), 0);
+    assert_eq!(filled(&cleared(&[ada.clone(), bob.clone()], budget(0.2, 0.0))), 2);
+    assert_eq!(filled(&cleared(&[ada.clone(), bob.clone()], budget(0.15, 0.0))), 1);
+    let exceeded = cleared(&[ada, bob], budget(0.15, 0.1));
+    assert_eq!((filled(&exceeded), exceeded.energy_exceeded.is_some()), (0, true));
+}
+
+#[test]
+fn a_robot_of_the_same_mission_may_get_the_next_iteration_of_a_spread_loop() {
+    let expected = invited(&["ada", "bob"]);
+    let unavailable = BTreeMap::new();
+    let failed = BTreeMap::from([(role(), BTreeMap::from([(robot("ada"), "stuck".to_owned())]))]);
+    let reason = RefusalReason::Busy { mission: call().auction.mission, role: RoleId::new("r2").unwrap() };
+    let refusal = BidRefusal { robot: robot("bob"), role: role(), reason };
+    let refuses =
+        BidResponse { robot: robot("bob"), auction: call().auction, replies: vec![RoleReply::Refusal(refusal)] };
+    let context = context(&expected, &unavailable, &failed);
+    let one = CallForBids { spread: [role()].into(), ..call() };
+    let responses = [bids("ada", 9.0, 0.5), refuses];
+    assert_eq!(clear_auction(&one, &responses, &context).unfillable, BTreeSet::new());
+    assert_eq!(clear_auction(&call(), &responses, &context).unfillable, [role()].into());
 }
 
 #[test]

@@ -57,7 +57,13 @@ struct Case<'a> {
 fn clear(case: &Case<'_>, responses: &[BidResponse]) -> AuctionOutcome {
     let plan = |id: &str| (role(id), LocalPlan::of(role(id), vec![]));
     let roles = [plan("arm"), plan("cart")].into();
-    let call = CallForBids { auction: auction(), ensembles: vec![], roles, eligible: BTreeMap::new() };
+    let call = CallForBids {
+        auction: auction(),
+        ensembles: vec![],
+        roles,
+        eligible: BTreeMap::new(),
+        spread: BTreeSet::new(),
+    };
     let queues: BTreeMap<RobotId, RobotQueue> =
         case.queues.iter().map(|(robot, queue)| (robot.parse().unwrap(), queue.clone())).collect();
     let busy = queues.iter().map(|(robot, queue)| (robot.clone(), queue.reason.clone())).collect();

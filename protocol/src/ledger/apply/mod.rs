@@ -244,8 +244,8 @@ impl Ledger {
         at: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
         let entry = self.in_branch(mission, branch)?;
-        let open = entry.open_roles();
-        if open.is_empty() || !holders.keys().eq(open.iter()) {
+        if !entry.may_be_awarded(&holders.keys().cloned().collect()) {
+            let open = entry.open_roles();
             return Err(CommandError::NotOpen { mission: mission.clone(), open });
         }
         let assigned = entry.assigned_roles().map(|(role, _, holder)| (holder.robot.clone(), role.clone()));
@@ -275,7 +275,7 @@ impl Ledger {
             }
         }
         entry.auction = Some(auction);
-        entry.state = MissionState::Running;
+        entry.state = entry.active_state();
         Ok(CommandOutcome::Awarded { epoch: at })
     }
 

@@ -221,6 +221,35 @@ fn an_award_fills_all_open_roles_or_is_rejected() {
     assert!(matches!(log.award(&mission, "bob", "cyd"), CommandOutcome::Refused(CommandError::NotOpen { .. })));
 }
 
+/// `lab_arm` belongs to a spread loop, and `r1` waits for it.
+#[test]
+fn roles_of_spread_loops_are_awarded_first_and_one_by_one() {
+    let mut log = Log::new();
+    let mut spread = submission("a");
+    let arm = spread.mission.roles.get_mut(&role("lab_arm")).unwrap();
+    arm.spread = true;
+    let again = arm.clone();
+    spread.mission.roles.insert(role("lab_arm_2"), again);
+    spread.division.plans.insert(role("lab_arm_2"), LocalPlan::of(role("lab_arm_2"), vec![]));
+    let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(spread)) else { panic!("submitted") };
+    let to_auction = |log: &Log| log.0.mission(&mission).unwrap().roles_to_auction();
+    let award = |log: &mut Log, who: &str, robot_name: &str| {
+        let holders = BTreeMap::from([(role(who), robot(robot_name))]);
+        log.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() })
+    };
+    assert_eq!(to_auction(&log), [role("lab_arm"), role("lab_arm_2")].into(), "r1 waits for a signal");
+    assert_eq!(award(&mut log, "lab_arm", "ada"), CommandOutcome::Awarded { epoch: epoch(2) });
+    assert_eq!((log.state(&mission), to_auction(&log)), (&MissionState::Running, [role("lab_arm_2")].into()));
+    assert!(matches!(award(&mut log, "lab_arm", "bob"), CommandOutcome::Refused(CommandError::NotOpen { .. })));
+    assert_eq!(award(&mut log, "lab_arm_2", "bob"), CommandOutcome::Awarded { epoch: epoch(4) });
+    assert_eq!(to_auction(&log), [role("r1")].into(), "no role of a loop is open");
+    assert_eq!(log.state(&mission), &MissionState::Pending);
+    assert_eq!(log.release(&mission, "lab_arm_2", epoch(4)), CommandOutcome::Done);
+    assert_eq!((log.state(&mission), to_auction(&log)), (&MissionState::Running, [role("lab_arm_2")].into()));
+    assert_eq!(log.release(&mission, "lab_arm", epoch(2)), CommandOutcome::Done);
+    assert_eq!(log.state(&mission), &MissionState::Pending, "no robot works for the mission");
+}
+
 #[test]
 fn reports_of_the_former_holder_of_a_released_role_are_rejected() {
     let mut log = Log::new();

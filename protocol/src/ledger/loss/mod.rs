@@ -100,7 +100,8 @@ impl Ledger {
         role.holder = None;
         role.phase = RolePhase::Open;
         role.ended.clear();
-        self.active_mission(mission)?.state = MissionState::Pending;
+        let entry = self.active_mission(mission)?;
+        entry.state = entry.active_state();
         Ok(CommandOutcome::Done)
     }
 

@@ -17,7 +17,7 @@ use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase};
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
-use crate::plan::{Signal, Step, StepAction};
+use crate::plan::{Signal, Step, StepAction, StepIndex};
 use crate::units::Seconds;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -81,11 +81,10 @@ impl MissionEntry {
         promised.map(|(id, _, robot)| (id, robot))
     }
 
-    /// Checks whether a robot without any progress in a role could perform a step of it now, according to the
-    /// ended steps of the other robots. Signals of people count as sent: a task of a person may wait
-    /// for the holder of the role.
-    pub fn can_start(&self, role: &RoleId) -> bool {
-        let Some(plan) = self.plan(role) else { return true };
+    /// Checks whether the holder of a role could perform a step of it now, according to the ended steps. Signals
+    /// of people count as sent: a task of a person may wait for the holder of the role.
+    pub fn can_proceed(&self, role: &RoleId) -> bool {
+        let (Some(plan), Some(entry)) = (self.plan(role), self.roles.get(role)) else { return true };
         let sent = self.signals_to(role);
         let is_of_person = |role: &RoleId| self.roles.get(role).is_some_and(|entry| entry.kind == RoleKind::Unmanaged);
         let has_arrived = |signal: &Signal| sent.contains(signal) || is_of_person(&signal.from);
@@ -96,6 +95,7 @@ impl MissionEntry {
         // Steps follow the steps that they depend on, so a single pass is enough.
         for (index, step) in plan.steps.iter().enumerate() {
             match &step.action {
+                _ if entry.ended.contains(&(index as StepIndex)) => passed[index] = true,
                 StepAction::Wait(signal) => passed[index] = has_arrived(signal) && is_enabled(step, &passed),
                 StepAction::Task { .. } | StepAction::Send(_) if is_enabled(step, &passed) => return true,
                 StepAction::Task { .. } | StepAction::Send(_) => {}
@@ -163,10 +163,10 @@ impl Ledger {
         role_id: &RoleId,
         epoch: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
-        let can_start = self.active_mission(mission)?.can_start(role_id);
+        let can_proceed = self.active_mission(mission)?.can_proceed(role_id);
         let role = self.held_role(mission, role_id, epoch)?;
         let is_held = role.kind == RoleKind::Managed && role.phase != RolePhase::Ended;
-        if can_start || !is_held || !role.ended.is_empty() {
+        if can_proceed || !is_held || !role.ended.is_empty() {
             return Err(CommandError::CanStart { mission: mission.clone(), role: role_id.clone() });
         }
         role.phase = RolePhase::Promised;

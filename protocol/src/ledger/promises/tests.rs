@@ -122,12 +122,12 @@ fn a_promised_role_is_awarded_once_its_robot_is_free() {
     assert_eq!(promise.time, Seconds::new(20.0).unwrap(), "the time of its tasks, without the wait");
     assert_eq!(entry.holders(), BTreeMap::from([(role("cart"), robot("bob"))]));
     assert!(entry.role_robots().contains_key(&role("arm")), "other robots learn who comes");
-    assert!(!entry.can_start(&role("arm")), "the cart is still on its way");
+    assert!(!entry.can_proceed(&role("arm")), "the cart is still on its way");
 
     assert!(matches!(log.award_promised(second, "arm"), CommandOutcome::Refused(CommandError::TwoRoles { .. })));
     log.end(first, "arm");
     log.end(second, "cart");
-    assert!(log.0.mission(second).unwrap().can_start(&role("arm")));
+    assert!(log.0.mission(second).unwrap().can_proceed(&role("arm")));
     let promised = log.epoch(second, "arm");
     assert!(matches!(log.award_promised(second, "arm"), CommandOutcome::Awarded { .. }));
     assert_eq!(log.phase(second, "arm"), RolePhase::Awarded);

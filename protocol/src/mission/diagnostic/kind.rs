@@ -88,6 +88,12 @@ pub enum MissionErrorKind {
         /// Path of the first task with that name.
         first: String,
     },
+    /// The roles of the iterations of a spread loop have the name of another role.
+    #[error("is spread over the iterations of a loop, as `{role}`, but there is already a role with this name")]
+    DuplicateRole {
+        /// The name.
+        role: RoleId,
+    },
 
     /// No role is managed.
     #[error("no role is managed; a mission needs at least 1 role that a robot fills")]

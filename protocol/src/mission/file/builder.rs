@@ -10,11 +10,12 @@ use crate::mission::domain::Domain;
 use crate::mission::limits::TASKS_MAX;
 use crate::mission::lost_item::{LOST, LostItem};
 use crate::mission::model::{
-    ATTEMPTS, AlternativeMethod, Method, Mission, ResultReference, Role, TaskBody, TaskIndex, TaskNode, TaskOrder,
-    TaskSpec,
+    ATTEMPTS, AlternativeMethod, Method, Mission, ResultReference, Role, RoleKind, TaskBody, TaskIndex, TaskNode,
+    TaskOrder, TaskSpec,
 };
 use consort_text::AllowedNames;
 use std::collections::{BTreeMap, BTreeSet};
+use std::mem;
 
 /// Keeps in each branch the roles that have a task in it. The main branch also keeps roles without
 /// any task.
@@ -54,6 +55,11 @@ pub(super) struct MissionBuilder<'a> {
     pub(super) values: BTreeMap<&'a str, &'a str>,
     kinds: BTreeMap<&'a str, TemplateKind>,
     used: BTreeSet<&'a str>,
+    /// Number of elementary tasks of each role, in all branches.
+    pub(super) tasks_by_role: BTreeMap<&'a str, usize>,
+    managed_roles: BTreeSet<&'a str>,
+    /// Roles of the iterations of spread loops, by the role in the file that they replace.
+    spread_roles: BTreeMap<&'a str, BTreeSet<RoleId>>,
     pub(super) diagnostics: Vec<MissionDiagnostic>,
 }
 
@@ -123,9 +129,25 @@ impl<'a> MissionBuilder<'a> {
             let condition = |text: &String| self.expression(text, &Scope::default(), &format!("{path}/eligible"));
             let eligible = eligible.as_ref().and_then(condition);
             let id = self.name(&path, RoleId::new(&**name));
-            roles.extend(id.map(|id| (id, Role { kind: *kind, on_loss: *on_loss, eligible })));
+            self.managed_roles.extend((*kind == RoleKind::Managed).then_some(name.as_str()));
+            let role = Role { kind: *kind, on_loss: *on_loss, eligible, spread: false };
+            roles.extend(id.map(|id| (id, role)));
         }
         roles
+    }
+
+    /// Replaces the roles of spread loops by those of their iterations, once all tasks are built.
+    pub(super) fn spread(&mut self, roles: &mut BTreeMap<RoleId, Role>) {
+        for (name, iterations) in mem::take(&mut self.spread_roles) {
+            let Some(role) = RoleId::new(name).ok().and_then(|id| roles.remove(&id)) else { continue };
+            for id in iterations {
+                if roles.contains_key(&id) {
+                    let kind = MissionErrorKind::DuplicateRole { role: id.clone() };
+                    self.report(&format!("roles/{name}"), kind);
+                }
+                roles.insert(id, Role { spread: true, ..role.clone() });
+            }
+        }
     }
 
     /// Builds the ensembles of the mission.
@@ -186,17 +208,26 @@ impl<'a> MissionBuilder<'a> {
         let sequence = |children| (TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![])), children);
         let is_plain = node.tasks.is_none() && node.task_type.is_none() && node.roles.is_none();
         let is_plain = is_plain && !node.has_entries() && node.alternatives.is_empty();
-        let is_plain_sequence = is_plain && node.method.is_none();
+        let is_plain_sequence = is_plain && node.method.is_none() && !node.spread;
         let problem = match (&node.choose, &node.variable, &node.values, node.repeat, &node.until, &node.body) {
-            (None, None, None, None, None, None) if node.otherwise.is_none() => {
+            (None, None, None, None, None, None) if node.otherwise.is_none() && !node.spread => {
                 return self.plain_body(node, path, scope);
             }
             (Some(choices), None, None, None, None, None) if is_plain_sequence => {
                 return sequence(self.choice(choices, node.otherwise.as_deref(), path, scope));
             }
             (None, Some(variable), Some(values), None, None, Some(body)) if is_plain && node.otherwise.is_none() => {
-                let order = node.method.unwrap_or(TaskOrder::Sequential);
-                let children = self.for_each(variable, values, body, path, scope);
+                let order = match (node.spread, node.method) {
+                    (false, method) => method.unwrap_or(TaskOrder::Sequential),
+                    (true, None | Some(TaskOrder::Unordered)) => TaskOrder::Unordered,
+                    (true, Some(TaskOrder::Sequential)) => {
+                        let problem = "is spread over robots, so its iterations are unordered".to_owned();
+                        self.report(path, MissionErrorKind::InvalidTaskShape { problem });
+                        TaskOrder::Unordered
+                    }
+                };
+                let own_roles = if node.spread { self.own_roles(body, path) } else { BTreeSet::new() };
+                let children = self.for_each(variable, values, body, &own_roles, path, scope);
                 return (TaskBody::Abstract(Method::of(order, vec![])), children);
             }
             (None, None, None, Some(count), Some(until), Some(body))
@@ -206,12 +237,14 @@ impl<'a> MissionBuilder<'a> {
             }
             (Some(_), ..) => "has `choose`, with which only `else` is allowed",
             (None, Some(_), ..) | (None, None, Some(_), ..) => {
-                "is a loop, which has `for`, `in` and `do`, and may have a `method`"
+                "is a loop, which has `for`, `in` and `do`, and may have a `method` or `spread: true`"
             }
             (None, None, None, Some(_), ..) | (None, None, None, None, Some(_), _) => {
                 "is a repetition, which has `repeat`, `do` and `until`"
             }
-            (None, None, None, None, None, _) => "has `else` without `choose`, or `do` without `for` or `repeat`",
+            (None, None, None, None, None, _) => {
+                "has `else` without `choose`, `do` without `for` or `repeat`, or `spread` without `for`"
+            }
         };
         self.report(path, MissionErrorKind::InvalidTaskShape { problem: problem.to_owned() });
         sequence(vec![])
@@ -236,19 +269,41 @@ impl<'a> MissionBuilder<'a> {
         branches
     }
 
-    /// Returns the iterations of a loop over values.
+    /// Returns the roles of each iteration of a spread loop alone: the managed roles of its body that no other
+    /// task has.
+    fn own_roles(&mut self, body: &'a TaskFile, path: &str) -> BTreeSet<&'a str> {
+        let tasks = body.tasks_by_role();
+        let is_own = |role: &&str| self.managed_roles.contains(role) && self.tasks_by_role.get(role) == tasks.get(role);
+        let own: BTreeSet<&str> = tasks.keys().copied().filter(is_own).collect();
+        if own.is_empty() {
+            let problem = "is spread over robots, but has no managed role that no other task has".to_owned();
+            self.report(path, MissionErrorKind::InvalidTaskShape { problem });
+        }
+        for role in &own {
+            self.check_variable(role, "a role of a spread loop", path, &Scope::default());
+            self.spread_roles.entry(role).or_default();
+        }
+        own
+    }
+
+    fn check_variable(&mut self, name: &str, what: &str, path: &str, scope: &Scope) {
+        if self.values.contains_key(name) || scope.values.contains_key(name) {
+            let problem = format!("{what} has the name of a parameter or of another variable");
+            self.report(path, MissionErrorKind::Substitution { text: name.to_owned(), problem });
+        }
+    }
+
+    /// Returns the iterations of a loop over values, each with roles of its own.
     fn for_each(
         &mut self,
         variable: &'a str,
         values: &'a ListFile,
         body: &'a TaskFile,
+        own_roles: &BTreeSet<&'a str>,
         path: &str,
         scope: &Scope,
     ) -> Vec<(&'a TaskFile, Scope)> {
-        if self.values.contains_key(variable) || scope.values.contains_key(variable) {
-            let problem = "the variable of the loop has the name of a parameter or of another variable".to_owned();
-            self.report(path, MissionErrorKind::Substitution { text: variable.to_owned(), problem });
-        }
+        self.check_variable(variable, "the variable of the loop", path, scope);
         let values: Vec<String> = match values {
             ListFile::Values(values) => {
                 values.iter().filter_map(|value| self.substitute_or_report(value, scope, path)).collect()
@@ -264,7 +319,7 @@ impl<'a> MissionBuilder<'a> {
         };
         let names = body.names();
         let iteration = |(number, value)| {
-            let mut scope = scope.iteration(number, &names);
+            let mut scope = scope.iteration(number, &names).with_own_roles(own_roles);
             scope.values.insert(variable.to_owned(), value);
             (body, scope)
         };
@@ -371,12 +426,12 @@ impl<'a> MissionBuilder<'a> {
         &mut self,
         node: &'a TaskFile,
         task_type: &str,
-        roles: &[String],
+        roles: &'a [String],
         path: &str,
         scope: &Scope,
     ) -> Option<TaskSpec> {
         let task_type = self.name(path, TaskType::new(task_type));
-        let roles = roles.iter().filter_map(|role| self.name(path, RoleId::new(&**role))).collect();
+        let roles = roles.iter().filter_map(|role| self.role(role, path, scope)).collect();
         let is_input = |text: &str| reference(text, scope).is_some();
         let (inputs, parameters): (BTreeMap<_, _>, BTreeMap<_, _>) =
             node.parameters.iter().partition(|(_, text)| is_input(text));
@@ -389,7 +444,7 @@ impl<'a> MissionBuilder<'a> {
         let mut acquires = BTreeMap::new();
         for (item, role) in &node.acquires {
             let item = self.name(path, ItemId::new(&**item));
-            acquires.extend(item.zip(self.name(path, RoleId::new(&**role))));
+            acquires.extend(item.zip(self.role(role, path, scope)));
         }
         let releases = node.releases.iter().filter_map(|item| self.name(path, ItemId::new(&**item))).collect();
         let attempts = node.attempts.unwrap_or(ATTEMPTS);
@@ -407,6 +462,15 @@ impl<'a> MissionBuilder<'a> {
             conditions,
             ..spec
         })
+    }
+
+    /// Returns a role of a task, in its iteration of a spread loop.
+    fn role(&mut self, role: &'a str, path: &str, scope: &Scope) -> Option<RoleId> {
+        let id = self.name(path, RoleId::new(scope.own_role(role).unwrap_or(role)))?;
+        if scope.own_role(role).is_some() {
+            self.spread_roles.entry(role).or_default().insert(id.clone());
+        }
+        Some(id)
     }
 
     fn entries(

@@ -9,6 +9,7 @@ use serde::de::{Deserializer, Error as _, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::iter;
 use std::marker::PhantomData;
 
 /// Parameter that a request provides.
@@ -179,6 +180,11 @@ pub(super) struct TaskFile {
     /// Loop: its values, as a list or as `${name}` of a parameter of kind `places` or `texts`.
     #[serde(default, rename = "in")]
     pub(super) values: Option<ListFile>,
+    /// Loop: each iteration is a role of its own, so that several robots share the iterations. Such are the managed
+    /// roles of its task that no other task has; `${role}` stands for the name of the role in the iteration.
+    /// The iterations are unordered.
+    #[serde(default)]
+    pub(super) spread: bool,
     /// Loop or repetition: the repeated task.
     #[serde(default, rename = "do")]
     pub(super) body: Option<Box<TaskFile>>,
@@ -271,15 +277,31 @@ impl TaskFile {
         self.tasks.iter().flatten().chain(choices).chain(bodies)
     }
 
+    /// Returns the task and all tasks below it.
+    fn all(&self) -> impl Iterator<Item = &TaskFile> {
+        let mut open = vec![self];
+        iter::from_fn(move || {
+            let task = open.pop()?;
+            open.extend(task.below());
+            Some(task)
+        })
+    }
+
     /// Returns the names of the task and of all tasks below it.
     pub(super) fn names(&self) -> BTreeSet<&str> {
-        let mut names = BTreeSet::new();
-        let mut open = vec![self];
-        while let Some(task) = open.pop() {
-            names.insert(task.task.as_str());
-            open.extend(task.below());
+        self.all().map(|task| task.task.as_str()).collect()
+    }
+
+    /// Returns the number of elementary tasks of each role, here and below, also in alternatives.
+    pub(super) fn tasks_by_role(&self) -> BTreeMap<&str, usize> {
+        let roles = self
+            .all()
+            .flat_map(|task| iter::once(task).chain(task.alternatives.iter().flat_map(|method| &method.tasks)));
+        let mut counts = BTreeMap::new();
+        for role in roles.flat_map(|task| task.roles.iter().flatten()) {
+            *counts.entry(role.as_str()).or_default() += 1;
         }
-        names
+        counts
     }
 }
 

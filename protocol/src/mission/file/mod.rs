@@ -69,6 +69,11 @@
 //!       for: room                                        # tasks are named look_1, look_2, …
 //!       in: "${rooms}"                                   # or a list: [IC Room 6, PC Room 3]
 //!       do: { task: look, type: navigation, roles: [r1], parameters: { to: "${room}" } }
+//!     - task: clean_rooms
+//!       for: room
+//!       in: "${rooms}"
+//!       spread: true                                     # robots share the rooms, with the roles r2_1, r2_2, …
+//!       do: { task: sweep, type: sweep, roles: [r2], parameters: { at: "${room}" } }
 //!     - task: polish
 //!       repeat: 3                                        # at most
 //!       do: { task: rub, type: rub, roles: [r1] }
@@ -105,6 +110,7 @@ use schemars::{Schema, schema_for};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::iter;
 use std::path::Path;
 
 /// Format of a mission file.
@@ -271,6 +277,11 @@ impl MissionTemplate {
         domain: &Domain,
     ) -> Result<(Mission, Option<Mission>), MissionErrors> {
         let mut builder = MissionBuilder::default();
+        for task in iter::once(&self.file.root).chain(&self.file.recovery) {
+            for (role, tasks) in task.tasks_by_role() {
+                *builder.tasks_by_role.entry(role).or_default() += tasks;
+            }
+        }
         builder.bind_parameters(&self.file.parameters, arguments, domain);
         let mut mission = Mission {
             name: self.name.clone(),
@@ -285,6 +296,10 @@ impl MissionTemplate {
             Mission { tasks: builder.tasks(root, "recovery"), ..mission.clone() }
         });
         mission.results = builder.results(&self.file.result);
+        builder.spread(&mut mission.roles);
+        if let Some(recovery) = &mut recovery {
+            recovery.roles.clone_from(&mission.roles);
+        }
         [Some(&mut mission), recovery.as_mut()].into_iter().flatten().for_each(|branch| {
             branch.set_typical_inputs(domain);
             branch.set_domains(domain);
@@ -328,13 +343,13 @@ impl MissionTemplate {
     }
 }
 
-/// Keys with numbers.
-const NUMBERS: [&str; 5] = ["attempts", "energy_max", "repeat", "patience_s", "after_s"];
+/// Keys with numbers and truth values.
+const TYPED: [&str; 6] = ["attempts", "energy_max", "repeat", "spread", "patience_s", "after_s"];
 
 /// Keys with maps whose keys and values are free texts.
 const TEXTS: [&str; 4] = ["parameters", "reaches", "acquires", "result"];
 
-/// Converts scalars to text, except those of [`NUMBERS`]: all other values of mission files are texts, and YAML parses a
+/// Converts scalars to text, except those of [`TYPED`]: all other values of mission files are texts, and YAML parses a
 /// bare `5` as a number. `is_free` is true within one of [`TEXTS`].
 fn scalars_as_text(value: Value, is_free: bool) -> Value {
     match value {
@@ -342,7 +357,7 @@ fn scalars_as_text(value: Value, is_free: bool) -> Value {
         Value::Object(map) => {
             let convert = |(key, value): (String, Value)| {
                 let value = match &*key {
-                    name if !is_free && NUMBERS.contains(&name) => value,
+                    name if !is_free && TYPED.contains(&name) => value,
                     name => scalars_as_text(value, is_free || TEXTS.contains(&name)),
                 };
                 (key, value)

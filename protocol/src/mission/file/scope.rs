@@ -14,6 +14,8 @@ pub(super) struct Scope {
     suffix: String,
     /// Names with suffix of the tasks in iterations, by their names in the file.
     renamed: BTreeMap<String, String>,
+    /// Names with suffix of the roles in iterations that are spread over robots, by their names in the file.
+    renamed_roles: BTreeMap<String, String>,
 }
 
 impl Scope {
@@ -23,6 +25,16 @@ impl Scope {
         let renamed = tasks.iter().map(|task| ((*task).to_owned(), format!("{task}{suffix}")));
         let renamed = self.renamed.clone().into_iter().chain(renamed).collect();
         Scope { suffix, renamed, ..self.clone() }
+    }
+
+    /// Returns the scope with roles of this iteration alone. Their names are also values.
+    pub(super) fn with_own_roles(mut self, roles: &BTreeSet<&str>) -> Scope {
+        for role in roles {
+            let renamed = format!("{role}{}", self.suffix);
+            self.values.insert((*role).to_owned(), renamed.clone());
+            self.renamed_roles.insert((*role).to_owned(), renamed);
+        }
+        self
     }
 
     /// Returns the scope with a further condition.
@@ -39,6 +51,11 @@ impl Scope {
     /// Returns the name of a task in this iteration.
     pub(super) fn task_name(&self, task: &str) -> String {
         self.renamed.get(task).cloned().unwrap_or_else(|| task.to_owned())
+    }
+
+    /// Returns the name of a role in this iteration, if it is a role of the iteration alone.
+    pub(super) fn own_role(&self, role: &str) -> Option<&str> {
+        self.renamed_roles.get(role).map(String::as_str)
     }
 
     /// Returns the name of a task that is referred to.

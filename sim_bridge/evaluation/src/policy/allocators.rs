@@ -127,6 +127,7 @@ mod tests {
             ensembles: vec![],
             roles: [(role(), plan)].into(),
             eligible: BTreeMap::new(),
+            spread: BTreeSet::new(),
         }
     }
 

@@ -220,3 +220,88 @@ root:
         MissionTemplate::parse(&request.to_string(), Format::Json).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(format!("{requested:?}"), format!("{template:?}"), "{request}");
 }
+
+const SPREAD: &str = r#"
+mission: sweep
+parameters: { rooms: { kind: places, default: "IC Room 6, Dock" } }
+roles: { r1: { kind: managed, eligible: "robot.name != 'ada'" }, r2: { kind: managed }, clerk: { kind: unmanaged } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - task: rounds
+      for: room
+      in: "${rooms}"
+      spread: true
+      do:
+        task: visit
+        method: sequential
+        tasks:
+          - { task: go, type: navigation, roles: [r1], parameters: { to: "${room}" } }
+          - { task: meet, type: approach_robot, roles: [r2, r1], parameters: { robot_role: "${r1}" } }
+          - { task: note, type: wait, roles: [clerk], parameters: { seconds: "5" } }
+    - { task: park, type: wait, roles: [r2], parameters: { seconds: "1" } }
+"#;
+
+fn with_meetings() -> Domain {
+    let meeting = TaskSchema::default().required("robot_role", ValueKind::Role);
+    with_results().with("approach_robot".parse().unwrap(), meeting)
+}
+
+fn spread_mission(text: &str, rooms: &str) -> Result<Mission, Vec<String>> {
+    let template = MissionTemplate::parse(text, Format::Yaml).unwrap();
+    let mission = template.instantiate(&given(&[("rooms", rooms)]), &with_meetings());
+    mission.map_err(|errors| errors.diagnostics.iter().map(ToString::to_string).collect())
+}
+
+#[test]
+fn the_iterations_of_a_spread_loop_have_roles_of_their_own() {
+    let mission = spread_mission(SPREAD, "IC Room 6, Dock").unwrap_or_else(|problems| panic!("{problems:#?}"));
+    let roles: Vec<(&str, bool)> =
+        mission.roles.iter().map(|(role, declared)| (role.as_str(), declared.spread)).collect();
+    assert_eq!(roles, [("clerk", false), ("r1_1", true), ("r1_2", true), ("r2", false)], "`park` has r2, too");
+    assert_eq!(mission.roles.values().filter(|role| role.eligible.is_some()).count(), 2);
+    let specs: BTreeMap<_, _> = mission.elementary().into_iter().map(|(id, spec)| (id.as_str(), spec)).collect();
+    assert_eq!(specs["go_2"].roles, ["r1_2".parse().unwrap()]);
+    assert_eq!(specs["meet_1"].parameters["robot_role"], "r1_1");
+    let request = MissionTemplate::request(SPREAD, Format::Yaml).unwrap();
+    assert_eq!(spread_mission(&request.to_string(), "IC Room 6, Dock"), Ok(mission), "as a request");
+}
+
+#[test]
+fn nested_spread_loops_have_a_role_for_each_iteration_of_both() {
+    let nested = SPREAD.replace(
+        "          - { task: go, ",
+        "          - task: twice\n            for: again\n            in: [a, b]\n            spread: true\n            do: { task: go, ",
+    );
+    let nested = nested
+        .replace("roles: [r1], parameters: { to: \"${room}\" } }", "roles: [r3], parameters: { to: \"${room}\" } }");
+    let nested = nested.replace("r2: { kind: managed }", "r2: { kind: managed }, r3: { kind: managed }");
+    let mission = spread_mission(&nested, "IC Room 6, Dock").unwrap_or_else(|problems| panic!("{problems:#?}"));
+    let roles: Vec<&str> = mission.roles.keys().map(|role| role.as_str()).collect();
+    assert_eq!(roles, ["clerk", "r1_1", "r1_2", "r2", "r3_1_1", "r3_1_2", "r3_2_1", "r3_2_2"]);
+}
+
+#[test]
+fn wrong_spread_loops_are_reported_with_their_place() {
+    for (from, to, expected) in [
+        ("spread: true", "spread: true\n      method: sequential", "root/rounds: a task has either"),
+        ("[r2], ", "[r1], ", "is spread over robots, but has no managed role that no other task has"),
+        ("in: \"${rooms}\"", "repeat: 2", "is a repetition"),
+        ("r2: { kind: managed }", "r2: { kind: managed }, r1_2: { kind: managed }", "already a role with this name"),
+        ("parameters: { rooms", "parameters: { r1: { kind: text, default: a }, rooms", "has the name of a parameter"),
+        ("spread: true", "spread: true\n      type: wait", "is a loop, which has `for`, `in` and `do`"),
+        ("{ task: park, ", "{ task: park, spread: true, ", "`spread` without `for`"),
+    ] {
+        assert!(SPREAD.contains(from), "{from}");
+        let mut text = SPREAD.replace(from, to);
+        if from.starts_with("in:") {
+            text = text.replace("      for: room\n", "");
+        }
+        if to == "[r1], " {
+            text = text.replace("roles: [r2, r1]", "roles: [clerk, r1]");
+        }
+        let problems = spread_mission(&text, "IC Room 6, Dock").unwrap_err();
+        assert!(problems.iter().any(|problem| problem.contains(expected)), "{from} -> {to}: {problems:#?}");
+    }
+}
