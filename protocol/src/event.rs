@@ -185,6 +185,17 @@ pub enum EventKind {
         /// The task.
         task: TaskId,
     },
+    /// Nobody has answered the request for a task: people with another role are asked, too.
+    Escalated {
+        /// The mission.
+        mission: MissionId,
+        /// Role of the people that were asked first.
+        role: RoleId,
+        /// The task.
+        task: TaskId,
+        /// Role of the other people.
+        to: RoleId,
+    },
     /// A task failed permanently.
     TaskFailed {
         /// The mission.
@@ -324,6 +335,7 @@ impl EventKind {
             EventKind::TaskBegan { .. } => "task_began",
             EventKind::TaskEnded { .. } => "task_ended",
             EventKind::TaskSkipped { .. } => "task_skipped",
+            EventKind::Escalated { .. } => "escalated",
             EventKind::TaskFailed { .. } => "task_failed",
             EventKind::Sent { .. } => "sent",
             EventKind::Received { .. } => "received",
@@ -353,6 +365,7 @@ impl EventKind {
             | EventKind::TaskBegan { mission, .. }
             | EventKind::TaskEnded { mission, .. }
             | EventKind::TaskSkipped { mission, .. }
+            | EventKind::Escalated { mission, .. }
             | EventKind::TaskFailed { mission, .. }
             | EventKind::Sent { mission, .. }
             | EventKind::Received { mission, .. }

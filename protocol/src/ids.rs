@@ -145,6 +145,8 @@ names! {
     PersonId, "person", SLUG;
     /// Identifier of a request, chosen by the client, so that a repeated request is executed once.
     RequestId, "request", SLUG;
+    /// Schedule of a mission, named by a person.
+    ScheduleId, "schedule", SLUG;
     /// Role within a mission (`r1`, `lab_arm`, `clerk`).
     RoleId, "role", SLUG;
     /// Task within a mission; unique in its tree.

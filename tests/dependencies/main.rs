@@ -1,5 +1,5 @@
-//! Dependencies match `deny.toml`, and the modules of each crate have no cycles and a single
-//! layout. cargo-deny checks more but must be installed; this test needs cargo alone.
+//! Dependencies match `deny.toml`, the modules of each crate have no cycles and a single layout, and no
+//! crate contains words of a layer above it. cargo-deny checks more but must be installed; this test needs cargo alone.
 
 mod module_cycles;
 mod module_layout;
@@ -192,4 +192,22 @@ fn modules_have_a_single_layout() {
     let found: Vec<String> =
         folders.flat_map(|package| module_layout::violations(&root().join(package).join("src"))).collect();
     assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+/// Words of the lab samples, which are a mission of the hospital domain.
+const DOMAIN_WORDS: [&str; 2] = ["drawer", "nurse"];
+
+#[test]
+fn protocol_and_actors_contain_no_words_of_a_domain() {
+    let files: Vec<PathBuf> =
+        ["protocol", "actors"].iter().flat_map(|folder| module_layout::files(&root().join(folder))).collect();
+    assert!(files.len() > 200, "{} files are not all there are", files.len());
+    let mut found = Vec::new();
+    for file in files {
+        let bytes = fs::read(&file).unwrap_or_else(|problem| panic!("{}: {problem}", file.display()));
+        let text = String::from_utf8_lossy(&bytes).to_lowercase();
+        let used = DOMAIN_WORDS.iter().filter(|word| text.contains(**word));
+        found.extend(used.map(|word| format!("{}: {word}", file.display())));
+    }
+    assert!(found.is_empty(), "use a word of any domain, such as clerk or box:\n{}", found.join("\n"));
 }

@@ -5,6 +5,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
+use consort_protocol::view::PersonRequestView;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -27,8 +28,12 @@ fn mission(patience_s: u32) -> Value {
 }
 
 async fn fleet(seed: u64) -> Fleet {
+    fleet_with(seed, &["aster", "basil", "clove"]).await
+}
+
+async fn fleet_with(seed: u64, stations: &[&str]) -> Fleet {
     let robots = vec![RobotSpec::carrier("amber", "Dock").with_skills(&["navigation", "operate_drawer", "wait"])];
-    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &["IC Room 6"]).await;
+    let mut fleet = Fleet::hospital(seed, robots, stations, &["IC Room 6"]).await;
     fleet.wait_for_coordinator().await;
     fleet
 }
@@ -180,27 +185,34 @@ fn a_person_who_cannot_ends_the_mission_with_the_reason() {
     });
 }
 
+/// Submits a mission that calls a visitor with an alert, which escalates to a porter. Returns the mission and
+/// the request.
+async fn visitor_called(fleet: &Fleet, after_s: u64) -> (MissionId, Value) {
+    let alert = json!({ "task": "call", "type": "alert", "roles": ["visitor"],
+        "parameters": { "message": "a robot is here", "level": "urgent", "at": "Dock" },
+        "escalate": { "to": "porter", "after_s": after_s } });
+    let come = json!({ "task": "come", "type": "navigation", "roles": ["r1"], "parameters": { "to": "Dock" } });
+    let mission = json!({
+        "mission": "visit", "roles": { "visitor": { "kind": "unmanaged" }, "r1": { "kind": "managed" } },
+        "root": { "task": "all", "method": "sequential", "tasks": [come, alert] },
+    });
+    let submitted = json!({ "mission": mission, "by": "Nia", "request": "a" });
+    let reply = fleet.request_answered(ApiCall::Submit, &submitted).await;
+    let id = slug(reply["mission"].as_str().unwrap_or_else(|| panic!("{reply}")));
+    (id, open_request(fleet, "call").await)
+}
+
 /// The simulated world has no person in the role, so the request waits for a real person. It names the role
 /// of its escalation.
 #[test]
 fn a_request_for_a_role_that_the_world_lacks_is_left_to_others() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
-        let alert = json!({ "task": "call", "type": "alert", "roles": ["visitor"],
-            "parameters": { "message": "a robot is here", "level": "urgent", "at": "Dock" },
-            "escalate": { "to": "porter", "after_s": 300 } });
-        let come = json!({ "task": "come", "type": "navigation", "roles": ["r1"], "parameters": { "to": "Dock" } });
-        let mission = json!({
-            "mission": "visit", "roles": { "visitor": { "kind": "unmanaged" }, "r1": { "kind": "managed" } },
-            "root": { "task": "all", "method": "sequential", "tasks": [come, alert] },
-        });
-        let submitted = json!({ "mission": mission, "by": "Nia" });
-        let id: MissionId =
-            slug(fleet.request_answered(ApiCall::Submit, &submitted).await["mission"].as_str().expect("an id"));
-        let request = open_request(&fleet, "call").await;
+        let (id, request) = visitor_called(&fleet, 300).await;
         assert_eq!((&request["place"], &request["escalates_to"]), (&json!("Dock"), &json!("porter")), "{request}");
         let asked_ms = request["asked_at_ms"].as_u64().expect("a time");
         assert_eq!(request["escalates_at_ms"], asked_ms + 300_000);
+        assert_eq!(request["escalated_at_ms"], Value::Null, "seed {seed}: {request}");
         fleet
             .assert_never("an end", Duration::from_secs(30), |fleet| {
                 fleet.mission_state(&id).is_some_and(|state| state.is_final())
@@ -210,5 +222,69 @@ fn a_request_for_a_role_that_the_world_lacks_is_left_to_others() {
         fleet.assert_completes(&id).await;
         let view = fleet.request_answered(ApiCall::Get, &json!({ "mission": id })).await;
         assert_eq!(view["by"], "Nia", "seed {seed}: {view}");
+    });
+}
+
+/// Checks whether people with a role are asked.
+fn is_for(request: &Value, role: &str) -> bool {
+    let view: PersonRequestView = serde_json::from_value(request.clone()).expect("a request");
+    view.is_for(&slug(role))
+}
+
+/// Waits for the escalation of the open request.
+async fn escalated_request(fleet: &Fleet) -> Value {
+    let find = async |fleet: &Fleet| {
+        let mut requests = support::person_requests(fleet).await.into_iter();
+        requests.find(|request| request["task"] == "call" && request["escalated_at_ms"].is_u64())
+    };
+    fleet.poll_until("an escalation", Duration::from_secs(120), find).await
+}
+
+/// Kills the coordinator. A robot starts again.
+async fn replace_coordinator(fleet: &mut Fleet) {
+    if fleet.kill_coordinator().await.as_str() == "amber" {
+        fleet.start_robot("amber").await;
+    }
+}
+
+/// Matches the escalation to the porter.
+fn escalated(kind: &EventKind) -> bool {
+    matches!(kind, EventKind::Escalated { task, to, .. } if task.as_str() == "call" && to.as_str() == "porter")
+}
+
+/// Without an answer the porter is asked, too, once and not before the time. He answers.
+#[test]
+fn a_request_without_an_answer_is_escalated_to_another_role() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        let (id, request) = visitor_called(&fleet, 60).await;
+        assert!(is_for(&request, "visitor") && !is_for(&request, "porter"), "seed {seed}: {request}");
+        fleet.assert_never("an early escalation", Duration::from_secs(50), |fleet| fleet.has_event(escalated)).await;
+        let request = escalated_request(&fleet).await;
+        let [due_ms, at_ms] =
+            ["escalates_at_ms", "escalated_at_ms"].map(|name| request[name].as_u64().expect("a time"));
+        assert!((due_ms..due_ms + 10_000).contains(&at_ms), "seed {seed}: {request}");
+        assert!(is_for(&request, "visitor") && is_for(&request, "porter"), "seed {seed}: {request}");
+        answer(&fleet, &json!({ "request": request["request"], "answer": "done", "by": "Pia" })).await;
+        fleet.assert_completes(&id).await;
+        let escalations = fleet.events().into_iter().filter(escalated).count();
+        assert_eq!(escalations, 1, "seed {seed}\n{}", fleet.event_log_text());
+    });
+}
+
+/// The coordinator dies before the time of the escalation, and the next coordinator escalates; another dies
+/// after it, and the mark stays.
+#[test]
+fn an_escalation_happens_although_coordinators_die() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet_with(seed, &["aster", "basil", "clove", "daisy", "elder"]).await;
+        let (id, _) = visitor_called(&fleet, 60).await;
+        replace_coordinator(&mut fleet).await;
+        let first = escalated_request(&fleet).await;
+        replace_coordinator(&mut fleet).await;
+        let again = escalated_request(&fleet).await;
+        assert_eq!(again, first, "seed {seed}");
+        answer(&fleet, &json!({ "request": first["request"], "answer": "done", "by": "Pia" })).await;
+        fleet.assert_completes(&id).await;
     });
 }

@@ -1,7 +1,6 @@
 //! Priorities, earliest starts and deadlines of missions.
 
-use consort_bus::clock::Clock;
-use consort_fleet::node::NodeSettings;
+use crate::support::{DAY_MS, with_wrong_clock};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -11,7 +10,6 @@ use serde_json::{Value, json};
 use std::time::Duration;
 
 const ROOMS: [&str; 4] = ["IC Room 6", "PC Room 8", "PC Room 2", "IC Room 2"];
-const DAY_MS: u64 = 86_400_000;
 const SOON: Duration = Duration::from_secs(60);
 
 async fn submit(fleet: &Fleet, request: &str, room: &str, more: Value) -> MissionId {
@@ -103,27 +101,11 @@ fn a_mission_past_its_deadline_fails_with_its_progress() {
     });
 }
 
-/// Starts a fleet in which the clock of this station is a day ahead. Robots have no vote, so that the wrong
-/// clock is one of three.
-async fn with_wrong_clock(seed: u64, wrong: &'static str) -> Fleet {
-    let (robots, stations) = (vec![RobotSpec::carrier("amber", "Dock")], ["aba", "abb", "abc"]);
-    let adjust = move |settings: &mut NodeSettings| {
-        settings.may_vote = stations.contains(&settings.node.as_str());
-        settings.fleet.bootstrap_expect = stations.len();
-        if settings.node == slug(wrong) {
-            settings.clock = Clock::virtual_at(DAY_MS);
-        }
-    };
-    let mut fleet = Fleet::adjusted_hospital(seed, robots, &stations, &ROOMS, Box::new(adjust)).await;
-    fleet.wait_for_coordinator().await;
-    fleet
-}
-
 #[test]
 fn a_wrong_clock_of_one_voter_fails_no_mission() {
     for (seed, wrong) in [(671, "aba"), (672, "abb"), (673, "abc")] {
         for_each_seed([seed], async |seed| {
-            let mut fleet = with_wrong_clock(seed, wrong).await;
+            let mut fleet = with_wrong_clock(seed, wrong, &ROOMS).await;
             let mission = submit(&fleet, "a", ROOMS[0], json!({ "deadline_s": 3600 })).await;
             fleet.wait_until("the mission to begin", SOON, |fleet| fleet.holder(&mission, "r1").is_some()).await;
             let mut coordinators = vec![fleet.kill_coordinator().await];
@@ -162,7 +144,7 @@ fn a_mission_starts_at_its_time_and_not_before() {
     const WAIT_S: u64 = 40;
     for (seed, wrong) in [(674, "aba"), (675, "abb"), (676, "abc")] {
         for_each_seed([seed], async |seed| {
-            let mut fleet = with_wrong_clock(seed, wrong).await;
+            let mut fleet = with_wrong_clock(seed, wrong, &ROOMS).await;
             let submitted = fleet.elapsed();
             let mission = submit(&fleet, "a", ROOMS[0], json!({ "not_before": WAIT_S })).await;
             let list = fleet.request_answered(ApiCall::List, &json!({})).await;

@@ -32,6 +32,7 @@ mod requests;
 mod restart;
 mod results;
 mod scale;
+mod schedules;
 mod spread_loops;
 mod stalls;
 mod supervision;

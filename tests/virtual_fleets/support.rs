@@ -1,9 +1,11 @@
 //! Support for the tests of virtual fleets.
 
+use consort_bus::clock::Clock;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::ApiCall;
-use consort_tests::{Fleet, RobotSpec};
+use consort_tests::{Fleet, RobotSpec, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -65,4 +67,23 @@ pub(crate) async fn kill_coordinator_during(fleet: &mut Fleet, payload: &Value) 
     // Without a reply in time the answer may still be executed.
     let _ = tokio::time::timeout(limit, fleet.request(ApiCall::Answer, payload)).await; // virtual time
     fleet.kill_coordinator().await
+}
+
+/// A day in milliseconds.
+pub(crate) const DAY_MS: u64 = 24 * 60 * 60 * 1000;
+
+/// Starts a fleet in which the clock of this station is a day ahead. Robots have no vote, so that the wrong
+/// clock is one of three.
+pub(crate) async fn with_wrong_clock(seed: u64, wrong: &'static str, rooms: &[&str]) -> Fleet {
+    let (robots, stations) = (vec![RobotSpec::carrier("amber", "Dock").with_skill("wait")], ["aba", "abb", "abc"]);
+    let adjust = move |settings: &mut NodeSettings| {
+        settings.may_vote = stations.contains(&settings.node.as_str());
+        settings.fleet.bootstrap_expect = stations.len();
+        if settings.node == slug(wrong) {
+            settings.clock = Clock::virtual_at(DAY_MS);
+        }
+    };
+    let mut fleet = Fleet::adjusted_hospital(seed, robots, &stations, rooms, Box::new(adjust)).await;
+    fleet.wait_for_coordinator().await;
+    fleet
 }

@@ -2,13 +2,15 @@
 
 use crate::support::{fleet, task_began};
 use consort_bus::{Bus, VirtualBus};
-use consort_protocol::api::{AnswerReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, UpgradeReply};
+use consort_protocol::api::{
+    AnswerReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, ScheduleReply, UpgradeReply,
+};
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::view::{
     AuctionsView, CoordinatorView, EnsemblesView, FleetView, HealthView, MapView, MissionView, MissionsView,
-    RequestsView, RobotView, WithProvenance,
+    RequestsView, RobotView, SchedulesView, WithProvenance,
 };
 use consort_raft::store::Backup;
 use consort_skills::domain_file::DomainFile;
@@ -57,6 +59,7 @@ fn every_view_has_a_single_reply_with_the_current_state() {
             "robot/fern",
             "robot/gorse",
             "robot/lab-arm",
+            "schedules",
             "world",
         ];
         assert_eq!(names, expected, "seed {seed}");
@@ -197,6 +200,7 @@ fn check_view(name: &str, view: &Value) {
         "ensembles" => check_type::<WithProvenance<EnsemblesView>>(name, view),
         "coordinator" => check_type::<WithProvenance<CoordinatorView>>(name, view),
         "requests" => check_type::<WithProvenance<RequestsView>>(name, view),
+        "schedules" => check_type::<WithProvenance<SchedulesView>>(name, view),
         "missions" => check_type::<WithProvenance<MissionsView>>(name, view),
         "mission" => check_type::<WithProvenance<MissionView>>(name, view),
         "auctions" => check_type::<WithProvenance<AuctionsView>>(name, view),
@@ -215,11 +219,17 @@ fn views_and_replies_contain_exactly_the_fields_of_their_types() {
         let began = task_began("deposit");
         fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
         fleet.submit("b", ROOM).await;
+        let schedule =
+            json!({ "schedule": "a", "action": "add", "cron": "0 8 * * *", "submit": { "mission": "vital-signs" } });
+        let reply = fleet.request_answered(ApiCall::Schedule, &schedule).await;
+        check_type::<ScheduleReply>("schedule", &reply);
+        assert_ne!(reply["schedule"], Value::Null, "seed {seed}: {reply}");
         fleet.view("**").await.iter().for_each(|(name, view)| check_view(name, view));
         let ask = async |call: ApiCall, payload: Value| fleet.request_answered(call, &payload).await;
         let named = json!({ "mission": mission });
         check_type::<WithProvenance<MissionView>>("get", &ask(ApiCall::Get, named.clone()).await);
         check_type::<WithProvenance<MissionsView>>("list", &ask(ApiCall::List, Value::Null).await);
+        check_type::<WithProvenance<SchedulesView>>("schedules", &ask(ApiCall::Schedules, Value::Null).await);
         check_type::<WithProvenance<ExplainReply>>("explain", &ask(ApiCall::Explain, named.clone()).await);
         check_type::<HelpReply>("help", &ask(ApiCall::Help, Value::Null).await);
         check_type::<UpgradeReply>("upgrade", &ask(ApiCall::Upgrade, json!({})).await);
@@ -422,7 +432,18 @@ fn every_call_documents_its_payload() {
         assert_eq!(
             calls,
             [
-                "submit", "cancel", "resolve", "answer", "backup", "upgrade", "get", "list", "requests", "explain",
+                "submit",
+                "cancel",
+                "resolve",
+                "answer",
+                "schedule",
+                "backup",
+                "upgrade",
+                "get",
+                "list",
+                "requests",
+                "schedules",
+                "explain",
                 "help"
             ]
         );

@@ -1,11 +1,11 @@
 //! Descriptions of all calls on `api/**`, for clients.
 
 use consort_protocol::api::{
-    AnswerReply, CallHelp, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, SubmitReply, UpgradeReply, example,
-    payload_schema,
+    AnswerReply, CallHelp, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, ScheduleReply, SubmitReply,
+    UpgradeReply, example, payload_schema,
 };
 use consort_protocol::keys::{ApiCall, Key};
-use consort_protocol::view::{MissionView, MissionsView, RequestsView, WithProvenance, schema_of};
+use consort_protocol::view::{MissionView, MissionsView, RequestsView, SchedulesView, WithProvenance, schema_of};
 use consort_raft::store::Backup;
 use schemars::Schema;
 
@@ -34,6 +34,8 @@ fn reply_schema(call: ApiCall) -> Schema {
         ApiCall::Submit => schema_of::<SubmitReply>(),
         ApiCall::Cancel | ApiCall::Resolve => schema_of::<MissionChangeReply>(),
         ApiCall::Answer => schema_of::<AnswerReply>(),
+        ApiCall::Schedule => schema_of::<ScheduleReply>(),
+        ApiCall::Schedules => schema_of::<WithProvenance<SchedulesView>>(),
         ApiCall::Requests => schema_of::<WithProvenance<RequestsView>>(),
         ApiCall::Get => schema_of::<WithProvenance<MissionView>>(),
         ApiCall::List => schema_of::<WithProvenance<MissionsView>>(),

@@ -5,7 +5,8 @@
 
 use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
-    AnswerRequest, MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
+    AnswerRequest, MissionChangeRequest, MissionQuery, ScheduleRequest, SubmitRequest, UpgradeRequest,
+    parse_read_options, parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -68,7 +69,8 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),
         ApiCall::Upgrade => drop(parse_request::<UpgradeRequest>(call, payload)?),
         ApiCall::Answer => drop(parse_request::<AnswerRequest>(call, payload)?),
-        ApiCall::List | ApiCall::Requests => drop(parse_read_options(call, payload)?),
+        ApiCall::Schedule => drop(parse_request::<ScheduleRequest>(call, payload)?),
+        ApiCall::List | ApiCall::Requests | ApiCall::Schedules => drop(parse_read_options(call, payload)?),
         ApiCall::Help | ApiCall::Backup => {}
     }
     Ok(ApiRequest::Other)

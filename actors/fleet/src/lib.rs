@@ -18,6 +18,7 @@ pub mod fuzz_api;
 mod lease_model;
 pub mod node;
 pub mod observe;
+pub mod recurrence;
 pub mod robot;
 pub mod robot_driver;
 pub(crate) mod views;

@@ -28,7 +28,14 @@ impl StateMachine for Ledger {
             | Command::SetQuestion { .. }
             | Command::Postpone { .. }
             | Command::AnswerPerson { .. }
+            | Command::EscalatePersonRequest { .. }
             | Command::ExpirePersonRequest { .. }
+            | Command::AddSchedule { .. }
+            | Command::RemoveSchedule { .. }
+            | Command::PauseSchedule { .. }
+            | Command::ResumeSchedule { .. }
+            | Command::SubmitOccurrence { .. }
+            | Command::SkipOccurrences { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

@@ -2,8 +2,8 @@
 
 use crate::command::{
     answer, backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, keys, lab,
-    leave, map, missions, record, recover, replay, requests, resolve, restore, robot, schema, station, submit, token,
-    upgrade, watch, world,
+    leave, map, missions, record, recover, replay, requests, resolve, restore, robot, schedule, schema, station,
+    submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -68,6 +68,7 @@ enum Command {
     Explain(explain::Args),
     Cancel(cancel::Args),
     Resolve(resolve::Args),
+    Schedule(schedule::Args),
     Requests(requests::Args),
     Answer(answer::Args),
     Fleet(fleet::Args),
@@ -118,6 +119,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Explain(args) => explain::run(args),
             Command::Cancel(args) => cancel::run(args),
             Command::Resolve(args) => resolve::run(args),
+            Command::Schedule(args) => schedule::run(args),
             Command::Requests(args) => requests::run(args),
             Command::Answer(args) => answer::run(args),
             Command::Fleet(args) => fleet::run(args),

@@ -101,6 +101,9 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::TaskSkipped { mission, role, task } => {
             normal("task skipped", format!("{task}: {node} as {role} of {mission}"))
         }
+        EventKind::Escalated { mission, role, task, to } => {
+            alarm("escalated", format!("{task} of {mission}: no answer as {role}; {to} is asked, too"))
+        }
         EventKind::TaskFailed { mission, role, task, cause, .. } => {
             alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause}"))
         }
@@ -170,6 +173,14 @@ mod tests {
         assert_eq!(state(json!({ "canceled": { "by": "Nia" } })), ("mission", "m-1 canceled by Nia".to_owned(), true));
         let rescue = json!({ "needs_intervention": { "cause": "lost", "items": [] } });
         assert_eq!(state(rescue), ("mission", "m-1 needs intervention: lost".to_owned(), true));
+    }
+
+    #[test]
+    fn an_escalation_names_the_other_role_and_is_an_alarm() {
+        let escalated =
+            json!({ "event": "escalated", "mission": "m-1", "role": "clerk", "task": "sign", "to": "head" });
+        let expected = "sign of m-1: no answer as clerk; head is asked, too".to_owned();
+        assert_eq!(text_of(escalated), ("escalated", expected, true));
     }
 
     #[test]

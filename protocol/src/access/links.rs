@@ -124,8 +124,10 @@ fn subscriptions(keys: &Keys) -> Vec<String> {
 /// Returns the scope that a call requires.
 pub fn required_scope(call: ApiCall) -> AccessScope {
     match call {
-        ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Explain | ApiCall::Help => AccessScope::Read,
-        ApiCall::Submit | ApiCall::Cancel | ApiCall::Answer => AccessScope::Submit,
+        ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Explain | ApiCall::Help => {
+            AccessScope::Read
+        }
+        ApiCall::Submit | ApiCall::Cancel | ApiCall::Answer | ApiCall::Schedule => AccessScope::Submit,
         ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => AccessScope::Operate,
     }
 }

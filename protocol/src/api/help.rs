@@ -1,6 +1,8 @@
 //! Descriptions of the calls, for clients.
 
-use super::request::{AnswerRequest, MissionChangeRequest, MissionQuery, ReadOptions, SubmitRequest, UpgradeRequest};
+use super::request::{
+    AnswerRequest, MissionChangeRequest, MissionQuery, ReadOptions, ScheduleRequest, SubmitRequest, UpgradeRequest,
+};
 use crate::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::{Deserialize, Serialize};
@@ -47,7 +49,11 @@ pub fn example(call: ApiCall) -> Option<Value> {
         ApiCall::Answer => {
             Some(json!({ "request": "vital-signs-1.1", "answer": "done", "results": { "dust_g": 3 }, "by": "Nia" }))
         }
-        ApiCall::List | ApiCall::Requests => Some(json!({ "linearizable": true })),
+        ApiCall::Schedule => Some(json!({
+            "schedule": "rounds", "action": "add", "cron": "0 8 * * 1-5", "zone": "Europe/Berlin",
+            "submit": { "mission": "vital-signs" }, "by": "Nia",
+        })),
+        ApiCall::List | ApiCall::Requests | ApiCall::Schedules => Some(json!({ "linearizable": true })),
         ApiCall::Upgrade => Some(json!({ "finish": false })),
         ApiCall::Help | ApiCall::Backup => None,
     }
@@ -60,7 +66,8 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
         ApiCall::Cancel | ApiCall::Resolve => Some(schema_for!(MissionChangeRequest)),
         ApiCall::Get | ApiCall::Explain => Some(schema_for!(MissionQuery)),
         ApiCall::Answer => Some(schema_for!(AnswerRequest)),
-        ApiCall::List | ApiCall::Requests => Some(schema_for!(ReadOptions)),
+        ApiCall::Schedule => Some(schema_for!(ScheduleRequest)),
+        ApiCall::List | ApiCall::Requests | ApiCall::Schedules => Some(schema_for!(ReadOptions)),
         ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
         ApiCall::Help | ApiCall::Backup => None,
     }

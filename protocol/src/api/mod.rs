@@ -43,9 +43,10 @@ mod request;
 pub use help::{CallHelp, HelpReply, example, payload_schema};
 pub use parse::{RequestError, parse_read_options, parse_request};
 pub use reply::{
-    AnswerReply, ErrorReply, ExplainReply, MissionChangeReply, NodeVersions, SubmitReply, UninvitedRobot, UpgradeReply,
+    AnswerReply, ErrorReply, ExplainReply, MissionChangeReply, NodeVersions, ScheduleReply, SubmitReply,
+    UninvitedRobot, UpgradeReply,
 };
 pub use request::{
     AnswerRequest, AnswerWord, LATER_MINUTES_MAX, MissionChangeRequest, MissionQuery, MissionSource, ReadOptions,
-    StartTime, SubmitRequest, UpgradeRequest,
+    ScheduleAction, ScheduleRequest, StartTime, SubmitRequest, UpgradeRequest,
 };

@@ -106,7 +106,9 @@ fn kind(value: &Value) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use super::super::request::{AnswerRequest, MissionChangeRequest, MissionQuery, SubmitRequest, UpgradeRequest};
+    use super::super::request::{
+        AnswerRequest, MissionChangeRequest, MissionQuery, ScheduleRequest, SubmitRequest, UpgradeRequest,
+    };
     use super::*;
 
     #[test]
@@ -122,7 +124,10 @@ mod tests {
                 ApiCall::Get | ApiCall::Explain => parse_request::<MissionQuery>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Upgrade => parse_request::<UpgradeRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Answer => parse_request::<AnswerRequest>(*call, bytes.as_bytes()).map(drop),
-                ApiCall::List | ApiCall::Requests => parse_read_options(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Schedule => parse_request::<ScheduleRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::List | ApiCall::Requests | ApiCall::Schedules => {
+                    parse_read_options(*call, bytes.as_bytes()).map(drop)
+                }
                 ApiCall::Help | ApiCall::Backup => Ok(()),
             };
             assert_eq!(taken, Ok(()), "{}", call.as_str());

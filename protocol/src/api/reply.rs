@@ -3,7 +3,7 @@
 use crate::auction::Explanation;
 use crate::ids::{MissionId, NodeId};
 use crate::ledger::{MissionState, PersonRequestId, PersonRequestPhase, RoleRelease};
-use crate::view::MissionStateName;
+use crate::view::{MissionStateName, ScheduleView};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -37,6 +37,13 @@ pub struct AnswerReply {
     pub request: PersonRequestId,
     /// Its phase.
     pub phase: Option<PersonRequestPhase>,
+}
+
+/// A schedule after a change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ScheduleReply {
+    /// The schedule; null if it was removed.
+    pub schedule: Option<ScheduleView>,
 }
 
 /// Progress of the upgrade to the next wire version.

@@ -1,7 +1,7 @@
 //! Payloads of requests.
 
-use crate::ids::{MissionId, RequestId, RoleId, TaskId};
-use crate::ledger::PersonRequestId;
+use crate::ids::{MissionId, RequestId, RoleId, ScheduleId, TaskId};
+use crate::ledger::{MissedOccurrences, PersonRequestId};
 use crate::mission::IhtnFields;
 use crate::scalar::Scalar;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -151,6 +151,59 @@ pub struct AnswerRequest {
     /// Name of the person, for display. In a closed fleet the signer is named, too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+}
+
+/// Adds or changes a schedule.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ScheduleRequest {
+    /// Name of the schedule.
+    #[schemars(with = "String")]
+    pub schedule: ScheduleId,
+    /// The change.
+    pub action: ScheduleAction,
+    /// For `add`: the times, in the format of cron.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cron: Option<String>,
+    /// For `add`: the time zone, by its name in the IANA database. Default: UTC.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub zone: Option<String>,
+    /// For `add`: the time after which there are no occurrences, in RFC 3339.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("format" = "date-time"))]
+    pub until: Option<String>,
+    /// For `add`: what becomes of missed occurrences. Default: `skip`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub missed: Option<MissedOccurrences>,
+    /// For `add`: the mission of each occurrence, as for `submit`, without `request` and `not_before`. `deadline_s`
+    /// counts from the time of the occurrence.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub submit: Option<Box<SubmitRequest>>,
+    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+}
+
+impl ScheduleRequest {
+    /// Checks whether the request contains what belongs to the action `add`.
+    pub fn has_content(&self) -> bool {
+        let ScheduleRequest { cron, zone, until, missed, submit, .. } = self;
+        cron.is_some() || zone.is_some() || until.is_some() || missed.is_some() || submit.is_some()
+    }
+}
+
+/// Change of a schedule.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScheduleAction {
+    /// Add it. The same schedule may be added again.
+    Add,
+    /// Leave out its occurrences from now on.
+    Pause,
+    /// Submit its occurrences again, from now on.
+    Resume,
+    /// Remove it. Its missions go on.
+    Remove,
 }
 
 /// Maximum number of minutes for which a person puts a request off: a day.

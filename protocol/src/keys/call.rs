@@ -42,6 +42,8 @@ words! {
         Resolve = "resolve",
         /// Answer a request to a person.
         Answer = "answer",
+        /// Add, pause, resume or remove a schedule.
+        Schedule = "schedule",
         /// Get a backup of the ledger.
         Backup = "backup",
         /// Get the progress of an upgrade to the next wire version, and complete it.
@@ -52,6 +54,8 @@ words! {
         List = "list",
         /// List the requests to people.
         Requests = "requests",
+        /// List the schedules.
+        Schedules = "schedules",
         /// Explain for each role of a mission the outcome of each robot's bid.
         Explain = "explain",
         /// List the calls with their parameters.
@@ -104,9 +108,15 @@ impl ApiCall {
             | ApiCall::Cancel
             | ApiCall::Resolve
             | ApiCall::Answer
+            | ApiCall::Schedule
             | ApiCall::Backup
             | ApiCall::Upgrade => false,
-            ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Explain | ApiCall::Help => true,
+            ApiCall::Get
+            | ApiCall::List
+            | ApiCall::Requests
+            | ApiCall::Schedules
+            | ApiCall::Explain
+            | ApiCall::Help => true,
         }
     }
 }

@@ -60,6 +60,8 @@ pub enum Key {
     ViewMissions,
     /// `view/requests`.
     ViewRequests,
+    /// Schedules.
+    ViewSchedules,
     /// `view/mission/{mission}`.
     ViewMission(MissionId),
     /// `view/auctions`.
@@ -118,6 +120,7 @@ impl fmt::Display for Key {
             Key::ViewCoordinator => f.write_str("view/coordinator"),
             Key::ViewMissions => f.write_str("view/missions"),
             Key::ViewRequests => f.write_str("view/requests"),
+            Key::ViewSchedules => f.write_str("view/schedules"),
             Key::ViewMission(mission) => write!(f, "view/mission/{mission}"),
             Key::ViewAuctions => f.write_str("view/auctions"),
             Key::World => f.write_str("wire/world"),
@@ -188,6 +191,7 @@ fn read_view(segments: &[&str]) -> Option<Key> {
         ["coordinator"] => Key::ViewCoordinator,
         ["missions"] => Key::ViewMissions,
         ["requests"] => Key::ViewRequests,
+        ["schedules"] => Key::ViewSchedules,
         ["mission", mission] => Key::ViewMission(mission.parse().ok()?),
         ["auctions"] => Key::ViewAuctions,
         ["map"] => Key::ViewMap,

@@ -75,6 +75,7 @@ table! {
     Key::ViewEnsemble(_) => "view/ensemble/{ensemble}", "any node" Answers JSON, "the values that the members of an ensemble exchange, if it lists any";
     Key::ViewCoordinator => "view/coordinator", "any node" Answers JSON, "the coordinator, its term and start time; voters and learners";
     Key::ViewMissions => "view/missions", "any node" Answers JSON, "all missions, in brief";
+    Key::ViewSchedules => "view/schedules", "any node" Answers JSON, "the schedules of missions, with their next occurrences";
     Key::ViewRequests => "view/requests", "any node" Answers JSON, "the requests to people, open ones first";
     Key::ViewMission(_) => "view/mission/{mission}", "any node" Answers JSON, "a mission: its task tree, roles, holders, epochs";
     Key::ViewAuctions => "view/auctions", "any node" Answers JSON, "the latest auction of each mission: bids, refusals, and the reason for the result";
@@ -90,6 +91,8 @@ table! {
     Key::Api(ApiCall::Upgrade) => "api/upgrade", "the coordinator" Answers JSON, "the wire versions that each node reads; switches the fleet to the next version";
     Key::Api(ApiCall::Get) => "api/get", "any node" Answers JSON, "a mission, as in view/mission/{mission}";
     Key::Api(ApiCall::List) => "api/list", "any node" Answers JSON, "all missions, as in view/missions";
+    Key::Api(ApiCall::Schedule) => "api/schedule", "the coordinator" Answers JSON, "adds, pauses, resumes or removes a schedule";
+    Key::Api(ApiCall::Schedules) => "api/schedules", "any node" Answers JSON, "the schedules, as in view/schedules";
     Key::Api(ApiCall::Requests) => "api/requests", "any node" Answers JSON, "the requests to people, as in view/requests";
     Key::Api(ApiCall::Explain) => "api/explain", "any node" Answers JSON, "for each role of a mission, the reason for which each robot got it or not";
     Key::Api(ApiCall::Help) => "api/help", "any node" Answers JSON, "all calls: parameters, an example, JSON Schemas";

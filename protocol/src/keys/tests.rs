@@ -26,6 +26,7 @@ pub(super) fn all() -> Vec<Key> {
         Key::ViewCoordinator,
         Key::ViewMissions,
         Key::ViewRequests,
+        Key::ViewSchedules,
         Key::ViewMission(mission.clone()),
         Key::ViewAuctions,
         Key::ViewEnsembles,

@@ -4,10 +4,11 @@ use super::branch::Branch;
 use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
+use super::schedule::{Schedule, SchedulePause};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::cause::CauseClass;
-use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
+use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId};
 use crate::lease::Epoch;
 use crate::mission::TaskOutcomes;
 use crate::plan::StepIndex;
@@ -24,13 +25,13 @@ pub enum Command {
     },
     /// Adds a mission requested by a client.
     Submit(Box<Submission>),
-    /// Awards or promises all open roles after an auction.
+    /// Awards or promises roles after an auction.
     Award {
         /// The mission.
         mission: MissionId,
         /// Branch of the roles: a role may have the same name in both branches.
         branch: Branch,
-        /// Robot of each open role: all open roles, and no others.
+        /// Robot of each open role. Only in a mission with open roles of spread loops some may be left out.
         holders: BTreeMap<RoleId, RobotId>,
         /// Record of the auction. Its promised roles are promised to their robots, and not awarded yet.
         auction: AuctionRecord,
@@ -172,6 +173,52 @@ pub enum Command {
         /// Time of the question in milliseconds since 1970.
         asked_ms: u64,
     },
+    /// Adds a schedule.
+    AddSchedule {
+        /// The schedule.
+        schedule: Box<Schedule>,
+        /// Time after which its occurrences count, in milliseconds since 1970.
+        from_ms: u64,
+    },
+    /// Removes a schedule. Its missions go on.
+    RemoveSchedule {
+        /// The schedule.
+        schedule: ScheduleId,
+    },
+    /// Pauses a schedule.
+    PauseSchedule {
+        /// The schedule.
+        schedule: ScheduleId,
+        /// The pause.
+        pause: SchedulePause,
+    },
+    /// Resumes a paused schedule.
+    ResumeSchedule {
+        /// The schedule.
+        schedule: ScheduleId,
+        /// Time in milliseconds since 1970.
+        at_ms: u64,
+    },
+    /// Submits the mission of an occurrence.
+    SubmitOccurrence {
+        /// The schedule.
+        schedule: ScheduleId,
+        /// Time up to which the schedule was handled, in milliseconds since 1970.
+        after_ms: u64,
+        /// Time of the occurrence, in milliseconds since 1970.
+        due_ms: u64,
+        /// Time of submission, in milliseconds since 1970.
+        at_ms: u64,
+    },
+    /// Leaves out missed occurrences.
+    SkipOccurrences {
+        /// The schedule.
+        schedule: ScheduleId,
+        /// Time up to which the schedule was handled, in milliseconds since 1970.
+        after_ms: u64,
+        /// Time up to which its occurrences are left out, in milliseconds since 1970.
+        until_ms: u64,
+    },
     /// Awards a promised role to its robot.
     AwardPromised {
         /// The mission.
@@ -189,6 +236,14 @@ pub enum Command {
         role: RoleId,
         /// Epoch of the award.
         epoch: Epoch,
+    },
+    /// Marks a request that nobody has answered in time as escalated: people with another role are asked,
+    /// too.
+    EscalatePersonRequest {
+        /// The request.
+        request: PersonRequestId,
+        /// Time that a majority of the voters confirms, in milliseconds since 1970.
+        now_ms: u64,
     },
 }
 
@@ -208,11 +263,17 @@ impl Command {
             | Command::SetQuestion { mission, .. }
             | Command::AwardPromised { mission, .. }
             | Command::Postpone { mission, .. } => Some(mission),
-            Command::AnswerPerson { request, .. } | Command::ExpirePersonRequest { request, .. } => {
-                Some(&request.mission)
-            }
+            Command::AnswerPerson { request, .. }
+            | Command::EscalatePersonRequest { request, .. }
+            | Command::ExpirePersonRequest { request, .. } => Some(&request.mission),
             Command::Bootstrap { .. }
             | Command::Submit(_)
+            | Command::AddSchedule { .. }
+            | Command::RemoveSchedule { .. }
+            | Command::PauseSchedule { .. }
+            | Command::ResumeSchedule { .. }
+            | Command::SubmitOccurrence { .. }
+            | Command::SkipOccurrences { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,
         }
@@ -365,6 +426,35 @@ pub enum CommandError {
         mission: MissionId,
         /// The role.
         role: RoleId,
+    },
+    /// There is no such schedule.
+    #[error("there is no schedule {schedule}; see api/schedules")]
+    NoSchedule {
+        /// Id of the schedule.
+        schedule: ScheduleId,
+    },
+    /// Another schedule has this id.
+    #[error("there is another schedule {schedule}; remove it first, or choose another name")]
+    ScheduleExists {
+        /// Id of the schedule.
+        schedule: ScheduleId,
+    },
+    /// The fleet writes a wire version without schedules.
+    #[error("schedules need wire version {since}; consort upgrade shows how far the fleet is")]
+    NoSchedulesYet {
+        /// Wire version since which there are schedules.
+        since: u8,
+    },
+    /// The ledger contains the maximum number of schedules.
+    #[error("there are {} schedules, the maximum of a ledger", Schedule::MAX)]
+    SchedulesFull,
+    /// The occurrence has been submitted or left out, or the schedule is paused; common for repeated commands.
+    #[error("schedule {schedule} is paused, or handled up to {handled_ms} ms since 1970")]
+    OccurrenceHandled {
+        /// Id of the schedule.
+        schedule: ScheduleId,
+        /// Time up to which it is handled, in milliseconds since 1970.
+        handled_ms: u64,
     },
     /// The ledger contains the maximum number of missions that have not ended.
     #[error("{missions} missions are active or need intervention, the maximum of a ledger")]

@@ -4,8 +4,11 @@
 //! the ledger has the layout of that version, and its nodes can return to an earlier program.
 
 use super::history::{HISTORY_SINCE, History};
+use super::schedule::ScheduleEntry;
+use crate::ids::ScheduleId;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::collections::BTreeMap;
 use std::fmt;
 
 /// Wire version, and what it adds to the ledger.
@@ -15,20 +18,22 @@ pub(super) struct VersionedPart {
     pub(super) wire: Option<u8>,
     /// History; present exactly from [`HISTORY_SINCE`] on.
     pub(super) history: Option<History>,
+    /// Schedules; empty without a history.
+    pub(super) schedules: BTreeMap<ScheduleId, ScheduleEntry>,
 }
 
 impl Serialize for VersionedPart {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match &self.history {
             None => (self.wire,).serialize(serializer),
-            Some(history) => (self.wire, history).serialize(serializer),
+            Some(history) => (self.wire, history, &self.schedules).serialize(serializer),
         }
     }
 }
 
 impl<'de> Deserialize<'de> for VersionedPart {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_tuple(2, PartVisitor)
+        deserializer.deserialize_tuple(3, PartVisitor)
     }
 }
 
@@ -43,10 +48,11 @@ impl<'de> Visitor<'de> for PartVisitor {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut parts: A) -> Result<VersionedPart, A::Error> {
         let wire: Option<u8> = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(0, &self))?;
-        let history = match wire >= Some(HISTORY_SINCE) {
-            true => Some(parts.next_element()?.ok_or_else(|| A::Error::invalid_length(1, &self))?),
-            false => None,
-        };
-        Ok(VersionedPart { wire, history })
+        if wire < Some(HISTORY_SINCE) {
+            return Ok(VersionedPart { wire, ..VersionedPart::default() });
+        }
+        let history = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(1, &self))?;
+        let schedules = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(2, &self))?;
+        Ok(VersionedPart { wire, history: Some(history), schedules })
     }
 }

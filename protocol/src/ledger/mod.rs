@@ -18,6 +18,8 @@
 //! A role whose robot is busy, or that cannot start yet, may be promised instead of awarded; its award follows (the
 //! module `promises`).
 //!
+//! A schedule adds its mission at certain times (the module `schedules`).
+//!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
 //!
@@ -38,6 +40,8 @@ mod loss;
 mod people;
 mod person_request;
 mod promises;
+mod schedule;
+mod schedules;
 mod submission;
 
 pub use apply::Ledger;
@@ -48,8 +52,9 @@ pub use history::Tombstone;
 pub use history_limits::HistoryLimits;
 pub use person_request::{
     AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
-    PersonRequestIdError, PersonRequestPhase, Postponement, RequestSubject, TaskQuestion,
+    PersonRequestIdError, PersonRequestPhase, Postponement, RequestEscalation, RequestSubject, TaskQuestion,
 };
+pub use schedule::{MissedOccurrences, Occurrence, Schedule, ScheduleEntry, SchedulePause, ScheduleRule};
 pub use submission::{
     DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,
 };

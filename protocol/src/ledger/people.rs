@@ -1,4 +1,4 @@
-//! The course of requests to people: they are asked, answered, expired and withdrawn.
+//! The course of requests to people: they are asked, answered, escalated, expired and withdrawn.
 
 use super::apply::Ledger;
 use super::branch::Branch;
@@ -6,16 +6,26 @@ use super::command::{CommandError, CommandOutcome};
 use super::entry::{MissionEntry, MissionState, RolePhase};
 use super::person_request::{
     AnswerContent, FinalAnswer, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId, PersonRequestPhase,
-    Postponement, RequestSubject, TaskQuestion,
+    Postponement, RequestEscalation, RequestSubject, TaskQuestion,
 };
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId, TaskId};
 use crate::lease::{Epoch, RoleHolder};
-use crate::mission::{RoleKind, TaskOutcome, TaskSpec, ValueKind};
+use crate::mission::{Escalation, RoleKind, TaskOutcome, TaskSpec, ValueKind};
 use crate::plan::StepIndex;
 use std::collections::BTreeMap;
 
 /// Maximum number of closed requests kept with a mission, for display and for late answers.
 const CLOSED_MAX: usize = 16;
+
+/// Times of a new request.
+struct RequestTimes {
+    /// Time of the request in milliseconds since 1970.
+    asked_ms: u64,
+    /// Seconds after which it expires; `None` if it does not.
+    patience_s: Option<u32>,
+    /// Its escalation, if any.
+    escalation: Option<Box<Escalation>>,
+}
 
 /// Consequence of an answer for its mission.
 enum AfterAnswer {
@@ -131,20 +141,23 @@ impl MissionEntry {
             let patience_s = question.patience_s;
             let subject = RequestSubject::Question { number, question, answer: None };
             let robots = BTreeMap::from([(role.clone(), holder)]);
-            self.add_request(to, subject, task, robots, (asked_ms, patience_s));
+            let times = RequestTimes { asked_ms, patience_s, escalation: None };
+            self.add_request(to, subject, task, robots, times);
         }
         self.drop_old_requests();
     }
 
-    /// Adds an open request, with its time in milliseconds since 1970 and its patience in seconds.
+    /// Adds an open request.
     fn add_request(
         &mut self,
         role: RoleId,
         subject: RequestSubject,
         task: TaskId,
         robots: BTreeMap<RoleId, RoleHolder>,
-        (asked_ms, patience_s): (u64, Option<u32>),
+        times: RequestTimes,
     ) {
+        let RequestTimes { asked_ms, patience_s, escalation } = times;
+        let after = |seconds: u32| asked_ms.saturating_add(u64::from(seconds) * 1000);
         self.person_requests.push(PersonRequestEntry {
             number: self.person_requests.last().map_or(1, |last| last.number.saturating_add(1)),
             branch: self.branch,
@@ -153,7 +166,12 @@ impl MissionEntry {
             task,
             robots,
             asked_ms,
-            expires_ms: patience_s.map(|patience| asked_ms.saturating_add(u64::from(patience) * 1000)),
+            expires_ms: patience_s.map(after),
+            escalation: escalation.map(|escalation| RequestEscalation {
+                due_ms: after(escalation.after_s),
+                to: escalation.to,
+                escalated_ms: None,
+            }),
             phase: PersonRequestPhase::Open { postponed: None },
         });
     }
@@ -169,8 +187,9 @@ impl MissionEntry {
         let robots: Option<BTreeMap<RoleId, RoleHolder>> =
             named.map(|(id, _)| Some((id.clone(), holders.get(id)?.clone()))).collect();
         let Some(robots) = robots.filter(|_| is_due && self.open_request_to(role).is_none()) else { return };
-        let (task, patience_s) = (task.clone(), spec.patience_s);
-        self.add_request(role.clone(), RequestSubject::Step(step), task, robots, (asked_ms, patience_s));
+        let times = RequestTimes { asked_ms, patience_s: spec.patience_s, escalation: spec.escalation.clone() };
+        let task = task.clone();
+        self.add_request(role.clone(), RequestSubject::Step(step), task, robots, times);
         self.drop_old_requests();
     }
 
@@ -250,6 +269,16 @@ impl MissionEntry {
             AnswerContent::Declined => given == FinalAnswer::Declined,
             AnswerContent::Cannot => given == FinalAnswer::Cannot,
             AnswerContent::Later(_) => false,
+        }
+    }
+
+    /// Marks an open request as escalated when its time has come. Repeated, it has no effect.
+    fn escalate_request(&mut self, number: u32, now_ms: u64) {
+        let due =
+            |request: &&mut PersonRequestEntry| request.number == number && request.is_escalation_due(Some(now_ms));
+        let request = self.person_requests.iter_mut().find(due);
+        if let Some(escalation) = request.and_then(|request| request.escalation.as_mut()) {
+            escalation.escalated_ms = Some(now_ms);
         }
     }
 
@@ -347,6 +376,15 @@ impl Ledger {
         }
     }
 
+    pub(super) fn escalate_person_request(
+        &mut self,
+        request: &PersonRequestId,
+        now_ms: u64,
+    ) -> Result<CommandOutcome, CommandError> {
+        self.active_mission(&request.mission)?.escalate_request(request.number, now_ms);
+        Ok(CommandOutcome::Done)
+    }
+
     pub(super) fn expire_person_request(
         &mut self,
         request: &PersonRequestId,
@@ -367,5 +405,99 @@ impl Ledger {
             requests.filter(|request| request.is_open()).map(move |request| (entry, request))
         };
         self.active_missions().into_iter().flat_map(open).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ids::{RequestId, TaskType};
+    use crate::ledger::{Command, Submission};
+    use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder};
+    use crate::plan::{Division, LocalPlan, Step, StepAction};
+
+    const ASKED_MS: u64 = 1_000_000;
+
+    fn role(name: &str) -> RoleId {
+        RoleId::new(name).unwrap()
+    }
+
+    fn apply(ledger: &mut Ledger, command: Command) -> CommandOutcome {
+        ledger.apply(Epoch { term: 1, index: 1 }, command)
+    }
+
+    /// A clerk has been asked to sign; the request escalates to the head after 30 s. The mission continues
+    /// afterwards with the task of a robot.
+    fn asked() -> (Ledger, PersonRequestId) {
+        let task = |name: &str, of: &str, escalation| {
+            let spec = TaskSpec::of(TaskType::new(name).unwrap(), vec![role(of)]);
+            (TaskId::new(name).unwrap(), TaskSpec { escalation, ..spec })
+        };
+        let escalation = Escalation { to: role("head"), after_s: 30 };
+        let tasks = [task("sign", "clerk", Some(Box::new(escalation))), task("wait", "r1", None)];
+        let root = TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![1, 2]));
+        let nodes = tasks.iter().map(|(id, spec)| (id.clone(), TaskBody::Elementary(spec.clone())));
+        let nodes = std::iter::once((TaskId::new("root").unwrap(), root)).chain(nodes);
+        let kinds = [("clerk", RoleKind::Unmanaged), ("r1", RoleKind::Managed)];
+        let mission = Mission {
+            name: TaskId::new("permit").unwrap(),
+            roles: kinds.into_iter().map(|(name, kind)| (role(name), Role::of(kind))).collect(),
+            ensembles: vec![],
+            energy_max: None,
+            tasks: nodes.map(|(id, body)| TaskNode { id, body }).collect(),
+            results: BTreeMap::new(),
+        };
+        let plans = tasks.into_iter().map(|(id, spec)| {
+            let of = spec.roles[0].clone();
+            (of.clone(), LocalPlan::of(of, vec![Step { action: StepAction::Task { id, spec }, after: vec![] }]))
+        });
+        let division = Division { plans: plans.collect() };
+        let mut ledger = Ledger::default();
+        let submission = Submission::of(RequestId::new("a").unwrap(), mission, division);
+        apply(&mut ledger, Command::Submit(Box::new(submission)));
+        let mission = ledger.missions().next().unwrap().id.clone();
+        let (branch, role) = (Branch::Main, role("clerk"));
+        apply(&mut ledger, Command::AskPerson { mission: mission.clone(), branch, role, step: 0, asked_ms: ASKED_MS });
+        (ledger, PersonRequestId { mission, number: 1 })
+    }
+
+    /// Applies the command after so many seconds. Returns the time of the escalation in seconds after the
+    /// request.
+    fn escalate(ledger: &mut Ledger, request: &PersonRequestId, after_s: u64) -> Option<u64> {
+        let command = Command::EscalatePersonRequest { request: request.clone(), now_ms: ASKED_MS + after_s * 1000 };
+        assert_eq!(apply(ledger, command), CommandOutcome::Done);
+        let entry = ledger.mission(&request.mission).unwrap().person_request(request.number).unwrap();
+        let escalation = entry.escalation.as_ref().expect("the task states it");
+        assert_eq!(escalation.to, role("head"));
+        escalation.escalated_ms.map(|at_ms| (at_ms - ASKED_MS) / 1000)
+    }
+
+    fn answer(ledger: &mut Ledger, request: &PersonRequestId, content: AnswerContent) {
+        let answer = PersonAnswer { by: "Nia".to_owned(), content, note: String::new(), at_ms: ASKED_MS };
+        let command = Command::AnswerPerson { request: request.clone(), answer, places: BTreeMap::new() };
+        assert_eq!(apply(ledger, command), CommandOutcome::Done);
+    }
+
+    #[test]
+    fn a_request_is_escalated_once_and_not_before_its_time() {
+        let (mut ledger, request) = asked();
+        let times = [29, 31, 40].map(|after_s| escalate(&mut ledger, &request, after_s));
+        assert_eq!(times, [None, Some(31), Some(31)]);
+        assert!(ledger.mission(&request.mission).unwrap().person_request(1).unwrap().is_open());
+    }
+
+    #[test]
+    fn an_answered_request_is_not_escalated() {
+        let (mut ledger, request) = asked();
+        answer(&mut ledger, &request, AnswerContent::Done(BTreeMap::new()));
+        assert_eq!(escalate(&mut ledger, &request, 31), None);
+    }
+
+    #[test]
+    fn a_request_that_is_put_off_is_escalated_later() {
+        let (mut ledger, request) = asked();
+        answer(&mut ledger, &request, AnswerContent::Later(ASKED_MS + 60_000));
+        assert_eq!(escalate(&mut ledger, &request, 89), None);
+        assert_eq!(escalate(&mut ledger, &request, 90), Some(90));
     }
 }

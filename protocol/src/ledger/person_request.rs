@@ -4,8 +4,8 @@
 //! ```text
 //!            answer: done, declined, cannot
 //!  open ────────────────────────────────────▶ answered    the first answer counts
-//!   │ ▲  later                      patience is over
-//!   │ └──────┘ ───────────────────────────────────────────▶ expired
+//!   │ ▲  later, escalated           patience is over
+//!   │ └─────────────────┘ ────────────────────────────────▶ expired
 //!   └── the mission ends, another robot is to be met, or the robot no longer asks ──▶ withdrawn
 //! ```
 //!
@@ -103,8 +103,21 @@ pub struct PersonRequestEntry {
     pub asked_ms: u64,
     /// Time after which it expires, in milliseconds since 1970.
     pub expires_ms: Option<u64>,
+    /// Escalation, if the task states one.
+    pub escalation: Option<RequestEscalation>,
     /// Phase.
     pub phase: PersonRequestPhase,
+}
+
+/// Escalation of a request to other people.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RequestEscalation {
+    /// Their role.
+    pub to: RoleId,
+    /// Time from which they are asked, in milliseconds since 1970.
+    pub due_ms: u64,
+    /// Time at which the request was escalated, in milliseconds since 1970; `None` until then.
+    pub escalated_ms: Option<u64>,
 }
 
 /// What a person is asked for.
@@ -238,6 +251,13 @@ impl FinalAnswer {
     }
 }
 
+impl PersonRequestPhase {
+    /// Checks whether the request is open.
+    pub fn is_open(&self) -> bool {
+        matches!(self, PersonRequestPhase::Open { .. })
+    }
+}
+
 impl fmt::Display for PersonRequestPhase {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -273,7 +293,7 @@ pub enum AnswerContent {
     /// The person is not able to do it.
     Cannot,
     /// The person puts it off until this time, in milliseconds since 1970. The request stays open, and
-    /// expires so much later.
+    /// expires and escalates so much later.
     Later(u64),
 }
 
@@ -288,7 +308,7 @@ impl PersonAnswer {
 impl PersonRequestEntry {
     /// Checks whether the request is open.
     pub fn is_open(&self) -> bool {
-        matches!(self.phase, PersonRequestPhase::Open { .. })
+        self.phase.is_open()
     }
 
     /// Checks whether the request is the open question of a robot.
@@ -301,12 +321,21 @@ impl PersonRequestEntry {
         self.expires_ms.zip(now_ms).is_some_and(|(at_ms, now_ms)| at_ms <= now_ms)
     }
 
-    /// Puts the request off: it expires so much later.
+    /// Checks whether it is to be escalated at a time in milliseconds since 1970, if the time is known.
+    pub fn is_escalation_due(&self, now_ms: Option<u64>) -> bool {
+        let pending = self.escalation.as_ref().filter(|escalation| escalation.escalated_ms.is_none());
+        self.is_open() && pending.zip(now_ms).is_some_and(|(escalation, now_ms)| escalation.due_ms <= now_ms)
+    }
+
+    /// Puts the request off: it expires and escalates so much later.
     pub(super) fn postpone(&mut self, postponement: Postponement, at_ms: u64) {
         let PersonRequestPhase::Open { postponed } = &mut self.phase else { return };
         let since_ms = postponed.as_ref().map_or(at_ms, |former| former.until_ms.max(at_ms));
         let delay_ms = postponement.until_ms.saturating_sub(since_ms);
         self.expires_ms = self.expires_ms.map(|expires_ms| expires_ms.saturating_add(delay_ms));
+        if let Some(escalation) = self.escalation.as_mut().filter(|escalation| escalation.escalated_ms.is_none()) {
+            escalation.due_ms = escalation.due_ms.saturating_add(delay_ms);
+        }
         *postponed = Some(postponement);
     }
 }
@@ -316,7 +345,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_that_is_put_off_again_expires_as_much_later_as_it_says() {
+    fn a_request_that_is_put_off_again_expires_and_escalates_as_much_later() {
         let mut request = PersonRequestEntry {
             number: 1,
             branch: Branch::Main,
@@ -326,11 +355,13 @@ mod tests {
             robots: BTreeMap::new(),
             asked_ms: 0,
             expires_ms: Some(10_000),
+            escalation: Some(RequestEscalation { to: RoleId::new("head").unwrap(), due_ms: 5_000, escalated_ms: None }),
             phase: PersonRequestPhase::Open { postponed: None },
         };
         for (at_ms, until_ms, expires_ms) in [(0, 60_000, 70_000), (1_000, 61_000, 71_000), (99_000, 100_000, 72_000)] {
             request.postpone(Postponement { by: "Nia".to_owned(), until_ms }, at_ms);
             assert_eq!(request.expires_ms, Some(expires_ms));
+            assert_eq!(request.escalation.as_ref().map(|escalation| escalation.due_ms), Some(expires_ms - 5_000));
         }
     }
 

@@ -14,6 +14,7 @@
 //! | `view/coordinator` | [`CoordinatorView`] |
 //! | `view/missions` | [`MissionsView`] |
 //! | `view/requests` | [`RequestsView`] |
+//! | `view/schedules` | [`SchedulesView`] |
 //! | `view/mission/{mission}` | [`MissionView`] |
 //! | `view/auctions` | [`AuctionsView`] |
 //! | `view/map` | [`MapView`] |
@@ -29,6 +30,7 @@ mod map;
 mod mission;
 mod person_request;
 mod provenance;
+mod schedule;
 
 pub use auction::{AuctionView, AuctionsView};
 pub use coordinator::{AutopilotView, CoordinatorView, VoterChange};
@@ -44,6 +46,7 @@ pub use mission::{
 };
 pub use person_request::{PersonRequestView, RequestsView};
 pub use provenance::{LedgerCopy, Provenance, WithProvenance};
+pub use schedule::{ScheduleView, SchedulesView};
 
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema};
@@ -74,6 +77,7 @@ pub const PUBLISHED_VIEWS: &[PublishedView] = &[
     PublishedView { name: "coordinator", schema: schema_of::<WithProvenance<CoordinatorView>> },
     PublishedView { name: "missions", schema: schema_of::<WithProvenance<MissionsView>> },
     PublishedView { name: "requests", schema: schema_of::<WithProvenance<RequestsView>> },
+    PublishedView { name: "schedules", schema: schema_of::<WithProvenance<SchedulesView>> },
     PublishedView { name: "mission", schema: schema_of::<WithProvenance<MissionView>> },
     PublishedView { name: "auctions", schema: schema_of::<WithProvenance<AuctionsView>> },
     PublishedView { name: "map", schema: schema_of::<WithProvenance<MapView>> },

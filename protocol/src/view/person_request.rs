@@ -48,12 +48,16 @@ pub struct PersonRequestView {
     /// Time after which it expires, in milliseconds since 1970; null if it does not.
     #[serde(default)]
     pub expires_at_ms: Option<u64>,
-    /// Role of the other people that are asked from `escalates_at_ms` on; null without escalation.
+    /// Role of the other people that are asked, too, without an answer until `escalates_at_ms`; null
+    /// without escalation.
     #[serde(default)]
     pub escalates_to: Option<RoleId>,
-    /// Time from which they are asked, in milliseconds since 1970.
+    /// Time from which they are to be asked, in milliseconds since 1970.
     #[serde(default)]
     pub escalates_at_ms: Option<u64>,
+    /// Time at which they were asked, in milliseconds since 1970; null until then.
+    #[serde(default)]
+    pub escalated_at_ms: Option<u64>,
     /// Phase.
     pub phase: PersonRequestPhase,
 }
@@ -62,10 +66,14 @@ pub struct PersonRequestView {
 const PLACE_PARAMETERS: [&str; 5] = ["place", "location", "at", "to", "room"];
 
 impl PersonRequestView {
-    /// Checks whether people with this role are asked at a time in milliseconds since 1970.
-    pub fn is_for(&self, role: &RoleId, now_ms: u64) -> bool {
-        let is_due = self.escalates_at_ms.is_some_and(|at_ms| at_ms <= now_ms);
-        self.role == *role || (is_due && self.escalates_to.as_ref() == Some(role))
+    /// Checks whether people with this role are asked.
+    pub fn is_for(&self, role: &RoleId) -> bool {
+        self.role == *role || self.escalated_to() == Some(role)
+    }
+
+    /// Returns the role of the other people, if they are asked, too.
+    pub fn escalated_to(&self) -> Option<&RoleId> {
+        self.escalates_to.as_ref().filter(|_| self.escalated_at_ms.is_some())
     }
 
     /// Returns the view of a request. `place_of` returns the last known place of a robot.
@@ -75,7 +83,7 @@ impl PersonRequestView {
         place_of: impl Fn(&RobotId) -> Option<PlaceId>,
     ) -> PersonRequestView {
         let spec = entry.requested_task(request);
-        let escalation = spec.as_ref().and_then(|spec| spec.escalation.as_ref());
+        let escalation = request.escalation.as_ref();
         let parameters = spec.as_ref().map(|spec| spec.parameters.clone()).unwrap_or_default();
         let robots = RoleHolder::robots(&request.robots);
         let named = PLACE_PARAMETERS.iter().find_map(|name| PlaceId::new(parameters.get(*name)?.as_str()).ok());
@@ -93,8 +101,8 @@ impl PersonRequestView {
             asked_at_ms: request.asked_ms,
             expires_at_ms: request.expires_ms,
             escalates_to: escalation.map(|escalation| escalation.to.clone()),
-            escalates_at_ms: escalation
-                .map(|escalation| request.asked_ms.saturating_add(u64::from(escalation.after_s) * 1000)),
+            escalates_at_ms: escalation.map(|escalation| escalation.due_ms),
+            escalated_at_ms: escalation.and_then(|escalation| escalation.escalated_ms),
             phase: request.phase.clone(),
         }
     }

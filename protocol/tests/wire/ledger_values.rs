@@ -7,8 +7,9 @@ use consort_protocol::auction::{
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissionState, PersonAnswer,
-    PersonRequestId, Priority, RecoveryBranch, Submission,
+    AnswerContent, Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissedOccurrences,
+    MissionState, PersonAnswer, PersonRequestId, Priority, RecoveryBranch, Schedule, SchedulePause, ScheduleRule,
+    Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -127,6 +128,16 @@ pub(crate) fn submission() -> impl Strategy<Value = Submission> {
     )
 }
 
+fn schedule() -> impl Strategy<Value = Box<Schedule>> {
+    let missed =
+        prop_oneof![Just(MissedOccurrences::Skip), Just(MissedOccurrences::Last), Just(MissedOccurrences::All)];
+    let rule = (text(), text(), option::of(any::<u64>()), missed);
+    let rule = rule.prop_map(|(cron, zone, until_ms, missed)| ScheduleRule { cron, zone, until_ms, missed });
+    (name(), rule, submission(), option::of(any::<u64>())).prop_map(|(id, rule, submission, deadline_after_ms)| {
+        Box::new(Schedule { id, rule, submission, deadline_after_ms })
+    })
+}
+
 pub(crate) fn command() -> impl Strategy<Value = Command> {
     let held = || (name::<MissionId>(), name::<RoleId>(), epoch());
     prop_oneof![
@@ -189,6 +200,19 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             now_ms,
             places
         }),
+        (schedule(), any::<u64>()).prop_map(|(schedule, from_ms)| Command::AddSchedule { schedule, from_ms }),
+        name().prop_map(|schedule| Command::RemoveSchedule { schedule }),
+        (name(), text(), any::<u64>()).prop_map(|(schedule, by, since_ms)| {
+            Command::PauseSchedule { schedule, pause: SchedulePause { by, since_ms } }
+        }),
+        (name(), any::<u64>()).prop_map(|(schedule, at_ms)| Command::ResumeSchedule { schedule, at_ms }),
+        (name(), any::<[u64; 3]>()).prop_map(|(schedule, [after_ms, due_ms, at_ms])| {
+            Command::SubmitOccurrence { schedule, after_ms, due_ms, at_ms }
+        }),
+        (name(), any::<[u64; 2]>())
+            .prop_map(|(schedule, [after_ms, until_ms])| { Command::SkipOccurrences { schedule, after_ms, until_ms } }),
+        (person_request(), any::<u64>())
+            .prop_map(|(request, now_ms)| Command::EscalatePersonRequest { request, now_ms }),
         any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
             Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })

@@ -9,6 +9,18 @@ use serde_json::json;
 use std::fs;
 use std::path::Path;
 
+/// A line of each message of a driver.
+const DRIVER_LINES: &str = r#"{"type":"hello","protocol":1,"driver":"test 1.0","actions":{"wait":{"parameters":{"seconds":{"type":"seconds"}},"example":{"seconds":2}}},"resumes":true}
+{"type":"feedback","id":"7","distance_remaining_m":1.5,"time_remaining_s":3}
+{"type":"result","id":"7","status":"aborted","code":"blocked","message":"a chair"}
+{"type":"result","id":"1152921504606846976","status":"succeeded","results":{"dust_g":2.5,"full":true}}
+{"type":"pose","x_m":1.25,"y_m":-3.5,"yaw_rad":0.1,"place":"IC Room 6"}
+{"type":"charge","share":0.5,"able":false}
+{"type":"readings","values":{"bag_g":120.5,"lid":true,"mode":"eco","cycles":-4}}
+{"type":"heartbeat","sequence":18446744073709551615}
+{"type":"error","message":"no such action"}
+"#;
+
 /// Returns the seeds of a target. None of them is rejected as a whole.
 pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
     match name {
@@ -41,6 +53,8 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         "mission_yaml" => files("skills/missions", ".yaml"),
         "mission_json" => fleet::TEMPLATES.iter().map(|name| fleet::template(name).to_string().into_bytes()).collect(),
         "ihtn" => vec![ihtn().to_string().into_bytes()],
+        "domain" => ["plants", "vacuum"].map(|name| file(&format!("examples/{name}/domain.yaml"))).into(),
+        "driver" => texts(&[DRIVER_LINES]),
         "map_yaml" => [files("sim_bridge/world/maps", "c.yaml"), files("tests/features/maps", ".yaml")].concat(),
         "map_json" => vec![file("nodes/consort/tests/data/ward_map.json"), fleet::map_in_json()],
         "drawing" => files("sim_bridge/map_import/maps", ".drawio"),

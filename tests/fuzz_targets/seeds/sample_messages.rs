@@ -15,7 +15,8 @@ use consort_protocol::ids::{ClusterId, NodeId, RoleId};
 use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, Command, Ledger, PersonAnswer, PersonQuestion, PersonRequestId, TaskQuestion,
+    AnswerContent, Branch, Command, Ledger, MissedOccurrences, PersonAnswer, PersonQuestion, PersonRequestId, Schedule,
+    SchedulePause, ScheduleRule, TaskQuestion,
 };
 use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FailureKind,
@@ -284,8 +285,22 @@ fn ledger_commands() -> Vec<Command> {
         Command::SetQuestion { mission: mission(), role: slug("r1"), epoch, question: question(), asked_ms: 7 },
         Command::AnswerPerson { request: request(), answer: answer(), places: BTreeMap::new() },
         Command::ExpirePersonRequest { request: request(), now_ms: 9, places: BTreeMap::new() },
+        Command::AddSchedule { schedule: Box::new(schedule()), from_ms: 7 },
+        Command::SubmitOccurrence { schedule: slug("rounds"), after_ms: 7, due_ms: 8, at_ms: 9 },
+        Command::PauseSchedule { schedule: slug("rounds"), pause: SchedulePause { by: "Nia".to_owned(), since_ms: 9 } },
         Command::Cancel { mission: mission(), by: "Nia".to_owned(), places: BTreeMap::new() },
+        Command::EscalatePersonRequest { request: request(), now_ms: 8 },
     ]
+}
+
+fn schedule() -> Schedule {
+    let rule = ScheduleRule {
+        cron: "0 8 * * *".to_owned(),
+        zone: "Europe/Berlin".to_owned(),
+        until_ms: None,
+        missed: MissedOccurrences::Last,
+    };
+    Schedule { id: slug("rounds"), rule, submission: fleet::submission(), deadline_after_ms: Some(60_000) }
 }
 
 fn question() -> TaskQuestion {

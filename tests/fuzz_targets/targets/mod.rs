@@ -7,6 +7,7 @@
 //! a message.
 
 mod behavior_files;
+mod domains;
 mod frames;
 mod ledgers;
 mod maps;
@@ -65,6 +66,10 @@ targets! {
     mission_json = missions::json;
     /// Missions in the flat format.
     ihtn = missions::ihtn;
+    /// Domain files.
+    domain = domains::domain;
+    /// Lines of drivers.
+    driver = domains::driver;
     /// Maps of this project in YAML.
     map_yaml = maps::yaml;
     /// Maps of this project in JSON, and maps of the published evaluation.

@@ -37,6 +37,7 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::TaskBegan { role, task, .. } => format!("{role} begins {task}"),
         EventKind::TaskEnded { role, task, .. } => format!("{role} has ended {task}"),
         EventKind::TaskSkipped { role, task, .. } => format!("{role} skips {task}"),
+        EventKind::Escalated { role, task, to, .. } => format!("{role} has not answered {task}: {to} is asked, too"),
         EventKind::TaskFailed { role, task, cause, .. } => format!("{role} failed at {task}: {cause}"),
         EventKind::TaskRetried { role, task, cause, .. } => format!("{role} tries {task} again: {cause}"),
         EventKind::Alternative { role, task, .. } => format!("{role} takes an alternative to {task}"),

@@ -3,16 +3,20 @@
 
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
-use super::submission::{self, SubmitError};
+use super::submission::{self, ScheduleError, SubmitError};
+use crate::recurrence::schedule_view;
 use consort_bus::{MESSAGE_MAX, Requester};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{
     AnswerReply, AnswerRequest, AnswerWord, ErrorReply, LATER_MINUTES_MAX, MissionChangeReply, MissionChangeRequest,
-    NodeVersions, RequestError, SubmitReply, SubmitRequest, UpgradeReply, UpgradeRequest, parse_request,
+    NodeVersions, RequestError, ScheduleAction, ScheduleReply, ScheduleRequest, SubmitReply, SubmitRequest,
+    UpgradeReply, UpgradeRequest, parse_request,
 };
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer};
+use consort_protocol::ledger::{
+    AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer, SchedulePause,
+};
 use consort_protocol::mission::{Domain, check_results};
 use consort_protocol::versions::{UpgradeStatus, VersionRange};
 use consort_raft::store::Backup;
@@ -68,6 +72,12 @@ impl From<RequestError> for ApiError {
     }
 }
 
+impl From<ScheduleError> for ApiError {
+    fn from(error: ScheduleError) -> ApiError {
+        error.to_string().into()
+    }
+}
+
 impl From<SubmitError> for ApiError {
     fn from(error: SubmitError) -> ApiError {
         error.to_string().into()
@@ -87,11 +97,15 @@ impl ApiHandler {
             ApiCall::Cancel => self.cancel(payload).await.map(json),
             ApiCall::Resolve => self.resolve(payload).await.map(json),
             ApiCall::Answer => self.answer(payload).await.map(json),
+            ApiCall::Schedule => self.schedule(payload).await.map(json),
             ApiCall::Backup => self.backup().await,
             ApiCall::Upgrade => self.upgrade(payload).await.map(json),
-            ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Explain | ApiCall::Help => {
-                Err(format!("{} is served by any node", call.as_str()).into())
-            }
+            ApiCall::Get
+            | ApiCall::List
+            | ApiCall::Requests
+            | ApiCall::Schedules
+            | ApiCall::Explain
+            | ApiCall::Help => Err(format!("{} is served by any node", call.as_str()).into()),
         };
         reply.unwrap_or_else(|ApiError { text, may_retry }| match may_retry {
             true => json(busy_reply(&text, Duration::from_millis(RETRY_AFTER_MS))),
@@ -198,6 +212,40 @@ impl ApiHandler {
                     Some(entry.person_request(request.number)?.phase.clone())
                 });
                 Ok(AnswerReply { request, phase })
+            }
+            Err(problem) => Err(not_committed(&problem)),
+        }
+    }
+
+    /// Adds or changes a schedule.
+    async fn schedule(&self, payload: &[u8]) -> Result<ScheduleReply, ApiError> {
+        let mut request: ScheduleRequest = parse_request(ApiCall::Schedule, payload)?;
+        let (id, action, by, at_ms) =
+            (request.schedule.clone(), request.action, self.responsible(request.by.take()), self.time_ms()?);
+        let command = match action {
+            ScheduleAction::Add => {
+                let schedule = Box::new(submission::prepare_schedule(request, &self.domain, by)?);
+                Command::AddSchedule { schedule, from_ms: at_ms }
+            }
+            _ if request.has_content() => {
+                let text = "`cron`, `zone`, `until`, `missed` and `submit` belong to the action `add`";
+                return Err(text.to_owned().into());
+            }
+            ScheduleAction::Pause => {
+                let pause = SchedulePause { by, since_ms: at_ms };
+                Command::PauseSchedule { schedule: id.clone(), pause }
+            }
+            ScheduleAction::Resume => Command::ResumeSchedule { schedule: id.clone(), at_ms },
+            ScheduleAction::Remove => Command::RemoveSchedule { schedule: id.clone() },
+        };
+        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+            Ok(CommandOutcome::Refused(refused)) => {
+                // A new ledger gets its version right after its creation.
+                let may_retry = self.replica.read(Ledger::wire).is_none();
+                Err(ApiError { text: refused.to_string(), may_retry })
+            }
+            Ok(_) => {
+                Ok(ScheduleReply { schedule: self.replica.read(|ledger| ledger.schedule(&id).map(schedule_view)) })
             }
             Err(problem) => Err(not_committed(&problem)),
         }

@@ -6,11 +6,12 @@
 //! that are collecting bids. Better-ranked missions in backoff are called at once, because the
 //! robots found may be the robots they wait for. An auction waits for at most 2 bid windows.
 
+use super::actions::{AuctionRound, ClosedBidding, RoundPhase};
 use super::auctioneer;
 use super::ensemble_members::live_members;
 use super::message::{CollectedBids, CoordinatorMessage};
 use super::queues::{robot_queues, unavailable_robots, unpromisable_robots};
-use super::reconcile::{AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned};
+use super::reconcile::{backoff, can_be_auctioned};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
     AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, EnergyBudget, Invitation,

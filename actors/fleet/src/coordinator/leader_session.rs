@@ -1,5 +1,6 @@
 //! Leader session: state and work of a node from the start to the end of its term as coordinator.
 
+use super::actions::{CoordinatorAction, SessionState};
 use super::auctions::Auctions;
 use super::change_feed::ChangeFeed;
 use super::ensemble_members::EnsembleMembers;
@@ -7,9 +8,10 @@ use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
 use super::people::People;
 use super::promises::unfit_robots;
-use super::reconcile::{CoordinatorAction, SessionState, pending_actions, stop_renewing_released, track_awards};
+use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
+use super::schedules::Schedules;
 use super::session_context::SessionContext;
 use super::settings::{CoordinatorSettings, NodeParts};
 use super::status::CoordinatorStatus;
@@ -63,6 +65,7 @@ pub(super) struct LeaderSession {
     /// Requests that arrived before the clocks of a majority were known.
     early_requests: Vec<Query>,
     people: People,
+    schedules: Schedules,
     /// The voter change in progress.
     voter_change: Tasks,
     /// Missions with a proposed failure, with the time of the proposal.
@@ -98,6 +101,7 @@ impl LeaderSession {
             members: EnsembleMembers::default(),
             requests: Requests::new(&context),
             people: People::new(&context),
+            schedules: Schedules::default(),
             autopilot: Autopilot::new(settings.autopilot, yielded),
             clocks: VoterClocks::default(),
             early_requests: vec![],
@@ -248,6 +252,20 @@ impl LeaderSession {
         self.auctions.clear(&mut self.context);
         let confirmed_ms = self.confirmed_ms();
         self.people.follow(&mut self.context, now, confirmed_ms);
+        self.submit_occurrences(now, confirmed_ms);
+    }
+
+    /// Proposes the occurrences of schedules that are due.
+    fn submit_occurrences(&mut self, now: NodeTime, confirmed_ms: Option<u64>) {
+        let (Some(now_ms), LeaderSession { context, schedules, .. }) = (confirmed_ms, self) else { return };
+        let missions_max = context.settings.request_limits.missions_max;
+        let commands = context.read_ledger(|ledger| {
+            let has_room = missions_max == 0 || !ledger.has_active(missions_max);
+            schedules.due(ledger, now, now_ms, has_room)
+        });
+        for command in commands {
+            context.propose(command);
+        }
     }
 
     fn pending_actions(&mut self, now: NodeTime) -> Vec<CoordinatorAction> {

@@ -14,6 +14,7 @@
 //! `reconcile` computes the pending actions as values. The `Coordinator` actor performs them, in
 //! a separate session for each term.
 
+mod actions;
 mod actor;
 mod api;
 mod auctioneer;
@@ -36,6 +37,7 @@ mod rate_limit;
 mod reconcile;
 mod reports;
 mod requests;
+mod schedules;
 mod session_context;
 mod settings;
 mod stall_detector;

@@ -1,7 +1,8 @@
 //! A leader session for the model check: the decisions of the coordinator about leases, without the
 //! actor, the bus and the replicated log around them.
 
-use super::reconcile::{CoordinatorAction, SessionState, pending_actions, stop_renewing_released, track_awards};
+use super::actions::{CoordinatorAction, SessionState};
+use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
 use super::reports::{QuorumContact, Step, confirm, next, reply_to_refusal};
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Epoch, LeaseMonitor, LeaseTerms};

@@ -1,7 +1,7 @@
 //! Promises that are due: the award of a promised role, or the end of a promise that cannot be kept.
 
+use super::actions::{CoordinatorAction, RoundPhase, SessionState};
 use super::message::AwardedRole;
-use super::reconcile::{CoordinatorAction, RoundPhase, SessionState};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::Availability;

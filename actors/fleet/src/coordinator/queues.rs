@@ -1,6 +1,6 @@
 //! Robots that cannot get a role now: what each holds, has promised and carries.
 
-use super::reconcile::{AuctionRound, RoundPhase};
+use super::actions::{AuctionRound, RoundPhase};
 use consort_protocol::auction::{RefusalReason, RobotQueue};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, RoleAssignment, RolePhase};

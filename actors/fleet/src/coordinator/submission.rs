@@ -1,10 +1,12 @@
 //! Validation of a request to submit a mission, up to the command for the ledger.
 
-use consort_protocol::api::{MissionSource, RequestError, StartTime, SubmitRequest};
+use crate::recurrence::{Recurrence, RecurrenceError};
+use consort_protocol::api::{MissionSource, RequestError, ScheduleRequest, StartTime, SubmitRequest};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{NameError, RequestId, TaskType};
 use consort_protocol::ledger::{
-    DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,
+    DeadlineError, Priority, PriorityError, RecoveryBranch, Schedule, ScheduleRule, Submission, TIME_AHEAD_MAX,
+    time_until_deadline,
 };
 use consort_protocol::mission::{
     Domain, Format, Mission, MissionDocument, MissionErrors, MissionFileError, RoleKind, ValueKind,
@@ -77,6 +79,83 @@ pub(crate) enum SubmitError {
     /// The divided mission exceeds the size limit of a message.
     #[error("the mission is too large: {0}")]
     Encoding(#[from] CodecError),
+}
+
+/// Reason for which a schedule is rejected.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ScheduleError {
+    /// The name is too long.
+    #[error("the name of the schedule has {chars} characters; at most {max} are allowed", max = Schedule::ID_CHARS_MAX)]
+    Name {
+        /// Number of characters.
+        chars: usize,
+    },
+    /// A field is missing.
+    #[error("`{field}` is missing; {meaning}")]
+    Missing {
+        /// The field.
+        field: &'static str,
+        /// Its meaning.
+        meaning: &'static str,
+    },
+    /// A field of the mission belongs to the occurrences.
+    #[error("`{field}` of `submit` is not allowed in a schedule: each occurrence has its own")]
+    OfOccurrence {
+        /// The field.
+        field: &'static str,
+    },
+    /// The end is not a time.
+    #[error("until is {given:?}; allowed is a date and time in RFC 3339, such as 2026-12-31T18:00:00+01:00")]
+    Until {
+        /// The time as given.
+        given: String,
+    },
+    /// The times are invalid.
+    #[error(transparent)]
+    Times(#[from] RecurrenceError),
+    /// The mission is invalid.
+    #[error(transparent)]
+    Mission(#[from] SubmitError),
+    /// The id of the request cannot be formed.
+    #[error(transparent)]
+    Id(#[from] NameError),
+}
+
+/// Checks a request for a schedule, with its mission. `by` is the person that asks.
+///
+/// # Errors
+/// The request is invalid in itself, or its mission does not match the domain.
+pub(super) fn prepare_schedule(
+    request: ScheduleRequest,
+    domain: &Domain,
+    by: String,
+) -> Result<Schedule, ScheduleError> {
+    let ScheduleRequest { schedule: id, cron, zone, until, missed, submit, .. } = request;
+    let chars = id.as_str().chars().count();
+    if chars > Schedule::ID_CHARS_MAX {
+        return Err(ScheduleError::Name { chars });
+    }
+    let missing = |field, meaning| ScheduleError::Missing { field, meaning };
+    let until_ms = until.map(|given| rfc3339_ms(&given).ok_or(ScheduleError::Until { given })).transpose()?;
+    let rule = ScheduleRule {
+        cron: cron.ok_or_else(|| missing("cron", "the times, such as \"0 8 * * 1-5\""))?,
+        zone: zone.unwrap_or_else(|| "UTC".to_owned()),
+        until_ms,
+        missed: missed.unwrap_or_default(),
+    };
+    Recurrence::parse(&rule)?;
+    let submit = *submit.ok_or_else(|| missing("submit", "the mission, as for api/submit"))?;
+    if let Some(field) = [("request", submit.request.is_some()), ("not_before", submit.not_before.is_some())]
+        .into_iter()
+        .find(|(_, is)| *is)
+    {
+        return Err(ScheduleError::OfOccurrence { field: field.0 });
+    }
+    let by = format!("{by}, schedule {id}");
+    // Times count from 0, which stands for the time of the occurrence.
+    let mut submission = prepare(submit, domain, 0, id.to_string(), by)?;
+    let deadline_after_ms = submission.deadline_ms.take();
+    Ok(Schedule { id, rule, submission, deadline_after_ms })
 }
 
 fn shipped_names() -> String {
@@ -170,16 +249,19 @@ const NOT_BEFORE_ALLOWED: &str = "allowed is a date and time in the next ten yea
 fn start_ms(start: &StartTime, at_ms: u64) -> Result<u64, SubmitError> {
     let latest_ms = at_ms.saturating_add(u64::try_from(TIME_AHEAD_MAX.as_millis()).unwrap_or(u64::MAX));
     let (ms, given) = match start {
-        StartTime::At(text) => {
-            let date = OffsetDateTime::parse(text, &Rfc3339).ok();
-            (date.and_then(|date| u64::try_from(date.unix_timestamp_nanos() / 1_000_000).ok()), format!("{text:?}"))
-        }
+        StartTime::At(text) => (rfc3339_ms(text), format!("{text:?}")),
         StartTime::In(seconds) => {
             let time = Duration::try_from_secs_f64(*seconds).ok();
             (time.and_then(|time| at_ms.checked_add(time.as_millis().try_into().ok()?)), seconds.to_string())
         }
     };
     ms.filter(|ms| *ms <= latest_ms).ok_or(SubmitError::NotBefore { given })
+}
+
+/// Returns the time of a text in RFC 3339, in milliseconds since 1970.
+fn rfc3339_ms(text: &str) -> Option<u64> {
+    let date = OffsetDateTime::parse(text, &Rfc3339).ok()?;
+    u64::try_from(date.unix_timestamp_nanos() / 1_000_000).ok()
 }
 
 /// Returns the results of the tasks of people, by the types of the tasks.

@@ -108,7 +108,7 @@ mod tests {
     const AWARD: Epoch = Epoch { term: 1, index: 7 };
 
     fn question(message: &str) -> PersonQuestion {
-        PersonQuestion { to: "nurse".parse().unwrap(), message: message.to_owned(), at: None, patience_s: None }
+        PersonQuestion { to: "clerk".parse().unwrap(), message: message.to_owned(), at: None, patience_s: None }
     }
 
     fn begun() -> OpenQuestion {
@@ -158,7 +158,7 @@ mod tests {
         let open = begun();
         open.ask(&question("may I enter?"));
         let second = open.ask(&question("are you well?"));
-        assert_eq!(second, Some(Err("the robot already asks nurse: may I enter?".to_owned())));
+        assert_eq!(second, Some(Err("the robot already asks clerk: may I enter?".to_owned())));
         open.withdraw();
         assert!(!open.take_report(AWARD).unwrap().is_open, "the coordinator withdraws it");
         assert_eq!(open.ask(&question("are you well?")), None);

@@ -33,6 +33,7 @@ impl ViewService {
         let reply = match call {
             ApiCall::List => self.list(call, payload, &Key::ViewMissions).await,
             ApiCall::Requests => self.list(call, payload, &Key::ViewRequests).await,
+            ApiCall::Schedules => self.list(call, payload, &Key::ViewSchedules).await,
             ApiCall::Get => match parse_request(call, payload) {
                 Ok(query) => self.mission(&query).await,
                 Err(problem) => Err(error_reply(problem.to_string())),
@@ -46,6 +47,7 @@ impl ViewService {
             | ApiCall::Cancel
             | ApiCall::Resolve
             | ApiCall::Answer
+            | ApiCall::Schedule
             | ApiCall::Backup
             | ApiCall::Upgrade => Err(error_reply(format!("{} is served by the coordinator only", call.as_str()))),
         };

@@ -3,7 +3,7 @@
 use super::Views;
 use super::cluster_status::ClusterStatus;
 use super::health::{Blocking, HealthInputs, health};
-use super::mission::{auctions, ended_mission, mission, missions};
+use super::mission::{auctions, ended_mission, mission, missions, schedules};
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ensemble::{Ensemble, KnowledgeExchange, MemberValues, Membership};
@@ -99,6 +99,9 @@ impl ViewContext<'_> {
             }
             if wanted(&Key::ViewRequests) {
                 views.push((Key::ViewRequests, with(&provenance, self.requests(ledger))));
+            }
+            if wanted(&Key::ViewSchedules) {
+                views.push((Key::ViewSchedules, with(&provenance, schedules(ledger))));
             }
             if wanted(&Key::ViewAuctions) {
                 views.push((Key::ViewAuctions, with(&provenance, auctions(ledger))));

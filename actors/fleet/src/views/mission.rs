@@ -1,5 +1,6 @@
 //! Views of missions and their auctions, from the ledger.
 
+use crate::recurrence::schedule_view;
 use consort_protocol::auction::{AuctionRecord, Explanation, explain};
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use consort_protocol::ledger::{Branch, HeldItem, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, Tombstone};
@@ -7,7 +8,7 @@ use consort_protocol::mission::{Mission, RoleKind, TaskBody, TaskIndex, TaskOutc
 use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
 use consort_protocol::view::{
     AuctionView, AuctionsView, MissionBrief, MissionProgress, MissionStatus, MissionSummary, MissionView, MissionsView,
-    RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
+    RequestTerms, RoleView, SchedulesView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use time::OffsetDateTime;
@@ -116,6 +117,11 @@ fn role_view(entry: &MissionEntry, id: &RoleId, role: &RoleEntry) -> RoleView {
             .map(|holder| holder.epoch.to_string()),
         steps: entry.plan(id).map(|plan| steps(plan, &role.ended)),
     }
+}
+
+/// Returns the schedules.
+pub(super) fn schedules(ledger: &Ledger) -> SchedulesView {
+    SchedulesView { schedules: ledger.schedules().map(schedule_view).collect() }
 }
 
 /// Returns the latest auction of each mission, latest first, with its explanation.

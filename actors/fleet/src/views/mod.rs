@@ -264,6 +264,7 @@ impl ViewService {
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
         let needs_ledger = wanted(&Key::ViewMissions)
             || wanted(&Key::ViewRequests)
+            || wanted(&Key::ViewSchedules)
             || wanted(&Key::ViewAuctions)
             || wanted(&Key::ViewHealth)
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
@@ -280,7 +281,7 @@ impl ViewService {
                 None => {
                     let error = ErrorReply::retry_after("no voter of the ledger replies", RETRY_AFTER_MS);
                     let named = named.map(Key::ViewMission);
-                    for key in [Key::ViewMissions, Key::ViewRequests, Key::ViewAuctions]
+                    for key in [Key::ViewMissions, Key::ViewRequests, Key::ViewSchedules, Key::ViewAuctions]
                         .into_iter()
                         .chain(named)
                         .filter(&wanted)
@@ -450,5 +451,8 @@ impl ViewService {
 
 /// Checks whether a view contains data of the ledger.
 fn is_of_ledger(key: &Key) -> bool {
-    matches!(key, Key::ViewMissions | Key::ViewRequests | Key::ViewMission(_) | Key::ViewAuctions | Key::ViewHealth)
+    match key {
+        Key::ViewMissions | Key::ViewRequests | Key::ViewSchedules | Key::ViewMission(_) => true,
+        key => matches!(key, Key::ViewAuctions | Key::ViewHealth),
+    }
 }

@@ -1,5 +1,6 @@
 //! Values of flags that are more than a number or a text.
 
+use consort_protocol::ledger::{Priority, time_until_deadline};
 use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, Seconds, UnitError};
 use std::fmt::Display;
@@ -23,6 +24,21 @@ pub(super) fn key_value(text: &str) -> Result<(String, String), InvalidValue> {
         Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
         _ => Err(InvalidValue::new("expected NAME=VALUE, as room='IC Room 6'")),
     }
+}
+
+/// Reads a priority.
+pub(super) fn priority(text: &str) -> Result<Priority, InvalidValue> {
+    let number = text
+        .parse()
+        .map_err(|_| InvalidValue::new(format_args!("{text:?} is not a whole number; allowed are -100 to 100")))?;
+    Priority::new(number).map_err(InvalidValue::new)
+}
+
+/// Reads the time until a deadline, in seconds.
+pub(super) fn deadline(text: &str) -> Result<f64, InvalidValue> {
+    let number =
+        text.parse().map_err(|_| InvalidValue::new(format_args!("{text:?} is not a number of seconds from now")))?;
+    time_until_deadline(number).map(|_| number).map_err(InvalidValue::new)
 }
 
 /// Reads a battery share.

@@ -1,6 +1,6 @@
 //! Flags shared by several commands.
 
-use super::flag_values::{seconds, share, timing};
+use super::flag_values::{deadline, key_value, priority, seconds, share, timing};
 use crate::config::{
     BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load_unchecked, to_toml,
 };
@@ -8,9 +8,11 @@ use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
 use crate::exit::Failure;
 use crate::wiring::NodeIncarnation;
-use crate::{node_runtime, output};
+use crate::{inputs, node_runtime, output};
 use consort_fleet::node::NodeSettings;
+use consort_protocol::api::SubmitRequest;
 use consort_protocol::ids::{FleetId, RoleId};
+use consort_protocol::ledger::Priority;
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
 use consort_protocol::units::{BatteryShare, Seconds};
@@ -55,6 +57,42 @@ impl RunFlags {
         set(log_format, self.log_format);
         *metrics = self.metrics.or(*metrics);
         *otlp = self.otlp.clone().or(otlp.take());
+    }
+}
+
+/// Flags of a requested mission.
+#[derive(Debug, clap::Args)]
+pub(super) struct MissionFlags {
+    /// The mission: the name of a bundled mission (lab-samples, …), a mission file, or a file in the flat
+    /// iHTN form (JSON)
+    #[arg(value_name = "FILE|NAME")]
+    mission: String,
+    /// A parameter of the mission; may be repeated
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = key_value)]
+    parameters: Vec<(String, String)>,
+    /// Priority among waiting missions: -100 to 100, higher first
+    #[arg(long, value_name = "NUMBER", default_value = "0", allow_negative_numbers = true, value_parser = priority)]
+    priority: Priority,
+    /// Fail the mission if it is not done after so many seconds, by the coordinators' wall clocks.
+    /// Default: never
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = deadline)]
+    deadline: Option<f64>,
+    #[command(flatten)]
+    people: PeopleFlags,
+}
+
+impl MissionFlags {
+    /// Returns the request for the mission.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] if the mission cannot be read.
+    pub(super) fn request(&self) -> Result<SubmitRequest, Failure> {
+        Ok(SubmitRequest {
+            parameters: self.parameters.iter().cloned().collect(),
+            priority: self.priority.get().into(),
+            deadline_s: self.deadline,
+            ..inputs::mission_request(&self.mission, &self.people.people)?
+        })
     }
 }
 

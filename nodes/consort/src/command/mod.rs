@@ -28,6 +28,7 @@ pub(crate) mod requests;
 pub(crate) mod resolve;
 pub(crate) mod restore;
 pub mod robot;
+pub mod schedule;
 pub mod schema;
 pub(crate) mod station;
 pub(crate) mod submit;

@@ -46,11 +46,8 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let answer =
         client.with_client(async |client| client.api(ApiCall::Requests, &ReadOptions { linearizable }).await)?;
     let mut view: RequestsView = read_answer(&answer)?;
-    let now_ms = consort_bus::clock::Clock::real().wall_ms();
-    view.requests.retain(|request| {
-        let is_open = matches!(request.phase, consort_protocol::ledger::PersonRequestPhase::Open { .. });
-        (all || is_open) && role.as_ref().is_none_or(|role| request.is_for(role, now_ms))
-    });
+    view.requests
+        .retain(|request| (all || request.phase.is_open()) && role.as_ref().is_none_or(|role| request.is_for(role)));
     if json {
         return output::json(&view);
     }
@@ -68,6 +65,7 @@ fn row(request: &PersonRequestView) -> Vec<String> {
         _ => request.task.to_string(),
     };
     let robots: Vec<&str> = request.robots.values().map(|robot| robot.as_str()).collect();
+    let escalated = request.escalated_to().filter(|_| request.phase.is_open());
     let or_dash = |text: String| if text.is_empty() { "-".to_owned() } else { text };
     vec![
         request.request.to_string(),
@@ -76,7 +74,7 @@ fn row(request: &PersonRequestView) -> Vec<String> {
         or_dash(request.place.as_ref().map(ToString::to_string).unwrap_or_default()),
         or_dash(robots.join(", ")),
         or_dash(form_text(&request.form)),
-        request.phase.to_string(),
+        format!("{}{}", request.phase, escalated.map_or_else(String::new, |to| format!(", escalated to {to}"))),
     ]
 }
 

@@ -1,15 +1,15 @@
 //! `consort submit`: submits a mission.
 
-use super::flag_values::{InvalidValue, key_value, parse_duration};
-use super::flags::PeopleFlags;
+use super::flag_values::{InvalidValue, parse_duration};
+use super::flags::MissionFlags;
 use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
-use crate::{inputs, node_runtime, output};
+use crate::{node_runtime, output};
 use consort_bus::clock::Clock;
 use consort_protocol::api::{MissionQuery, StartTime, SubmitReply, SubmitRequest};
 use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{MissionState, Priority, time_until_deadline};
+use consort_protocol::ledger::MissionState;
 use consort_protocol::view::{MissionBrief, MissionView};
 use rand::TryRng;
 use rand::rngs::SysRng;
@@ -38,29 +38,17 @@ Examples:
   consort submit my-mission.yaml --connect tcp/192.0.2.7:7447
   consort submit my-ihtn.json --person nurse")]
 pub(crate) struct Args {
-    /// The mission: the name of a bundled mission (lab-samples, …), a mission file, or a file in the flat
-    /// iHTN form (JSON)
-    #[arg(value_name = "FILE|NAME")]
-    mission: String,
-    /// A parameter of the mission; may be repeated
-    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = key_value)]
-    parameters: Vec<(String, String)>,
+    #[command(flatten)]
+    mission: MissionFlags,
     /// A name for the request, for safe repetition. Default: a UUID of version 7
     #[arg(long, value_name = "ID")]
     request: Option<RequestId>,
-    /// Priority among waiting missions: -100 to 100, higher first
-    #[arg(long, value_name = "NUMBER", default_value = "0", allow_negative_numbers = true, value_parser = priority)]
-    priority: Priority,
     /// Give no robot a role and ask no person before this time: a date and time, or the time from now
     ///
     /// A date and time is written as in RFC 3339 (2026-11-27T08:00:00+01:00, or Z for UTC), a time
     /// from now with s, m, h or d. The clocks of a majority of the voters decide.
     #[arg(long, value_name = "TIME", value_parser = start_time)]
     not_before: Option<StartTime>,
-    /// Fail the mission if it is not done after so many seconds, by the coordinators' wall clocks.
-    /// Default: never
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = deadline)]
-    deadline: Option<f64>,
     /// Wait until the mission has ended, and fail if it does not complete
     #[arg(long)]
     wait: bool,
@@ -71,8 +59,6 @@ pub(crate) struct Args {
     /// recorded, too
     #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
     by: Option<String>,
-    #[command(flatten)]
-    people: PeopleFlags,
     #[command(flatten)]
     client: ClientFlags,
 }
@@ -89,13 +75,10 @@ const LOOK: Duration = Duration::from_millis(500);
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let name = args.request.clone().unwrap_or_else(new_request_id);
     let request = SubmitRequest {
-        parameters: args.parameters.iter().cloned().collect(),
         request: Some(name.clone()),
-        priority: args.priority.get().into(),
         not_before: args.not_before.clone(),
-        deadline_s: args.deadline,
         by: args.by.clone(),
-        ..inputs::mission_request(&args.mission, &args.people.people)?
+        ..args.mission.request()?
     };
     node_runtime::build_runtime()?.block_on(async {
         let mut client = Client::open(&args.client).await?;
@@ -150,13 +133,6 @@ fn repeat_command(words: impl Iterator<Item = String>, add_request: bool, name: 
     shlex::try_join(words.iter().map(String::as_str)).expect("the words of a command line hold no NUL")
 }
 
-fn priority(text: &str) -> Result<Priority, InvalidValue> {
-    let number = text
-        .parse()
-        .map_err(|_| InvalidValue::new(format_args!("{text:?} is not a whole number; allowed are -100 to 100")))?;
-    Priority::new(number).map_err(InvalidValue::new)
-}
-
 fn start_time(text: &str) -> Result<StartTime, InvalidValue> {
     if let Ok(time) = parse_duration(text) {
         return Ok(StartTime::In(time.as_secs_f64()));
@@ -168,12 +144,6 @@ fn start_time(text: &str) -> Result<StartTime, InvalidValue> {
              now, as 15m"
         ))
     })
-}
-
-fn deadline(text: &str) -> Result<f64, InvalidValue> {
-    let number =
-        text.parse().map_err(|_| InvalidValue::new(format_args!("{text:?} is not a number of seconds from now")))?;
-    time_until_deadline(number).map(|_| number).map_err(InvalidValue::new)
 }
 
 /// Creates an id that contains the time: a fleet rejects it once it no longer knows the outcome.

@@ -78,6 +78,7 @@ fn level(event: &Event) -> Level {
         | EventKind::Suspended { .. }
         | EventKind::Resumed { .. }
         | EventKind::Halted { .. }
+        | EventKind::Escalated { .. }
         | EventKind::TaskFailed { .. }
         | EventKind::TaskRetried { .. }
         | EventKind::Alternative { .. }

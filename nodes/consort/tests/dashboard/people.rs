@@ -16,7 +16,7 @@ root:
   method: sequential
   tasks:
     - { task: come, type: navigation, roles: [r1], parameters: { to: Dock } }
-    - { task: measure, type: measure_vital_signs, roles: [nurse] }
+    - { task: measure, type: measure_vital_signs, roles: [nurse], escalate: { to: head_nurse, after_s: 1 } }
     - { task: stay, type: wait, roles: [r1], parameters: { seconds: '1' } }
     - { task: measure_again, type: measure_vital_signs, roles: [nurse] }
 result: { first: measure.pulse_bpm, second: measure_again.pulse_bpm }
@@ -72,6 +72,20 @@ fn people_answer_requests_whichever_node_dies() {
     let small = "[...document.querySelectorAll('main button, main input, main select')].filter((control) => \
                  control.checkVisibility() && control.getBoundingClientRect().height < 44).map((control) => control.id)";
     assert_eq!(browser.value(small), json!([]), "controls that are too small for a thumb");
+    // The request is escalated to people with another role.
+    let choose = |role: &str| {
+        let set = format!(
+            "(document.querySelector('#role').value = '{role}', document.querySelector('#role').oninput(), true)"
+        );
+        browser.value(&set);
+    };
+    choose("head_nurse");
+    browser.wait_until(
+        "the escalation",
+        "/Escalated to head nurse/.test(document.querySelector('#open form')?.innerText)",
+    );
+    assert_eq!(requests(&mut fleet, &["--role", "head_nurse"]).len(), 1, "the command shows it, too");
+    choose("");
     // Without a name nothing is sent.
     browser.value(&fill("document", 60));
     browser.value(&format!("document.{DONE}"));

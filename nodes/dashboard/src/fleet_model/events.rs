@@ -84,6 +84,7 @@ impl FleetModel {
             | EventKind::Voters { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. }
+            | EventKind::Escalated { .. }
             | EventKind::Sent { .. }
             | EventKind::Received { .. }
             | EventKind::TaskRetried { .. }

@@ -6,9 +6,10 @@ use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEnt
 use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::history_limits::HistoryLimits;
 use super::layout::VersionedPart;
+use super::schedule::ScheduleEntry;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
-use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
+use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId};
 use crate::lease::Epoch;
 use crate::mission::{RoleKind, TaskOutcomes};
 use crate::plan::StepIndex;
@@ -61,8 +62,19 @@ impl Ledger {
                 self.set_question(&mission, &role, epoch, question, asked_ms)
             }
             Command::AnswerPerson { request, answer, places } => self.answer_person(&request, answer, &places),
+            Command::EscalatePersonRequest { request, now_ms } => self.escalate_person_request(&request, now_ms),
             Command::ExpirePersonRequest { request, now_ms, places } => {
                 self.expire_person_request(&request, now_ms, &places)
+            }
+            Command::AddSchedule { schedule, from_ms } => self.add_schedule(*schedule, from_ms),
+            Command::RemoveSchedule { schedule } => self.remove_schedule(&schedule),
+            Command::PauseSchedule { schedule, pause } => self.pause_schedule(&schedule, pause),
+            Command::ResumeSchedule { schedule, at_ms } => self.resume_schedule(&schedule, at_ms),
+            Command::SubmitOccurrence { schedule, after_ms, due_ms, at_ms } => {
+                self.submit_occurrence(&schedule, after_ms, due_ms, at_ms)
+            }
+            Command::SkipOccurrences { schedule, after_ms, until_ms } => {
+                self.skip_occurrences(&schedule, after_ms, until_ms)
             }
             Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
@@ -180,7 +192,7 @@ impl Ledger {
     }
 
     fn raise(&mut self, wire: u8) -> CommandOutcome {
-        let VersionedPart { wire: written, history } = &mut self.versioned;
+        let VersionedPart { wire: written, history, .. } = &mut self.versioned;
         *written = (*written).max(Some(wire));
         if *written >= Some(HISTORY_SINCE) {
             history.get_or_insert_with(|| History::of(self.missions.values()));
@@ -204,6 +216,13 @@ impl Ledger {
         }
         if let Some(history) = &mut self.versioned.history {
             history.check_remembered(&submission.request, submission.at_ms)?;
+        }
+        Ok(CommandOutcome::Submitted { mission: self.add_mission(submission), again: false })
+    }
+
+    /// Adds a mission. The request is new.
+    pub(super) fn add_mission(&mut self, submission: Submission) -> MissionId {
+        if let Some(history) = &mut self.versioned.history {
             for request in history.advance(submission.at_ms) {
                 self.requests.remove(&request);
             }
@@ -232,7 +251,15 @@ impl Ledger {
             person_requests: vec![],
         };
         self.missions.insert(id.clone(), entry);
-        Ok(CommandOutcome::Submitted { mission: id, again: false })
+        id
+    }
+
+    pub(super) fn schedule_entries(&self) -> &BTreeMap<ScheduleId, ScheduleEntry> {
+        &self.versioned.schedules
+    }
+
+    pub(super) fn schedule_entries_mut(&mut self) -> &mut BTreeMap<ScheduleId, ScheduleEntry> {
+        &mut self.versioned.schedules
     }
 
     fn award(

@@ -15,8 +15,15 @@ use std::collections::{BTreeMap, BTreeSet};
 struct Seen {
     branch: Branch,
     ended: BTreeMap<RoleId, BTreeSet<StepIndex>>,
-    /// Requests by their numbers; true if closed.
-    requests: BTreeMap<u32, bool>,
+    /// Requests by their numbers.
+    requests: BTreeMap<u32, SeenRequest>,
+}
+
+/// State of a request when it was last compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct SeenRequest {
+    is_escalated: bool,
+    is_closed: bool,
 }
 
 /// Unmanaged roles of all missions when they were last compared.
@@ -65,8 +72,13 @@ fn seen(entry: &MissionEntry) -> Seen {
     Seen {
         branch: entry.branch,
         ended: unmanaged.map(|(id, role)| (id.clone(), role.ended.clone())).collect(),
-        requests: entry.person_requests().map(|(_, request)| (request.number, !request.is_open())).collect(),
+        requests: entry.person_requests().map(|(_, request)| (request.number, seen_request(request))).collect(),
     }
+}
+
+fn seen_request(request: &PersonRequestEntry) -> SeenRequest {
+    let is_escalated = request.escalation.as_ref().is_some_and(|escalation| escalation.escalated_ms.is_some());
+    SeenRequest { is_escalated, is_closed: !request.is_open() }
 }
 
 fn add_step(published: &mut Published, entry: &MissionEntry, role: &RoleId, step: StepIndex) {
@@ -86,9 +98,14 @@ fn add_step(published: &mut Published, entry: &MissionEntry, role: &RoleId, step
     });
 }
 
-/// Adds the beginning and the end of a request. `known` is true if its end is known, false if its
-/// beginning is known.
-fn add_request(published: &mut Published, entry: &MissionEntry, request: &PersonRequestEntry, known: Option<bool>) {
+/// Adds the beginning, the escalation and the end of a request. `known` is its state when it was last
+/// compared.
+fn add_request(
+    published: &mut Published,
+    entry: &MissionEntry,
+    request: &PersonRequestEntry,
+    known: Option<SeenRequest>,
+) {
     // The task of a question is the robot's, which publishes its beginning and its end.
     if let RequestSubject::Question { .. } = request.subject {
         return;
@@ -98,7 +115,13 @@ fn add_request(published: &mut Published, entry: &MissionEntry, request: &Person
         let (mission, role, task) = (mission.clone(), role.clone(), task.clone());
         published.events.push(EventKind::TaskBegan { mission, role, task });
     }
-    if known == Some(true) {
+    if let Some(escalation) = request.escalation.as_ref().filter(|escalation| escalation.escalated_ms.is_some())
+        && known.is_none_or(|known| !known.is_escalated)
+    {
+        let (mission, role, task, to) = (mission.clone(), role.clone(), task.clone(), escalation.to.clone());
+        published.events.push(EventKind::Escalated { mission, role, task, to });
+    }
+    if known.is_some_and(|known| known.is_closed) {
         return;
     }
     let cause = match &request.phase {

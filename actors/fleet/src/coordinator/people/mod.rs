@@ -1,9 +1,9 @@
 //! Unmanaged roles: the coordinator executes the local plans of people.
 //!
 //! ```text
-//!  ledger ─▶ next_command ─▶ ask, progress, expire ─▶ ledger ─▶ view/requests ─▶ people ─▶ api/answer ─▶ ledger
-//!                                                       │
-//!                                                       └─▶ wire/people/ask ─▶ host of simulated people
+//!  ledger ─▶ next_command ─▶ ask, progress, escalate, expire ─▶ ledger ─▶ view/requests ─▶ people ─▶ api/answer
+//!                                                                 │
+//!                                                                 └─▶ wire/people/ask ─▶ host of simulated people
 //! ```
 //!
 //! All state is in the ledger. The next coordinator continues from there, so no node is needed for
@@ -111,11 +111,14 @@ impl People {
             (PersonStep::Ask { branch, step }, Some(asked_ms)) => {
                 context.propose(Command::AskPerson { mission, branch, role, step, asked_ms });
             }
+            (PersonStep::Escalate(request), Some(now_ms)) => {
+                context.propose(Command::EscalatePersonRequest { request, now_ms });
+            }
             (PersonStep::Expire(request), Some(now_ms)) => {
                 let places = context.places_of(&mission);
                 context.propose(Command::ExpirePersonRequest { request, now_ms, places });
             }
-            (PersonStep::Ask { .. } | PersonStep::Expire(_), None) => {}
+            (PersonStep::Ask { .. } | PersonStep::Escalate(_) | PersonStep::Expire(_), None) => {}
         }
     }
 

@@ -14,6 +14,8 @@ pub(super) enum PersonStep {
     Progress(Command),
     /// The task of this step is to be requested.
     Ask { branch: Branch, step: StepIndex },
+    /// People with another role are to be asked, too.
+    Escalate(PersonRequestId),
     /// The request has expired.
     Expire(PersonRequestId),
     /// The mission cannot continue.
@@ -28,7 +30,11 @@ pub(super) fn next_step(entry: &MissionEntry, role: &RoleId, now_ms: Option<u64>
     }
     if let Some(open) = entry.open_request_to(role) {
         let request = PersonRequestId { mission: entry.id.clone(), number: open.number };
-        return open.is_due(now_ms).then_some(PersonStep::Expire(request));
+        return match (open.is_due(now_ms), open.is_escalation_due(now_ms)) {
+            (true, _) => Some(PersonStep::Expire(request)),
+            (false, true) => Some(PersonStep::Escalate(request)),
+            (false, false) => None,
+        };
     }
     let (mission, branch, ended) = (entry.id.clone(), entry.branch, &entry.roles.get(role)?.ended);
     let mut sequencer = match Sequencer::new(entry.plan(role)?.clone(), ended, entry.role_holders()) {
@@ -197,18 +203,20 @@ mod tests {
     }
 
     #[test]
-    fn a_request_expires_unless_it_is_put_off() {
+    fn a_request_is_escalated_once_and_expires_only_with_patience() {
         let (mut ledger, mission) = ledger(false);
         robot_opens(&mut ledger, Branch::Main);
         let Some(PersonStep::Progress(progress)) = next(&ledger) else { panic!("no progress") };
         apply(&mut ledger, progress);
-        let entry = ledger.mission(&mission).unwrap();
-        assert_eq!(next_step(entry, &clerk(), None), None, "without the time nobody is asked");
+        assert_eq!(next_step(ledger.mission(&mission).unwrap(), &clerk(), None), None, "without the time");
         advance(&mut ledger);
-        let entry = ledger.mission(&mission).unwrap();
-        let step = next_step(entry, &clerk(), Some(u64::MAX));
-        assert_eq!(step, None, "a request without patience does not expire");
         let request = PersonRequestId { mission: mission.clone(), number: 1 };
+        let at = |ledger: &Ledger, now_ms| next_step(ledger.mission(&mission).unwrap(), &clerk(), Some(now_ms));
+        assert_eq!(at(&ledger, NOW_MS + 29_999), None);
+        assert_eq!(at(&ledger, NOW_MS + 30_000), Some(PersonStep::Escalate(request.clone())));
+        let escalate = Command::EscalatePersonRequest { request: request.clone(), now_ms: NOW_MS + 30_000 };
+        assert_eq!(apply(&mut ledger, escalate), CommandOutcome::Done);
+        assert_eq!(at(&ledger, u64::MAX), None, "a request without patience does not expire");
         let expire = Command::ExpirePersonRequest { request, now_ms: u64::MAX, places: BTreeMap::new() };
         assert_eq!(apply(&mut ledger, expire), CommandOutcome::Done);
         assert_eq!(ledger.open_person_requests().len(), 1, "the command does not fit");

@@ -10,12 +10,13 @@ use consort_skills::domain::hospital;
 use std::collections::BTreeMap;
 
 /// The clerk has a plan in both branches: she inserts a parcel, and another parcel if the first is
-/// lost.
+/// lost. The first request is escalated to the head after 30 s.
 const MISSION: &str = r#"{"mission": "fetch", "roles": {
     "clerk": {"kind": "unmanaged"}, "r1": {"kind": "managed"}, "r2": {"kind": "managed"}},
   "root": {"task": "fetch", "method": "sequential", "tasks": [
     {"task": "open", "type": "wait", "roles": ["r1"], "parameters": {"seconds": "1"}},
-    {"task": "deposit", "type": "deposit", "roles": ["clerk"], "parameters": {"into_role": "r1"}, "acquires": {"parcel": "r1"}},
+    {"task": "deposit", "type": "deposit", "roles": ["clerk"], "parameters": {"into_role": "r1"}, "acquires": {"parcel": "r1"},
+     "escalate": {"to": "head", "after_s": 30}},
     {"task": "close", "type": "wait", "roles": ["r1"], "parameters": {"seconds": "1"}}]},
   "recovery": {"task": "again", "method": "sequential", "tasks": [
     {"task": "open-2", "type": "wait", "roles": ["r2"], "parameters": {"seconds": "1"}},

@@ -24,8 +24,8 @@ let places = [];
 const name = () => byId('name').value.trim();
 const role = () => byId('role').value;
 const isOpen = (request) => request.phase.open !== undefined;
-const isEscalated = (request) => request.escalates_at_ms && request.escalates_at_ms <= Date.now();
-const isMine = (request) => role() === '' || request.role === role() || (isEscalated(request) && request.escalates_to === role());
+const escalatedTo = (request) => (request.escalated_at_ms ? request.escalates_to : undefined);
+const isMine = (request) => role() === '' || request.role === role() || escalatedTo(request) === role();
 const time = (ms) => new Date(ms).toLocaleTimeString([], { hour: '2-digit', minute: '2-digit' });
 
 /** Sends a request. If the token has expired, the page first asks for another one. */
@@ -105,11 +105,13 @@ function drawOpen(open) {
     cards.delete(request.request);
     const { postponed } = request.phase.open;
     const until = postponed ? `Put off by ${postponed.by} until ${time(postponed.until_ms)}. ` : '';
+    const others = escalatedTo(request);
+    const escalated = others ? `Escalated to ${readable(others)} at ${time(request.escalated_at_ms)}. ` : '';
     const expires = request.expires_at_ms ? `Expires at ${time(request.expires_at_ms)}.` : '';
-    setText(card.querySelector('.when'), `Asked at ${time(request.asked_at_ms)}. ${until}${expires}`);
+    setText(card.querySelector('.when'), `Asked at ${time(request.asked_at_ms)}. ${until}${escalated}${expires}`);
     setText(card.querySelector('.where'), request.place ?? '');
     const { level } = request.parameters;
-    card.firstElementChild.classList.toggle('urgent', level === 'urgent' || Boolean(isEscalated(request)));
+    card.firstElementChild.classList.toggle('urgent', level === 'urgent' || Boolean(others));
     if (!card.isConnected) list.append(card);
   }
   for (const gone of cards.values()) {

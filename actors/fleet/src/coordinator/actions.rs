@@ -1,0 +1,131 @@
+//! Auction rounds and actions of a leader session, as values.
+
+use super::message::{AwardedRole, CollectedBids};
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::lease::{Epoch, LeaseMonitor};
+use consort_protocol::ledger::Branch;
+use consort_protocol::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Auction of a mission's open roles by this coordinator.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct AuctionRound {
+    /// Number of rounds that this coordinator has called for the mission.
+    pub(super) number: u32,
+    /// Branch of the auctioned roles.
+    pub(super) branch: Branch,
+    /// Start of the current round.
+    pub(super) called_at: NodeTime,
+    /// Number of consecutive rounds without any possible robot for some role.
+    pub(super) hopeless_rounds: u32,
+    /// Phase of the current round.
+    pub(super) phase: RoundPhase,
+}
+
+impl AuctionRound {
+    /// Follows the mission's branch. On a change, results for the other branch are void and the
+    /// next round is due: an award of the old roles would be refused, and the count of hopeless
+    /// rounds is meaningless.
+    pub(super) fn follow_branch(&mut self, branch: Branch, now: NodeTime) {
+        if self.branch != branch {
+            let phase = RoundPhase::BackingOff { until: now, since: now };
+            *self = AuctionRound { number: self.number, branch, called_at: self.called_at, hopeless_rounds: 0, phase };
+        }
+    }
+}
+
+/// Phase of an auction round.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum RoundPhase {
+    /// Bids are being collected.
+    Bidding,
+    /// All bids have arrived. Missions with a better rank may still need the same robots.
+    BiddingClosed(Box<ClosedBidding>),
+    /// The award is proposed and not committed yet.
+    Proposing {
+        /// Robot of each role.
+        holders: BTreeMap<RoleId, RobotId>,
+        /// Roles that are promised and not awarded.
+        promised: BTreeSet<RoleId>,
+    },
+    /// The round had no result.
+    BackingOff {
+        /// Time of the next call.
+        until: NodeTime,
+        /// End of the round.
+        since: NodeTime,
+    },
+}
+
+/// Auction with all its bids.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct ClosedBidding {
+    pub(super) bids: CollectedBids,
+    /// Time until which it waits for better-ranked missions.
+    pub(super) deadline: NodeTime,
+}
+
+/// Pending action of the coordinator.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum CoordinatorAction {
+    /// Call for bids for a mission's open roles.
+    CallForBids(MissionId),
+    /// Notify a robot of its award.
+    NotifyAward(AwardedRole),
+    /// Award a promised role to its robot, which is free.
+    AwardPromised(AwardedRole),
+    /// Release a role with the cause: the lease of its robot has certainly expired, or the robot of a
+    /// promise is out of service.
+    ReleaseRole(AwardedRole, String),
+    /// Ask a robot to return a role for another mission.
+    AskToGiveWay {
+        awarded: AwardedRole,
+        to: MissionId,
+        /// The robot gets the role again.
+        for_now: bool,
+    },
+    /// Fail a mission.
+    FailMission { mission: MissionId, cause: String },
+}
+
+/// Session state that the pending actions depend on.
+pub(super) struct SessionState<'a> {
+    pub(super) lease_monitor: &'a LeaseMonitor,
+    pub(super) rounds: &'a BTreeMap<MissionId, AuctionRound>,
+    pub(super) notified: &'a BTreeMap<(Epoch, RoleId), NodeTime>,
+    /// Robots with promises that cannot take a role, with the reasons.
+    pub(super) unfit: &'a BTreeMap<RobotId, String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn a_branch_change_voids_the_round_and_makes_the_next_due() {
+        let now = NodeTime::ZERO + Duration::from_secs(9);
+        let holders = BTreeMap::from([("r1".parse().unwrap(), "amber".parse().unwrap())]);
+        let proposing = RoundPhase::Proposing { holders, promised: BTreeSet::new() };
+        let round = AuctionRound {
+            number: 4,
+            branch: Branch::Main,
+            called_at: NodeTime::ZERO,
+            hopeless_rounds: 2,
+            phase: proposing.clone(),
+        };
+        let mut same = round.clone();
+        same.follow_branch(Branch::Main, now);
+        assert_eq!(same, round);
+        let mut other = round.clone();
+        other.follow_branch(Branch::Recovery, now);
+        let phase = RoundPhase::BackingOff { until: now, since: now };
+        // The number stays, so that a late reply to the void round is not taken for a reply to the
+        // next round.
+        let called = NodeTime::ZERO;
+        assert_eq!(
+            other,
+            AuctionRound { number: 4, branch: Branch::Recovery, called_at: called, hopeless_rounds: 0, phase }
+        );
+    }
+}
