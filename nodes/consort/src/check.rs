@@ -155,9 +155,6 @@ fn check_kind(
             check_simulated_actions(&domain, extensions).map_err(|SetupErrors(errors)| {
                 Diagnostics(errors.iter().map(|error| Diagnostic::for_file(file, error)).collect())
             })?;
-            check_simulated_actions(&domain, extensions).map_err(|errors| {
-                Diagnostics(errors.0.iter().map(|error| Diagnostic::for_file(path.display(), error)).collect())
-            })?;
             let (actions, tasks) = (domain.actions().count(), domain.task_types().count());
             let (actions, tasks) = (count(actions, "action", "actions"), count(tasks, "task type", "task types"));
             let readings = match domain.reading_forms().count() {

@@ -247,6 +247,10 @@ pub struct SimulatedAction {
     /// what they change.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub system: Option<String>,
+    /// Kind of the goals, for a system with several kinds: the name of the standard action that the system
+    /// executes. Default: the name of this action.
+    #[serde(rename = "as", skip_serializing_if = "Option::is_none")]
+    pub goal_kind: Option<ActionName>,
     /// Least and greatest duration in seconds; uniformly distributed. Default 2 to 2 s.
     pub duration_s: (f64, f64),
     /// Share of the goals that fail at their end for no declared reason, from 0 to 1. Default 0.
@@ -296,7 +300,8 @@ pub struct Addition {
 impl Default for SimulatedAction {
     fn default() -> Self {
         let (failures, results, effects) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        SimulatedAction { system: None, duration_s: (2.0, 2.0), failure_rate: 0.0, failures, results, effects }
+        let (system, goal_kind) = (None, None);
+        SimulatedAction { system, goal_kind, duration_s: (2.0, 2.0), failure_rate: 0.0, failures, results, effects }
     }
 }
 

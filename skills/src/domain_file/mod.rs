@@ -287,6 +287,10 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
         let known = AllowedNames::suggest_for(reason, action.failures.keys());
         problems.push(problem(format!("{place}.simulate.failures.{reason}"), format!("no such failure; {known}")));
     }
+    if action.simulate.goal_kind.is_some() && action.simulate.system.is_none() {
+        problems
+            .push(problem(format!("{place}.simulate.as"), "`as` is a kind of goals of a `system`, which is missing"));
+    }
     let SimulatedAction { duration_s: (least, greatest), failure_rate, ref failures, .. } = action.simulate;
     if !(0.0..=greatest).contains(&least) || !greatest.is_finite() {
         let allowed = "allowed are two numbers of seconds, the second not less than the first";

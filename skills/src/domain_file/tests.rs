@@ -224,7 +224,7 @@ fn every_mistake_is_reported_with_its_place() {
 domain: plants
 actions:
   water: { parameters: { 2nd: { type: number }, mode: { type: place, one_of: [a] }, litres: { type: number } } }
-  wait: { simulate: { duration_s: [6, 5], failure_rate: 2 } }
+  wait: { simulate: { as: dock, duration_s: [6, 5], failure_rate: 2 } }
   fill: { failures: { tap closed: {}, leak: {} }, simulate: { failures: { leek: 0.1, leak: 0.9 }, failure_rate: 0.2 } }
 tasks:
   navigation: { action: water }
@@ -236,6 +236,7 @@ tasks:
     for expected in [
         "actions.water.parameters.2nd: allowed is a letter",
         "actions.water.parameters.mode: only texts have `one_of`",
+        "actions.wait.simulate.as: `as` is a kind of goals of a `system`",
         "actions.wait.simulate.duration_s: allowed are two numbers",
         "actions.wait.simulate.failure_rate: allowed is a share",
         "actions.fill.failures.tap closed: allowed is a letter",

@@ -1,5 +1,6 @@
 //! Building a world from a setup.
 
+use super::action_systems::{ActionSystems, action_errors};
 use super::components::SimRobot;
 use super::goal_history::GoalHistory;
 use super::location::{MapPosition, RobotLocation};
@@ -10,14 +11,11 @@ use super::setup::{
 };
 use super::sim_state::SimState;
 use super::simulation::World;
-use super::system::System;
 use super::systems;
 use crate::kinematics::{ChassisSettings, Kinematics, OwnSettings, build_chassis};
 use crate::map::Map;
-use consort_protocol::ids::{ActionName, PlaceId};
+use consort_protocol::ids::PlaceId;
 use consort_skills::domain::standard_domain;
-use consort_skills::domain_file::{ActionForm, DomainFile};
-use consort_skills::extensions::Extensions;
 use nalgebra::Isometry2;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
@@ -66,11 +64,12 @@ impl World {
         if !errors.is_empty() {
             return Err(SetupErrors(errors));
         }
-        let systems = setup.systems.iter().filter_map(|name| system(setup.program, name)).collect();
+        let systems: Vec<_> = setup.systems.iter().filter_map(|name| setup.program.system(name)).collect();
+        let actions = ActionSystems::new(&setup.actions, &systems);
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
         state.own_chassis = setup.program.chassis();
         state.insert_resource(HandoverCount::default());
-        let mut world = World::with(state, systems);
+        let mut world = World::with(state, systems, actions);
         world.for_each_system(|system, state| system.init_world(state, &setup));
         for object in &setup.objects {
             let place = world.state.map.index(&object.place).expect("checked: the place is on the map");
@@ -108,9 +107,9 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
     }
     check_numbers(&setup.durations, &setup.limits, &mut errors);
     check_step(setup, &mut errors);
-    errors.extend(unusable_parts(setup.program));
+    errors.extend(setup.program.unusable_parts());
     check_systems(setup, &mut errors);
-    errors.extend(unknown_action_systems(&setup.actions, setup.program));
+    errors.extend(action_errors(&setup.actions, setup.program));
     environment::check(&setup.map, &setup.doors, &setup.obstacles, &mut errors);
     let mut seen = BTreeSet::new();
     for robot in &setup.robots {
@@ -284,56 +283,12 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, errors: &mut Vec<S
     }
 }
 
-/// Returns the system with this name, of the program itself or shipped.
-fn system(program: ProgramParts, name: &str) -> Option<&'static dyn System> {
-    program.systems().find(|system| system.name() == name).or_else(|| systems::by_name(name))
-}
-
-fn known_systems(program: ProgramParts) -> impl Iterator<Item = &'static str> {
-    systems::system_names().chain(program.systems().map(System::name))
-}
-
-/// Checks that this program simulates the actions of a domain.
-///
-/// # Errors
-/// [`SetupErrors`] with each action that names an unknown system, and with the unusable parts of the
-/// program.
-pub fn check_simulated_actions(domain: &DomainFile, extensions: Extensions) -> Result<(), SetupErrors> {
-    let (actions, program) = (domain.simulated_actions().collect(), ProgramParts(extensions.simulator));
-    let mut errors = unusable_parts(program);
-    errors.extend(unknown_action_systems(&actions, program));
-    if errors.is_empty() { Ok(()) } else { Err(SetupErrors(errors)) }
-}
-
-/// Returns the systems of a program that have the name of another system, and an extension that is none
-/// of the simulator.
-fn unusable_parts(program: ProgramParts) -> Vec<SetupError> {
-    if !program.is_usable() {
-        return vec![SetupError::NoSimulatorExtension];
-    }
-    let mut names: BTreeSet<&str> = systems::system_names().collect();
-    let ambiguous = program.systems().map(System::name).filter(|name| !names.insert(name));
-    ambiguous.map(|name| SetupError::AmbiguousSystem { name: name.to_owned() }).collect()
-}
-
-fn unknown_action_systems(actions: &BTreeMap<ActionName, ActionForm>, program: ProgramParts) -> Vec<SetupError> {
-    let named = actions.iter().filter_map(|(action, form)| Some((action, form.simulate.system.as_deref()?)));
-    let unknown = named.filter(|(_, name)| system(program, name).is_none());
-    let error = |(action, name): (&ActionName, &str)| SetupError::UnknownActionSystem {
-        action: action.clone(),
-        name: name.to_owned(),
-        known: known_systems(program).collect::<Vec<_>>().join(", "),
-        hint: crate::suggest::did_you_mean(name, known_systems(program)),
-    };
-    unknown.map(error).collect()
-}
-
 fn check_systems(setup: &WorldSetup, errors: &mut Vec<SetupError>) {
     let mut seen = BTreeSet::new();
     for name in &setup.systems {
-        if system(setup.program, name).is_none() {
-            let hint = crate::suggest::did_you_mean(name, known_systems(setup.program));
-            let known = known_systems(setup.program).collect::<Vec<_>>().join(", ");
+        if setup.program.system(name).is_none() {
+            let hint = crate::suggest::did_you_mean(name, setup.program.system_names());
+            let known = setup.program.system_names().collect::<Vec<_>>().join(", ");
             errors.push(SetupError::UnknownSystem { name: name.clone(), known, hint });
         }
         check_unique(format!("system {name}"), &mut seen, errors);

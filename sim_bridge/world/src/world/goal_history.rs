@@ -18,6 +18,8 @@ pub(crate) struct GoalHistory {
 pub(super) struct ActiveGoal {
     pub(super) id: GoalId,
     pub(super) goal: Goal,
+    /// The goal with the system's name for its action.
+    pub(super) executed: Goal,
     /// `None` for a goal that its system ends.
     pub(super) ends: Option<TimerId>,
     /// The system that executes the goal.
@@ -35,6 +37,11 @@ impl GoalHistory {
     /// Checks whether a goal is active.
     pub(crate) fn is_busy(&self) -> bool {
         self.active.is_some()
+    }
+
+    /// Checks whether the active goal makes the robot leave its place or turn.
+    pub(crate) fn moves_robot(&self) -> bool {
+        self.active.as_ref().is_some_and(|active| active.executed.moves_robot())
     }
 
     pub(super) fn is_known(&self, id: GoalId) -> bool {

@@ -11,6 +11,13 @@ use consort_protocol::units::{Metres, Seconds};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Feedback, Goal, GoalId, GoalResult, GoalStatus};
 use hecs::Entity;
 
+/// A goal that may start.
+struct Started {
+    system: SystemIndex,
+    executed: Goal,
+    ends: f64,
+}
+
 impl World {
     /// Starts a goal, or rejects it. An id seen before changes nothing.
     pub(super) fn begin_goal(&mut self, robot: Entity, id: GoalId, goal: Goal) {
@@ -18,11 +25,11 @@ impl World {
             return;
         }
         match self.try_begin(robot, &goal) {
-            Ok((system, ends)) => {
+            Ok(Started { system, executed, ends }) => {
                 let state = &mut self.state;
                 state.log_event(WorldEvent::GoalStarted { robot: state.robot_id(robot), id, goal: goal.clone() });
                 let ends = ends.is_finite().then(|| state.queue.schedule(ends, ScheduledEvent::GoalEnds(robot)));
-                state.get_mut::<GoalHistory>(robot).active = Some(ActiveGoal { id, goal, ends, system });
+                state.get_mut::<GoalHistory>(robot).active = Some(ActiveGoal { id, goal, executed, ends, system });
             }
             Err(error) => {
                 let event = self.state.record(robot, id, goal, GoalStatus::Aborted(error));
@@ -31,8 +38,7 @@ impl World {
         }
     }
 
-    /// Returns the system that executes the goal and the end time, if the goal may start.
-    fn try_begin(&mut self, robot: Entity, goal: &Goal) -> Result<(SystemIndex, f64), ActionError> {
+    fn try_begin(&mut self, robot: Entity, goal: &Goal) -> Result<Started, ActionError> {
         if let Some(active) = &self.state.get::<GoalHistory>(robot).active {
             let message =
                 format!("{} is executing {} (goal {})", self.state.robot_id(robot), active.goal.action, active.id.0);
@@ -41,19 +47,19 @@ impl World {
         for index in self.system_indices() {
             self.run_system(index, |system, state| system.check_goal_allowed(state, robot, goal))?;
         }
-        for index in self.system_indices() {
-            if let Some(result) = self.run_system(index, |system, state| system.begin_goal(state, robot, goal)) {
-                return result.map(|ends| (index, ends));
-            }
-        }
-        Err(action_error(ErrorCode::Unknown, format!("no system of this world executes {}", goal.action)))
+        let begun = self.actions.of(goal).and_then(|(system, executed)| {
+            let ends = self.run_system(system, |system, state| system.begin_goal(state, robot, &executed))?;
+            Some(ends.map(|ends| Started { system, executed, ends }))
+        });
+        let unknown = || format!("no system of this world executes {}", goal.action);
+        begun.unwrap_or_else(|| Err(action_error(ErrorCode::Unknown, unknown())))
     }
 
     /// Ends the active goal and applies its effect, if that is still possible.
     pub(super) fn complete_goal(&mut self, robot: Entity) -> Option<BackendEvent> {
-        let ActiveGoal { id, goal, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
+        let ActiveGoal { id, goal, executed, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
         ends.into_iter().for_each(|ends| self.state.queue.cancel(ends));
-        let status = match self.run_system(system, |system, state| system.finish_goal(state, robot, &goal)) {
+        let status = match self.run_system(system, |system, state| system.finish_goal(state, robot, &executed)) {
             Ok(GoalResult(result)) => GoalStatus::with_result(result),
             Err(error) => GoalStatus::Aborted(error),
         };
@@ -70,9 +76,9 @@ impl World {
 
     /// Ends the active goal, if any, and leaves everything as it is now.
     pub(super) fn interrupt_goal(&mut self, robot: Entity, status: GoalStatus) -> Option<BackendEvent> {
-        let ActiveGoal { id, goal, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
+        let ActiveGoal { id, goal, executed, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
         ends.into_iter().for_each(|ends| self.state.queue.cancel(ends));
-        self.run_system(system, |system, state| system.halt_goal(state, robot, &goal));
+        self.run_system(system, |system, state| system.halt_goal(state, robot, &executed));
         Some(self.state.record(robot, id, goal, status))
     }
 
@@ -105,7 +111,7 @@ impl World {
                 let time_remaining = Seconds::new(left.max(0.0)).unwrap_or(Seconds::ZERO);
                 let usual = Feedback::remaining(Metres::ZERO, time_remaining);
                 let system = self.system(active.system);
-                Some(GoalStatus::Executing(system.feedback(&self.state, robot, &active.goal, usual)))
+                Some(GoalStatus::Executing(system.feedback(&self.state, robot, &active.executed, usual)))
             }
             _ => history.ended.iter().find(|ended| ended.id == id).map(|ended| ended.status.clone()),
         }

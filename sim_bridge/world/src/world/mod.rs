@@ -52,6 +52,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod action_systems;
 pub mod actions;
 mod backend;
 mod build;
@@ -81,7 +82,7 @@ mod systems;
 #[cfg(test)]
 mod tests;
 
-pub use build::check_simulated_actions;
+pub use action_systems::check_simulated_actions;
 pub use event::{LoggedEvent, SampleHolder, WorldEvent};
 pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};

@@ -1,9 +1,11 @@
 //! Parts of the simulator that the program itself adds.
 
-use super::setup::{ProgramParts, WorldSetup};
+use super::setup::{ProgramParts, SetupError, WorldSetup};
 use super::system::System;
+use super::systems;
 use crate::kinematics::NamedChassis;
 use consort_skills::extensions::Extensions;
+use std::collections::BTreeSet;
 
 /// Parts of the simulator that a program adds; see [`extend`](crate::extend).
 pub struct SimulatorExtension {
@@ -25,13 +27,29 @@ impl ProgramParts {
         self.0?.downcast_ref()
     }
 
-    /// Checks that the parts, if there are any, are a [`SimulatorExtension`].
-    pub(super) fn is_usable(self) -> bool {
-        self.0.is_none() || self.extension().is_some()
+    fn systems(self) -> impl Iterator<Item = &'static dyn System> {
+        self.extension().into_iter().flat_map(|own| own.systems).copied()
     }
 
-    pub(super) fn systems(self) -> impl Iterator<Item = &'static dyn System> {
-        self.extension().into_iter().flat_map(|own| own.systems).copied()
+    /// Returns the system with this name, of the program itself or shipped.
+    pub(super) fn system(self, name: &str) -> Option<&'static dyn System> {
+        self.systems().find(|system| system.name() == name).or_else(|| systems::by_name(name))
+    }
+
+    /// Names of the shipped systems and of those of the program.
+    pub(super) fn system_names(self) -> impl Iterator<Item = &'static str> {
+        systems::system_names().chain(self.systems().map(System::name))
+    }
+
+    /// Returns the systems of the program that have the name of another system, and an extension that is
+    /// none of the simulator.
+    pub(super) fn unusable_parts(self) -> Vec<SetupError> {
+        if self.0.is_some() && self.extension().is_none() {
+            return vec![SetupError::NoSimulatorExtension];
+        }
+        let mut names: BTreeSet<&str> = systems::system_names().collect();
+        let ambiguous = self.systems().map(System::name).filter(|name| !names.insert(name));
+        ambiguous.map(|name| SetupError::AmbiguousSystem { name: name.to_owned() }).collect()
     }
 
     pub(super) fn chassis(self) -> &'static [NamedChassis] {

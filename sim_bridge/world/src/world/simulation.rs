@@ -1,5 +1,6 @@
 //! The simulated world: its state and its systems.
 
+use super::action_systems::ActionSystems;
 use super::sim_state::SimState;
 use super::system::System;
 use super::system_access::{RunningSystem, SystemIndex};
@@ -10,11 +11,12 @@ use crate::map::Map;
 pub struct World {
     pub(super) state: SimState,
     pub(super) systems: Vec<&'static dyn System>,
+    pub(super) actions: ActionSystems,
 }
 
 impl World {
-    pub(super) fn with(state: SimState, systems: Vec<&'static dyn System>) -> World {
-        World { state, systems }
+    pub(super) fn with(state: SimState, systems: Vec<&'static dyn System>, actions: ActionSystems) -> World {
+        World { state, systems, actions }
     }
 
     /// The map.

@@ -53,9 +53,16 @@ pub trait System: Send + Sync {
         Ok(())
     }
 
-    /// Starts a goal. Returns its end time, or the reason why it cannot start; `None` if this
-    /// system does not execute such goals. A goal with an unknown end returns [`END_UNKNOWN`]. It
-    /// ends when the system calls [`SimState::complete_goal`].
+    /// Kinds of goals of this system, by the names of their standard actions; empty for a system of a program
+    /// that does not distinguish kinds. The goals that it gets have these names as their actions, whatever
+    /// the actions are called in domain files.
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Starts a goal of an action whose declaration names this system. Returns its end time, or the reason why
+    /// it cannot start; `None` if this system does not execute such goals. A goal with an unknown end returns
+    /// [`END_UNKNOWN`]. It ends when the system calls [`SimState::complete_goal`].
     fn begin_goal(&self, _state: &mut SimState, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
         None
     }

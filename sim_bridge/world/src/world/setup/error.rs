@@ -82,6 +82,16 @@ pub enum SetupError {
         /// Suggestion, as text; may be empty.
         hint: String,
     },
+    /// The system that a domain names for an action cannot execute its goals.
+    #[error("actions.{action}.{key}: {problem}")]
+    ActionOfSystem {
+        /// The action.
+        action: ActionName,
+        /// Key in the declaration of the action.
+        key: String,
+        /// The problem, and what is allowed.
+        problem: String,
+    },
     /// A system of the program has the name of another system.
     #[error("this program has a second system {name:?}; a system of its own needs a name of its own")]
     AmbiguousSystem {

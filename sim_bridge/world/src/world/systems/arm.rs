@@ -11,7 +11,7 @@ use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::ComponentType;
 use consort_protocol::ids::RobotId;
-use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
+use consort_skills::actions::{ActionError, ActionParameters as _, ErrorCode, Goal, GoalResult};
 use hecs::Entity;
 
 /// Transfers of objects to new holders, in order.
@@ -31,6 +31,10 @@ impl System for Arm {
 
     fn writes(&self) -> Vec<ComponentType> {
         component_types![Custody, HandoverCount, PayloadData]
+    }
+
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[PickUp::ACTION, Grasp::ACTION, Deposit::ACTION]
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {

@@ -12,7 +12,7 @@ use crate::world::system::System;
 use crate::world::system_access::ComponentType;
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
+use consort_skills::actions::{ActionError, ActionParameters as _, ErrorCode, Goal, GoalResult};
 use hecs::Entity;
 
 /// See the [module](self).
@@ -33,6 +33,10 @@ impl System for CoPresenceSystem {
 
     fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
         state.insert(robot, CoPresence::None);
+    }
+
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[ApproachPerson::ACTION, AuthenticatePerson::ACTION, ApproachRobot::ACTION]
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {

@@ -72,11 +72,7 @@ impl System for DeclaredActions {
     fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let now = state.now;
         let mut models = state.resource_mut::<ActionModels>();
-        let simulated = &models.actions.get(&goal.action)?.simulate;
-        if simulated.system.is_some() {
-            return None;
-        }
-        let (least, greatest) = simulated.duration_s;
+        let (least, greatest) = models.actions.get(&goal.action)?.simulate.duration_s;
         Some(Ok(now + models.chance.random_range(least..=greatest)))
     }
 

@@ -13,7 +13,9 @@ use crate::world::system::System;
 use crate::world::system_access::ComponentType;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::Seconds;
-use consort_skills::actions::{ActionError, Dock, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Undock};
+use consort_skills::actions::{
+    ActionError, ActionParameters as _, Dock, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Undock,
+};
 use hecs::Entity;
 
 /// True if a robot is connected to the charger at its place.
@@ -37,6 +39,10 @@ impl System for Docking {
 
     fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
         state.insert(robot, Docked(false));
+    }
+
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[Dock::ACTION, Undock::ACTION]
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
@@ -66,9 +72,9 @@ impl System for Docking {
     }
 
     fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
-        if let WorldEvent::GoalStarted { robot, goal, .. } = event
-            && goal.moves_robot()
+        if let WorldEvent::GoalStarted { robot, .. } = event
             && let Some(robot) = state.robots.get(robot).copied()
+            && state.get::<GoalHistory>(robot).moves_robot()
         {
             state.connect(robot, false);
         }

@@ -9,7 +9,7 @@ use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::ComponentType;
-use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
+use consort_skills::actions::{ActionError, ActionParameters as _, ErrorCode, Goal, GoalResult};
 use hecs::Entity;
 
 /// See the [module](self).
@@ -30,6 +30,10 @@ impl System for Drawer {
 
     fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
         state.insert(robot, DrawerOpen(false));
+    }
+
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[OperateDrawer::ACTION]
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {

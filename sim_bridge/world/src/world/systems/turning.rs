@@ -9,7 +9,9 @@ use crate::world::steered::Steered;
 use crate::world::system::System;
 use crate::world::system_access::ComponentType;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Spin};
+use consort_skills::actions::{
+    ActionError, ActionParameters as _, ErrorCode, Feedback, Goal, GoalProgress, GoalResult, Spin,
+};
 use hecs::Entity;
 
 /// Turn rate in radians per second: Nav2's maximum for its spin behavior.
@@ -32,6 +34,10 @@ impl System for Turning {
 
     fn writes(&self) -> Vec<ComponentType> {
         component_types![RobotLocation, Steered]
+    }
+
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[Spin::ACTION]
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {

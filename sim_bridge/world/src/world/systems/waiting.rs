@@ -4,7 +4,7 @@ use crate::component_types;
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::ComponentType;
-use consort_skills::actions::{ActionError, Goal, Wait};
+use consort_skills::actions::{ActionError, ActionParameters as _, Goal, Wait};
 use hecs::Entity;
 
 /// See the [module](self).
@@ -21,6 +21,10 @@ impl System for Waiting {
 
     fn writes(&self) -> Vec<ComponentType> {
         component_types![]
+    }
+
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[Wait::ACTION]
     }
 
     fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {

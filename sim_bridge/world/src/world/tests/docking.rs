@@ -4,7 +4,7 @@ use super::*;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{Dock, FollowWaypoints, GoalProgress, NavigateToPose, Spin, Undock, Waypoint};
 
-fn yard() -> WorldSetup {
+pub(super) fn yard() -> WorldSetup {
     let text = "{name: yard, places: [{name: Charger, kind: charger, x_m: 0, y_m: 0}, {name: Gate, kind: other, x_m: 10, y_m: 0}, \
         {name: Far, kind: other, x_m: 10, y_m: 5}], lanes: [{between: [Charger, Gate]}, {between: [Gate, Far]}], \
         doors: [{name: Door, on: [[Charger, Gate]], opening_s: 3}]}";

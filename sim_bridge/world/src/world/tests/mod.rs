@@ -1,5 +1,6 @@
 //! Tests of the world, a subject per file.
 
+mod action_systems;
 mod docking;
 mod doors;
 mod driving;

@@ -33,7 +33,8 @@ use crate::world::systems::lifts::LiftsByName;
 use crate::world::systems::obstacles::{ActiveObstacles, KnownClosures};
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::{
-    ActionError, ErrorCode, Feedback, FollowWaypoints, Goal, GoalProgress, GoalResult, NavigateToPose,
+    ActionError, ActionParameters as _, ErrorCode, Feedback, FollowWaypoints, Goal, GoalProgress, GoalResult,
+    NavigateToPose,
 };
 use hecs::Entity;
 use std::collections::VecDeque;
@@ -68,6 +69,10 @@ impl System for Driving {
                 doorway: None,
             },
         );
+    }
+
+    fn goal_kinds(&self) -> &'static [&'static str] {
+        &[NavigateToPose::ACTION, FollowWaypoints::ACTION]
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
