@@ -6,7 +6,9 @@ Feature: Readings of simulated robots
 
   Scenario: Goals change the readings of their robot
     Then the reading "bag_g" of amber is 0
-    When amber is told to perform the action vacuum
+    When amber is told to perform the action vacuum with:
+      | passes |
+      | 1      |
     Then for 1.9 s the reading "bag_g" of amber is 0
     And within 3 s the reading "bag_g" of amber is 2.5
     And the reading "bag_g" of amber is at least 2.5

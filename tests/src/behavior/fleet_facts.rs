@@ -1,6 +1,7 @@
 //! Facts about missions and the fleet.
 
 use super::fixture::Fixture;
+use super::robot_facts::expect_value;
 use super::step_arguments::{StepArguments, name};
 use super::step_pattern::{FactStep, fact};
 use super::step_result::{StepFailure, expect_that};
@@ -8,7 +9,7 @@ use crate::RoleInterval;
 use consort_protocol::auction::BidVerdict;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
-use consort_protocol::ledger::MissionState;
+use consort_protocol::ledger::{MissionEntry, MissionState};
 
 /// Returns the steps of this file, in the order of their documentation.
 pub(super) fn steps() -> Vec<FactStep> {
@@ -18,6 +19,7 @@ pub(super) fn steps() -> Vec<FactStep> {
         mission_needs_intervention(),
         mission_was_canceled(),
         mission_has_ended(),
+        mission_result_is(),
         request_was_refused(),
         all_missions_are_completed(),
         robot_holds_role(),
@@ -89,6 +91,19 @@ fn mission_has_ended() -> FactStep {
     fact("{mission} has ended", "the mission has ended", |fixture, arguments| {
         let state = state_of(fixture, &fixture.mission(arguments.value(0))?)?;
         expect_that(state.is_final(), || state_text(&state))
+    })
+}
+
+fn mission_result_is() -> FactStep {
+    let (pattern, example) =
+        ("the result {text} of {mission} is {value}", r#"the result "dust_g" of the mission is 2.5"#);
+    fact(pattern, example, |fixture, arguments| {
+        let mission = fixture.mission(arguments.value(1))?;
+        let results = fixture.fleet()?.ledger(|ledger| ledger.mission(&mission).map(MissionEntry::results)).flatten();
+        match results.unwrap_or_default().get(arguments.value(0)) {
+            Some(result) => expect_value(result, arguments.value(2)),
+            None => Err(StepFailure::NotMet("it is not known".to_owned())),
+        }
     })
 }
 

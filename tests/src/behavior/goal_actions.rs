@@ -1,6 +1,7 @@
 //! Goals that a scenario sends to robots without nodes: the goals of Nav2 and the other goals of
 //! the simulator.
 
+use super::declared_goal::declared_goal;
 use super::fixture::Fixture;
 use super::scenario_setup::coordinates;
 use super::step_arguments::{StepArguments, name, split_list};
@@ -10,8 +11,10 @@ use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Seconds;
 use consort_skills::actions::{
-    Dock, FollowWaypoints, Goal, GoalId, JsonObject, NavigateToPose, RobotBackend, Spin, Undock, Wait, Waypoint,
+    Dock, FollowWaypoints, Goal, GoalId, NavigateToPose, RobotBackend, Spin, Undock, Wait, Waypoint,
 };
+use consort_skills::domain::standard_domain;
+use consort_skills::domain_file::DomainFile;
 use consort_skills::environment::Routes;
 use consort_world::world::actions::{ApproachPerson, ApproachRobot, Deposit, Grasp, OperateDrawer, PickUp};
 
@@ -33,6 +36,7 @@ pub(super) fn steps() -> Vec<ActionStep> {
         approach_robot(),
         take_from(),
         perform(),
+        perform_with(),
         stop_goal(),
     ]
 }
@@ -125,10 +129,22 @@ fn take_from() -> ActionStep {
 }
 
 fn perform() -> ActionStep {
-    goal("{name} is told to perform the action {name}", "amber is told to perform the action vacuum", |_, arguments| {
-        let (action, parameters) = (arguments.parse_name(1)?, JsonObject::new());
-        Ok(Goal { action, parameters, repeatable: false })
-    })
+    let (pattern, example) =
+        ("{name} is told to perform the action {name}", "amber is told to perform the action empty_bag");
+    goal(pattern, example, declared)
+}
+
+fn perform_with() -> ActionStep {
+    let (pattern, example) =
+        ("{name} is told to perform the action {name} with:", "amber is told to perform the action vacuum with:");
+    goal(pattern, example, declared)
+}
+
+/// Returns the goal of an action that a domain declares. The table has a column per parameter.
+fn declared(fixture: &Fixture, arguments: &StepArguments) -> Result<Goal, StepFailure> {
+    let domains = fixture.setup.extensions.files().chain([standard_domain()]);
+    let actions = domains.flat_map(DomainFile::action_forms).collect();
+    declared_goal(&actions, &arguments.parse_name(1)?, &arguments.named_values()?)
 }
 
 fn stop_goal() -> ActionStep {

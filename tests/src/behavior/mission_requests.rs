@@ -129,16 +129,12 @@ async fn submit_mission(fixture: &mut Fixture, arguments: &StepArguments, name: 
     };
     let mut request = json!({ "mission": mission, "request": name });
     let mut parameters = Map::new();
-    if let Some([heads, row]) = arguments.table.as_deref() {
-        for (head, cell) in heads.iter().zip(row) {
-            match head.as_str() {
-                "priority" => request["priority"] = number(cell)?,
-                "deadline" => request["deadline_s"] = number(cell)?,
-                _ => drop(parameters.insert(head.clone(), json!(cell))),
-            }
+    for (name, value) in arguments.named_values()? {
+        match name {
+            "priority" => request["priority"] = number(value)?,
+            "deadline" => request["deadline_s"] = number(value)?,
+            _ => drop(parameters.insert(name.to_owned(), json!(value))),
         }
-    } else if arguments.table.is_some() {
-        return Err(StepFailure::invalid("its parameters are a table of two lines: names, and values"));
     }
     request["parameters"] = Value::Object(parameters);
     submit(fixture, request, name).await

@@ -22,6 +22,7 @@
 //! scenario to the next, and a seed determines a run regardless of other runs. All times are world
 //! times, in which robots and people live.
 
+mod declared_goal;
 mod event_text;
 mod features;
 mod fixture;

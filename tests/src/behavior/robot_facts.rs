@@ -5,9 +5,9 @@ use super::scenario_setup::coordinates;
 use super::step_arguments::{StepArguments, name};
 use super::step_pattern::{FactStep, fact};
 use super::step_result::{StepFailure, StepResult, expect_that};
-use consort_protocol::ids::PlaceId;
+use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::scalar::Scalar;
-use consort_skills::actions::{GoalStatus, RobotBackend, Telemetry};
+use consort_skills::actions::{GoalResult, GoalStatus, RobotBackend, Telemetry};
 use consort_world::world::{DetectedObject, RobotReport, SensorReading, WorldEvent};
 
 /// Returns the steps of this file, in the order of their documentation.
@@ -19,6 +19,7 @@ pub(super) fn steps() -> Vec<FactStep> {
         has_more_charge(),
         cannot_move(),
         goal_has_succeeded(),
+        goal_result_is(),
         goal_took(),
         goal_was_aborted(),
         any_goal_was_aborted(),
@@ -96,15 +97,35 @@ fn cannot_move() -> FactStep {
 
 fn goal_has_succeeded() -> FactStep {
     fact("the goal of {name} has succeeded", "the goal of amber has succeeded", |fixture, arguments| {
-        let status = status(fixture, arguments)?;
-        expect_that(status == GoalStatus::succeeded(), || status_text(&status))
+        let status = status(fixture, &fixture.robot(arguments.value(0))?)?;
+        expect_that(matches!(status, GoalStatus::Succeeded(_)), || status_text(&status))
+    })
+}
+
+fn goal_result_is() -> FactStep {
+    let (pattern, example) =
+        ("the result {text} of the goal of {name} is {value}", r#"the result "dust_g" of the goal of amber is 2.5"#);
+    fact(pattern, example, |fixture, arguments| {
+        let status = status(fixture, &fixture.robot(arguments.value(1))?)?;
+        let GoalStatus::Succeeded(GoalResult(results)) = &status else {
+            return Err(StepFailure::NotMet(status_text(&status)));
+        };
+        let (name, expected) = (arguments.value(0), arguments.value(2));
+        match results.get(name).and_then(Scalar::from_json) {
+            Some(result) => expect_value(&result, expected),
+            None => {
+                let known: Vec<&str> = results.keys().map(String::as_str).collect();
+                Err(StepFailure::Invalid(format!("the goal has no result {name:?}; it has: {}", known.join(", "))))
+            }
+        }
     })
 }
 
 fn goal_took() -> FactStep {
     fact("the goal of {name} took {time} to {time}", "the goal of amber took 20 s to 25 s", |fixture, arguments| {
-        let (status, robot) = (status(fixture, arguments)?, fixture.robot(arguments.value(0))?);
-        expect_that(status == GoalStatus::succeeded(), || status_text(&status))?;
+        let robot = fixture.robot(arguments.value(0))?;
+        let status = status(fixture, &robot)?;
+        expect_that(matches!(status, GoalStatus::Succeeded(_)), || status_text(&status))?;
         let (id, since) = fixture.goals[&robot];
         let ended = fixture.journal().find_map(|entry| match &entry.event {
             WorldEvent::GoalEnded { robot: whose, id: which, .. } if *whose == robot && *which == id => {
@@ -126,7 +147,7 @@ fn goal_was_aborted() -> FactStep {
         "the goal of {name} was aborted because {text}",
         r#"the goal of amber was aborted because "no lane""#,
         |fixture, arguments| {
-            let status = status(fixture, arguments)?;
+            let status = status(fixture, &fixture.robot(arguments.value(0))?)?;
             let because = matches!(&status, GoalStatus::Aborted(why) if why.message.contains(arguments.value(1)));
             expect_that(because, || status_text(&status))
         },
@@ -159,7 +180,7 @@ fn any_goal_was_aborted() -> FactStep {
 
 fn goal_was_canceled() -> FactStep {
     fact("the goal of {name} was canceled", "the goal of amber was canceled", |fixture, arguments| {
-        let status = status(fixture, arguments)?;
+        let status = status(fixture, &fixture.robot(arguments.value(0))?)?;
         expect_that(status == GoalStatus::Canceled, || status_text(&status))
     })
 }
@@ -263,12 +284,7 @@ fn measures_ahead() -> FactStep {
 
 fn reading_is() -> FactStep {
     fact("the reading {text} of {name} is {value}", r#"the reading "bag_g" of amber is 0"#, |fixture, arguments| {
-        let (reading, expected) = (reading(fixture, arguments)?, arguments.value(2));
-        let is_same = match &reading {
-            Scalar::Number(number) => expected.parse() == Ok(*number),
-            Scalar::Bool(_) | Scalar::Integer(_) | Scalar::Text(_) => reading.to_string() == expected,
-        };
-        expect_that(is_same, || format!("it is {reading}"))
+        expect_value(&reading(fixture, arguments)?, arguments.value(2))
     })
 }
 
@@ -282,6 +298,15 @@ fn reading_is_at_most() -> FactStep {
     let (pattern, example) =
         ("the reading {text} of {name} is at most {number}", r#"the reading "bag_g" of amber is at most 5"#);
     fact(pattern, example, |fixture, arguments| compare_reading(fixture, arguments, f64::le))
+}
+
+/// Checks that a reading or a result is the value of a step.
+pub(super) fn expect_value(value: &Scalar, expected: &str) -> StepResult {
+    let is_same = match value {
+        Scalar::Number(number) => expected.parse() == Ok(*number),
+        Scalar::Bool(_) | Scalar::Integer(_) | Scalar::Text(_) => value.to_string() == expected,
+    };
+    expect_that(is_same, || format!("it is {value}"))
 }
 
 /// Compares the number of a reading with the third argument.
@@ -324,12 +349,11 @@ fn position(here: &Telemetry) -> String {
 }
 
 /// Returns the status of the latest goal that the scenario sent to a robot.
-fn status(fixture: &Fixture, arguments: &StepArguments) -> Result<GoalStatus, StepFailure> {
-    let robot = fixture.robot(arguments.value(0))?;
-    let Some((goal, _)) = fixture.goals.get(&robot) else {
+fn status(fixture: &Fixture, robot: &RobotId) -> Result<GoalStatus, StepFailure> {
+    let Some((goal, _)) = fixture.goals.get(robot) else {
         return Err(StepFailure::Invalid(format!("this scenario sent no goal to {robot}")));
     };
-    Ok(fixture.running().world.status(&robot, *goal).expect("a goal that was given"))
+    Ok(fixture.running().world.status(robot, *goal).expect("a goal that was given"))
 }
 
 fn status_text(status: &GoalStatus) -> String {

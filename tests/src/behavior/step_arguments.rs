@@ -54,6 +54,17 @@ impl StepArguments {
         split_list(self.value(index))
     }
 
+    /// Returns the values of a table of two lines by their names; none without a table.
+    pub(super) fn named_values(&self) -> Result<Vec<(&str, &str)>, StepFailure> {
+        match self.table.as_deref() {
+            None => Ok(vec![]),
+            Some([names, values]) => {
+                Ok(names.iter().map(String::as_str).zip(values.iter().map(String::as_str)).collect())
+            }
+            Some(_) => Err(StepFailure::invalid("its parameters are a table of two lines: names, and values")),
+        }
+    }
+
     /// Returns the rows of the table, keyed by column name.
     pub(super) fn rows(&self, columns: &[&str]) -> Result<Vec<TableRow>, StepFailure> {
         let Some((heads, rows)) = self.table.as_ref().and_then(|table| table.split_first()) else {
