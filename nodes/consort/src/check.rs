@@ -12,6 +12,8 @@ use consort_protocol::plan::divide_and_check;
 use consort_skills::bt::xml::read_xml;
 use consort_skills::bt::{NodeOrigin, TreeError, report_nodes};
 use consort_skills::descriptor::Calibration;
+use consort_skills::domain::standard_domain;
+use consort_skills::domain_file::{DomainFile, action_of_people};
 use consort_skills::environment::Environment;
 use consort_skills::extensions::Extensions;
 use consort_text::count;
@@ -206,6 +208,10 @@ fn tree(text: &str, file: &str, extensions: Extensions) -> Result<String, Diagno
     });
     Diagnostics::into_result(unknown.collect())?;
     library.registry().check(&spec).map_err(|problem| in_file(&problem))?;
+    let actions = extensions.files().chain([standard_domain()]).flat_map(DomainFile::action_forms);
+    if let Some(problem) = action_of_people(&spec, actions) {
+        return Err(in_file(&problem));
+    }
     Ok(format!("{}, {}", spec.main, count(nodes.len(), "node", "nodes")))
 }
 

@@ -62,6 +62,12 @@ pub enum TreeErrorKind {
         /// The known kinds, as text.
         known: String,
     },
+    /// The node is an action that people perform.
+    #[error("people perform `{id}`, and no robot; the node that asks a person is `AskPerson`")]
+    ActionOfPeople {
+        /// The action.
+        id: String,
+    },
     /// The explicit form names another kind than the node's.
     #[error("`{id}` is written as <{written}>, but is of kind <{is}>")]
     WrongKind {

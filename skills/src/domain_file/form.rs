@@ -70,6 +70,10 @@ pub struct ActionForm {
     /// True if a repetition of a completed goal has no further effect. Default false: a completed goal is
     /// never sent again.
     pub repeatable: bool,
+    /// True if people perform the action: trees of robots do not contain it. A robot asks a person with the node
+    /// `AskPerson`. Default false.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub by_people: bool,
     /// Reasons for which a goal fails, by name: the `code` of a driver. A failure for any other reason is of
     /// class `robot`.
     pub failures: BTreeMap<String, FailureForm>,

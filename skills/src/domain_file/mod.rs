@@ -42,7 +42,7 @@ pub use form::{
 pub use scaffold::{scaffold, scaffold_yaml};
 
 use crate::bt::xml::read_xml;
-use crate::bt::{NodeSpec, TreeSpec};
+use crate::bt::{NodeKind, NodeSpec, TreeError, TreeErrorKind, TreeSpec};
 use crate::descriptor::DescriptorRegistry;
 use crate::library::{DeclaredBy, SkillLibrary};
 use consort_protocol::ids::{ActionName, DomainId, TaskType};
@@ -137,8 +137,12 @@ impl DomainFile {
                     format!("the domain {} has a task type of this name", domain.name()),
                 ));
             }
+            let domains = standard.into_iter().chain(known.iter().copied()).map(|domain| &domain.form).chain([&form]);
             match tree_of(&form, name, task, trees) {
                 Ok(Some(tree)) => {
+                    let actions = domains.flat_map(|form| &form.actions);
+                    let of_people = task.tree.as_ref().and_then(|_| action_of_people(&tree, actions));
+                    problems.extend(of_people.map(|error| problem("", error.to_string())));
                     match library.register_declared(name.clone(), &tree, declared_by(&form, task, None)) {
                         Ok(()) => {
                             checked.insert(name.clone(), tree);
@@ -238,6 +242,23 @@ impl DomainFile {
             }
         })
     }
+}
+
+/// Returns the error of a tree file that contains an action that people perform.
+pub fn action_of_people<'a>(
+    tree: &TreeSpec,
+    actions: impl IntoIterator<Item = (&'a ActionName, &'a ActionForm)>,
+) -> Option<TreeError> {
+    let by_people = actions.into_iter().filter(|(_, form)| form.by_people).map(|(name, _)| name.as_str()).collect();
+    let node = tree.trees.values().find_map(|root| node_of(root, &by_people))?;
+    let kind = Box::new(TreeErrorKind::ActionOfPeople { id: node.id.clone() });
+    Some(TreeError { source: tree.source.clone(), line: node.line, node: None, kind })
+}
+
+/// Returns the first node with one of these ids.
+fn node_of<'a>(node: &'a NodeSpec, ids: &BTreeSet<&str>) -> Option<&'a NodeSpec> {
+    let is_action = node.kind != Some(NodeKind::SubTree) && ids.contains(node.id.as_str());
+    if is_action { Some(node) } else { node.children.iter().find_map(|child| node_of(child, ids)) }
 }
 
 fn ihtn_problems(form: &DomainForm, standard: Option<&DomainFile>, known: &[&DomainFile]) -> Vec<DomainProblem> {

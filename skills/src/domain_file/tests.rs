@@ -298,6 +298,23 @@ tasks:
   clean: { tree: clean.xml, estimate: { time_s: "1.0" } }
 "#;
 
+#[test]
+fn a_tree_of_a_robot_contains_no_action_of_people() {
+    let domain = "domain: d\nactions:\n  sign: { by_people: true }\ntasks:\n  sign: { action: sign }\n  \
+        round: { tree: round.xml, estimate: { time_s: \"1.0\" } }";
+    for (action, node) in [("ask_person", "<ask_person message=\"why?\"/>"), ("sign", "<Action ID=\"sign\"/>")] {
+        let text = format!(
+            "<root BTCPP_format=\"4\"><BehaviorTree ID=\"round\"><Sequence>\n{node}</Sequence></BehaviorTree></root>"
+        );
+        let trees = BTreeMap::from([("round.xml".to_owned(), text)]);
+        let problems = DomainFile::check(yaml::parse(domain).unwrap(), &trees, &[]).unwrap_err();
+        let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
+        let expected =
+            format!("round.xml:2: people perform `{action}`, and no robot; the node that asks a person is `AskPerson`");
+        assert_eq!(problems, [expected]);
+    }
+}
+
 /// Runs a tree of the domain `BAG` with these readings of the robot. Returns the actions of its goals, and
 /// the cause of a failure.
 fn run_tree(tree: &str, readings: serde_json::Value) -> (Vec<String>, Option<String>) {

@@ -66,6 +66,17 @@ fn trees_are_checked_node_by_node() {
 }
 
 #[test]
+fn a_tree_that_contains_an_action_of_people_is_rejected() {
+    let tree = test_file(
+        "asks.xml",
+        "<root BTCPP_format=\"4\"><BehaviorTree ID=\"asks\">\n<ask_person message=\"why?\"/></BehaviorTree></root>",
+    );
+    let ran = run(&["check", &tree]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    assert!(ran.out.contains(&format!("{tree}:2: people perform `ask_person`, and no robot")), "{}", ran.out);
+}
+
+#[test]
 fn mistakes_in_a_domain_are_reported_with_file_and_place() {
     let tree =
         test_file("sprinkle.xml", "<root BTCPP_format=\"4\"><BehaviorTree ID=\"s\">\n<watr/></BehaviorTree></root>");
