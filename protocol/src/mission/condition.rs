@@ -1,15 +1,16 @@
 //! Expressions over the results of earlier tasks: conditions of tasks, and results of missions.
 //!
 //! An expression is in CEL. Each task whose results it uses is a variable: `inspect.dust_g > 5.0`. The
-//! value of an expression is unknown while such a task has no outcome, or if it was skipped.
+//! results of a task are unknown while it has no outcome, and if it was skipped. An expression has a value
+//! all the same if the operators `&&`, `||` or `?:` do not need them: `false && mop.passes > 1` is false.
 
 use super::outcome::{TaskOutcome, TaskOutcomes};
 use crate::expression::{self, cel_value, compile, fields_used};
 use crate::ids::TaskId;
 use crate::scalar::Scalar;
-use cel::Value;
 use cel::objects::{Key, Map};
-use std::collections::{BTreeSet, HashMap};
+use cel::{ExecutionError, Value};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 /// Returns the tasks whose results an expression uses.
@@ -46,7 +47,7 @@ pub(crate) fn results_used(text: &str) -> Result<BTreeSet<(TaskId, Option<String
 /// Evaluates a condition to true or false.
 ///
 /// # Errors
-/// Description of the problem, with the condition: a result is unknown, or the value is neither true
+/// Description of the problem, with the condition: an unknown result decides, or the value is neither true
 /// nor false.
 pub(crate) fn holds(text: &str, outcomes: &TaskOutcomes) -> Result<bool, String> {
     match execute(text, outcomes).map_err(|problem| format!("`{text}`: {problem}"))? {
@@ -58,7 +59,7 @@ pub(crate) fn holds(text: &str, outcomes: &TaskOutcomes) -> Result<bool, String>
 /// Evaluates an expression to a value.
 ///
 /// # Errors
-/// Description of the problem: a result is unknown, or the value is a list or a map.
+/// Description of the problem: an unknown result decides, or the value is a list or a map.
 pub(crate) fn value(text: &str, outcomes: &TaskOutcomes) -> Result<Scalar, String> {
     match execute(text, outcomes)? {
         Value::Bool(value) => Ok(Scalar::Bool(value)),
@@ -72,8 +73,11 @@ pub(crate) fn value(text: &str, outcomes: &TaskOutcomes) -> Result<Scalar, Strin
 
 fn execute(text: &str, outcomes: &TaskOutcomes) -> Result<Value, String> {
     let program = compile(text)?;
+    let references = program.references();
     let mut context = expression::variables();
-    for name in program.references().variables() {
+    // The variables of these tasks stay undeclared, which is an error only where the value depends on them.
+    let mut unknown = BTreeMap::new();
+    for name in references.variables() {
         let task = TaskId::new(name).map_err(|problem| problem.to_string())?;
         match outcomes.get(&task) {
             Some(TaskOutcome::Done(results)) => {
@@ -81,11 +85,17 @@ fn execute(text: &str, outcomes: &TaskOutcomes) -> Result<Value, String> {
                 let map = Arc::new(entries.collect::<HashMap<Key, Value>>());
                 context.add_variable_from_value(name, Value::Map(Map { map }));
             }
-            Some(TaskOutcome::Skipped) => return Err(format!("the results of {task} are unknown: it was skipped")),
-            None => return Err(format!("the results of {task} are unknown: it has not ended")),
+            Some(TaskOutcome::Skipped) => drop(unknown.insert(name, "it was skipped")),
+            None => drop(unknown.insert(name, "it has not ended")),
         }
     }
-    program.execute(&context).map_err(|problem| problem.to_string())
+    program.execute(&context).map_err(|problem| {
+        let task = match &problem {
+            ExecutionError::UndeclaredReference(name) => unknown.get_key_value(name.as_str()),
+            _ => None,
+        };
+        task.map_or_else(|| problem.to_string(), |(task, why)| format!("the results of {task} are unknown: {why}"))
+    })
 }
 
 #[cfg(test)]
@@ -117,10 +127,30 @@ mod tests {
     }
 
     #[test]
+    fn an_unknown_result_is_no_error_if_the_value_does_not_depend_on_it() {
+        for (text, expected) in [
+            ("inspect.clean && mop.passes > 1", false),
+            ("mop.passes > 1 && inspect.clean", false),
+            ("inspect.count == 3 || dry.time > 1", true),
+            ("dry.time > 1 || inspect.count == 3", true),
+            ("!(mop.passes > 1 && inspect.clean)", true),
+            ("inspect.clean ? mop.passes > 1 : inspect.count == 3", true),
+        ] {
+            assert_eq!(holds(text, &outcomes()), Ok(expected), "{text}");
+        }
+        assert_eq!(value("inspect.clean ? mop.passes : inspect.count", &outcomes()), Ok(Scalar::Integer(3)));
+    }
+
+    #[test]
     fn an_unknown_result_is_an_error_that_names_it() {
         for (text, part) in [
             ("mop.passes > 1", "`mop.passes > 1`: the results of mop are unknown: it was skipped"),
             ("dry.time > 1", "the results of dry are unknown: it has not ended"),
+            ("inspect.count == 3 && mop.passes > 1", "the results of mop are unknown: it was skipped"),
+            ("mop.passes > 1 || inspect.clean", "the results of mop are unknown: it was skipped"),
+            ("mop.passes > 1 ? true : true", "the results of mop are unknown: it was skipped"),
+            ("mop == mop", "the results of mop are unknown: it was skipped"),
+            ("has(mop.passes)", "the results of mop are unknown: it was skipped"),
             ("inspect.size > 1", "size"),
             ("inspect.dust_g", "allowed is true or false"),
             ("inspect.dust_g > 'much'", "`inspect.dust_g > 'much'`"),

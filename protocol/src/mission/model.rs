@@ -265,17 +265,20 @@ impl TaskSpec {
         Ok(used)
     }
 
-    /// Checks whether all conditions hold.
+    /// Checks whether all conditions hold. As with `&&`, a false condition decides whatever the others are.
     ///
     /// # Errors
-    /// Description of the problem: a result is unknown, or a condition is neither true nor false.
+    /// Description of the first problem: an unknown result decides, or a condition is neither true nor false.
     pub fn conditions_hold(&self, outcomes: &TaskOutcomes) -> Result<bool, String> {
+        let mut all_hold = Ok(true);
         for text in &self.conditions {
-            if !condition::holds(text, outcomes)? {
-                return Ok(false);
+            match condition::holds(text, outcomes) {
+                Ok(true) => {}
+                Ok(false) => return Ok(false),
+                problem => all_hold = all_hold.and(problem),
             }
         }
-        Ok(true)
+        all_hold
     }
 
     /// Sets the parameters that are results of earlier tasks.

@@ -57,8 +57,9 @@
 //!
 //! Tasks return results, as their types declare. `${inspect.dust_g}` is the result `dust_g` of the
 //! earlier task `inspect`; it may be the whole value of a parameter. `when: inspect.dust_g > 5.0` is a
-//! condition in CEL: the task is skipped unless it holds. A result of a skipped task is unknown, and a
-//! condition with an unknown result fails the mission. A task with a condition moves no item.
+//! condition in CEL: the task is skipped unless it holds. A result of a skipped task is unknown. A
+//! condition whose value depends on it fails the mission; `false && skipped.x > 1.0` does not. A task with a
+//! condition moves no item.
 //!
 //! ```yaml
 //!     - task: clean

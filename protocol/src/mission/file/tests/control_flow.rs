@@ -116,6 +116,35 @@ fn loops_and_choices_become_tasks_with_conditions() {
     assert_eq!(executed(&mission, &clean), expected, "the third iteration is not needed");
 }
 
+/// `mop` was skipped, so its results are unknown.
+#[test]
+fn a_false_condition_decides_beside_an_unknown_one() {
+    let file = "
+mission: mop
+roles: { r1: { kind: managed } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - { task: look, type: inspect, roles: [r1] }
+    - { task: mop, type: inspect, roles: [r1], when: look.clean }
+    - task: react
+      when: mop.dust_g > 1.0
+      CONTENT
+";
+    let react = |conditions: &str| {
+        let part = "method: sequential\n      tasks: [{ task: again, type: inspect, roles: [r1], when: CONDITION }]";
+        let mission = mission(&file.replace("CONTENT", &part.replace("CONDITION", conditions)), &[]).unwrap();
+        let again = mission.elementary().into_iter().find(|(id, _)| id.as_str() == "again").unwrap().1.clone();
+        let mut known = outcomes(&[("look", 3.0, false)]);
+        known.insert("mop".parse().unwrap(), TaskOutcome::Skipped);
+        again.conditions_hold(&known)
+    };
+    assert_eq!(react("look.clean"), Ok(false));
+    let problem = react("'!look.clean'").unwrap_err();
+    assert_eq!(problem, "`mop.dust_g > 1.0`: the results of mop are unknown: it was skipped");
+}
+
 #[test]
 fn a_list_may_be_written_in_the_file_and_its_values_are_checked() {
     let listed = FILE
