@@ -4,6 +4,7 @@ use super::form::{
     ChoiceFile, ITERATIONS_MAX, ListFile, RoleFile, TaskFile, TemplateKind, TemplateParameter, text_literal,
 };
 use super::scope::Scope;
+use crate::ensemble::Eligibility;
 use crate::ids::{EnsembleId, ItemId, NameError, RoleId, TaskId, TaskType};
 use crate::mission::diagnostic::{MissionDiagnostic, MissionErrorKind};
 use crate::mission::domain::Domain;
@@ -121,19 +122,43 @@ impl<'a> MissionBuilder<'a> {
         name.map_err(|error| self.report(path, error.into())).ok()
     }
 
-    /// Builds the roles of all branches.
-    pub(super) fn roles(&mut self, declared: &'a BTreeMap<String, RoleFile>) -> BTreeMap<RoleId, Role> {
+    /// Builds the roles of all branches. The robot of each managed role must also meet `eligible`.
+    pub(super) fn roles(
+        &mut self,
+        declared: &'a BTreeMap<String, RoleFile>,
+        eligible: Option<&str>,
+    ) -> BTreeMap<RoleId, Role> {
+        let of_mission = eligible.and_then(|text| self.eligibility(text, "eligible"));
         let mut roles = BTreeMap::new();
         for (name, RoleFile { kind, on_loss, eligible, .. }) in declared {
             let path = format!("roles/{name}");
-            let condition = |text: &String| self.expression(text, &Scope::default(), &format!("{path}/eligible"));
-            let eligible = eligible.as_ref().and_then(condition);
+            let eligible_path = format!("{path}/eligible");
+            let eligible = match (kind, eligible, &of_mission) {
+                (RoleKind::Managed, Some(own), Some(of_mission)) => {
+                    self.eligibility(own, &eligible_path).map(|own| format!("({of_mission}) && ({own})"))
+                }
+                (RoleKind::Managed, None, of_mission) => of_mission.clone(),
+                (_, own, _) => own.as_ref().and_then(|own| self.expression(own, &Scope::default(), &eligible_path)),
+            };
             let id = self.name(&path, RoleId::new(&**name));
             self.managed_roles.extend((*kind == RoleKind::Managed).then_some(name.as_str()));
             let role = Role { kind: *kind, on_loss: *on_loss, eligible, spread: false };
             roles.extend(id.map(|id| (id, role)));
         }
         roles
+    }
+
+    /// Returns a condition that is an expression by itself, so that it can be part of another. `None` if a
+    /// problem was reported.
+    fn eligibility(&mut self, text: &str, path: &str) -> Option<String> {
+        let text = self.expression(text, &Scope::default(), path)?;
+        match Eligibility::compile(&text) {
+            Ok(_) => Some(text),
+            Err(problem) => {
+                self.report(path, MissionErrorKind::Expression { text, problem });
+                None
+            }
+        }
     }
 
     /// Replaces the roles of spread loops by those of their iterations, once all tasks are built.

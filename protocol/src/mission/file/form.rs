@@ -92,6 +92,10 @@ pub(super) struct MissionFile {
     #[serde(default)]
     #[schemars(with = "Vec<EnsembleId>")]
     pub(super) ensembles: Vec<String>,
+    /// Condition (CEL) on the robots of all managed roles, in addition to those of the roles, such as
+    /// `robot.attributes.section == ${section}`. `${name}` stands for a parameter of the mission.
+    #[serde(default)]
+    pub(super) eligible: Option<String>,
     /// Bound on the energy of all its robots together, in full batteries, such as `0.4`. It is compared with
     /// estimates: those of the bids, and those of its earlier awards. If every assignment of its roles
     /// would exceed the bound, the mission fails at once. Default: no bound.

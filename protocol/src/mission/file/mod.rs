@@ -29,8 +29,9 @@
 //!   a person who has left; default 120.
 //!
 //! A role may name the robots that it accepts: `eligible: robot.attributes.section == ${section}` (see
-//! [`ensemble`](crate::ensemble) for the variables), and a mission the ensembles whose robots it
-//! prefers: `ensembles: [icu, hospital]`.
+//! [`ensemble`](crate::ensemble) for the variables). `eligible` beside `roles` holds for all managed roles,
+//! in addition to their own. A mission may name the ensembles whose robots it prefers:
+//! `ensembles: [icu, hospital]`.
 //!
 //! `energy_max: 0.4` is a bound on the energy of all its robots together, in full batteries. The estimates
 //! of the bids count, and those of earlier awards of the mission.
@@ -286,7 +287,7 @@ impl MissionTemplate {
         builder.bind_parameters(&self.file.parameters, arguments, domain);
         let mut mission = Mission {
             name: self.name.clone(),
-            roles: builder.roles(&self.file.roles),
+            roles: builder.roles(&self.file.roles, self.file.eligible.as_deref()),
             ensembles: builder.ensembles(&self.file.ensembles),
             energy_max: self.file.energy_max,
             tasks: builder.tasks(&self.file.root, "root"),

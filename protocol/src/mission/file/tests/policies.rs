@@ -46,6 +46,48 @@ fn both_branches_have_the_policies_of_the_mission() {
     assert_eq!(problems(VISIT), [""; 0]);
 }
 
+const ELIGIBLE: &str = r#"
+mission: meet
+eligible: robot.attributes.section == ${section} || robot.name == "ada"
+parameters: { section: { kind: text, default: icu } }
+roles:
+  r1: { kind: managed, eligible: "robot.battery > 0.3 || robot.place == 'Dock'" }
+  r2: { kind: managed }
+  clerk: { kind: unmanaged }
+root: { task: meet, type: wait, roles: [r1, r2, clerk], parameters: { seconds: 1 } }
+"#;
+
+#[test]
+fn a_condition_of_the_mission_applies_to_all_managed_roles() {
+    let mission = MissionTemplate::parse(ELIGIBLE, Format::Yaml).unwrap().instantiate(&given(&[]), &domain()).unwrap();
+    let conditions: Vec<_> = mission.roles.iter().map(|(id, role)| (id.as_str(), role.eligible.as_deref())).collect();
+    let of_mission = r#"robot.attributes.section == "icu" || robot.name == "ada""#;
+    let of_r1 = format!("({of_mission}) && (robot.battery > 0.3 || robot.place == 'Dock')");
+    assert_eq!(conditions, [("clerk", None), ("r1", Some(&*of_r1)), ("r2", Some(of_mission))]);
+    assert_eq!(problems(ELIGIBLE), [""; 0]);
+    for (from, to, expected) in [
+        (
+            "robot.name",
+            "robot.nme",
+            "eligible: `robot.attributes.section == \"icu\" || robot.nme == \"ada\"`: `robot` has no field `nme`",
+        ),
+        ("== \"ada\"", "==", "eligible: `robot.attributes.section == \"icu\" || robot.name ==`: "),
+        ("${section}", "${sektion}", "eligible: `${sektion}` is not a parameter of the mission"),
+        (
+            "robot.battery",
+            "robot.batery",
+            "roles/r1/eligible: `robot.batery > 0.3 || robot.place == 'Dock'`: `robot` has no field",
+        ),
+        // The condition of the mission cannot be left in this way.
+        ("robot.battery > 0.3 ||", "true) || (", "roles/r1/eligible: `true) || ( robot.place == 'Dock'`: "),
+    ] {
+        assert!(ELIGIBLE.contains(from), "{from}");
+        let found = problems(&ELIGIBLE.replace(from, to));
+        let found: Vec<_> = found.into_iter().filter(|text| !text.starts_with("parameters/section")).collect();
+        assert!(found.len() == 1 && found[0].starts_with(expected), "{to}: {found:?}");
+    }
+}
+
 #[test]
 fn a_bound_on_energy_is_a_number_above_0() {
     let with = |bound: &str| {
