@@ -1,6 +1,8 @@
 //! Division of missions into local plans, and the execution of these plans.
 
 mod alternative_methods;
+mod control_flow;
+mod control_flow_crew;
 mod hard_missions;
 mod moved_items;
 mod properties;
