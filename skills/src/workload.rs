@@ -31,6 +31,16 @@ impl Workload {
         Workload { extensions, missions: Arc::new(missions) }
     }
 
+    /// Adds missions, except those with the name of a mission of the user.
+    #[must_use]
+    pub fn with(mut self, missions: impl IntoIterator<Item = UserMission>) -> Workload {
+        let own = Arc::make_mut(&mut self.missions);
+        for mission in missions {
+            own.entry(mission.document.name().to_string()).or_insert(mission);
+        }
+        self
+    }
+
     /// Returns the names of the missions of the user.
     pub fn own_missions(&self) -> impl Iterator<Item = &str> + Clone {
         self.missions.keys().map(String::as_str)

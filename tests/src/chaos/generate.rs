@@ -1,6 +1,7 @@
 //! Generation of schedules from a seed.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
+use super::control_flow::replace_missions;
 use super::fault_kind::FaultKind;
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule, ScheduledAction, SkillFault};
 use crate::disk::DiskFault;
@@ -115,6 +116,7 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0x510_77ed);
     let is_slow = kinds.contains(&FaultKind::LeaseEnd)
         && draw.chance.random_bool(SLOW_WORLD[usize::from(kinds.len() <= FEW_KINDS)]);
+    replace_missions(seed, kinds, &mut draw.steps);
     let schedule = Schedule::of(draw.steps).in_order();
     Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, ..schedule }
 }

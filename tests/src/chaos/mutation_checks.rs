@@ -128,3 +128,14 @@ pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> 
         reason: violation.map(|violation| violation.reason),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::control_flow::FIRST_SEED;
+    use super::*;
+
+    #[test]
+    fn no_check_has_missions_with_control_flow() {
+        assert!(MUTANT_CHECKS.iter().all(|check| check.seeds_max < FIRST_SEED));
+    }
+}

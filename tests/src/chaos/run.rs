@@ -6,6 +6,7 @@
 //! ```
 
 use super::chaos_fleet::{ChaosFleet, DATE_MS};
+use super::control_flow::workload_with;
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::LIFTED;
@@ -119,16 +120,16 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
     let injector = FaultInjector::new(config.seed, config.mutant, &composition, schedule, config.workload.extensions);
-    let workload = &config.workload;
+    let workload = workload_with(&config.workload, schedule);
     let options = NodeOptions {
         world_speed: schedule.world_speed.into(),
         extensions: workload.extensions,
         ..node_options(config, &injector)
     };
-    let (members, people) = composition.participants(workload);
+    let (members, people) = composition.participants(&workload);
     let fleet = Fleet::hospital_with(config.seed, members, &composition.stations, people, options).await;
     let checker = Checker::new(injector.ended_missions_max());
-    let executor = ActionExecutor::new(composition.clone(), injector, workload.clone());
+    let executor = ActionExecutor::new(composition.clone(), injector, workload);
     let mut run = Run { fleet, executor, checker };
     for node in composition.nodes() {
         run.fleet.record_leadership(node);

@@ -74,6 +74,9 @@ pub struct ScheduledAction {
 /// that instant, as in `carrier of r0`.
 pub(super) const CARRIER_OF: &str = "carrier of ";
 
+/// Names of the requests in a circular wait.
+pub(super) const WAITING: [&str; 2] = ["w0", "w1"];
+
 /// An action. Nodes are given by name; `coordinator` is the coordinator at that instant. Crashes, departures,
 /// cuts and partitions may also name a carrier by its request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,6 +1,7 @@
 //! Check of a schedule against its fleet.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
+use super::control_flow::CONTROL_FLOW_MISSIONS;
 use super::schedule::{CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
 use consort_skills::workload::Workload;
 
@@ -23,7 +24,7 @@ impl Schedule {
             match &step.action {
                 ChaosAction::Submit { room, mission, .. } => {
                     check_known(step, room, &ROOMS, &[])?;
-                    let own: Vec<&str> = workload.own_missions().collect();
+                    let own: Vec<&str> = CONTROL_FLOW_MISSIONS.into_iter().chain(workload.own_missions()).collect();
                     check_known(step, mission, &MISSIONS, &own)?;
                 }
                 ChaosAction::Cancel { .. }

@@ -4,16 +4,13 @@ use super::chaos_fleet::{ARM, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE, WORLD};
 use super::fault_kind::FaultKind;
 use super::generate::{AWAY_MS, Draw, FIRST_MS};
 use super::run_counters::millis;
-use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash, ScheduledAction};
+use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash, ScheduledAction, WAITING};
 use consort_protocol::lease::LeaseTerms;
 use rand::RngExt;
 use rand::seq::{IndexedMutRandom, IndexedRandom, SliceRandom};
 
 /// Largest error of a date: a day.
 const WRONG_DATE_S: i64 = 86_400;
-
-/// Names of the requests in a circular wait.
-const WAITING: [&str; 2] = ["w0", "w1"];
 
 /// Time for which the scripted faults last, in milliseconds.
 const SCRIPT_MS: u64 = 35_000;
