@@ -130,7 +130,7 @@ impl RobotBackend for Rover {
     fn open_person_requests(&self) -> Vec<GoalId> {
         vec![]
     }
-    fn person_result(&self, _: GoalId) -> Option<Result<(), ActionError>> {
+    fn person_result(&self, _: GoalId) -> Option<PersonResult> {
         None
     }
     fn was_person_request_canceled(&self, _: GoalId) -> bool {

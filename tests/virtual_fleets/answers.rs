@@ -12,14 +12,16 @@ use std::time::Duration;
 
 const SEEDS: [u64; 3] = [761, 762, 763];
 
-/// A nurse measures by hand what a robot then uses.
+/// A doctor measures by hand what a robot then uses, and a nurse signs. The simulated world has nurses and no
+/// doctor, so the measurement is left to real people.
 fn mission(patience_s: u32) -> Value {
     json!({
         "mission": "by-hand",
-        "roles": { "nurse": { "kind": "unmanaged" }, "r1": { "kind": "managed", "on_loss": "restart" } },
+        "roles": { "doctor": { "kind": "unmanaged" }, "nurse": { "kind": "unmanaged" },
+            "r1": { "kind": "managed", "on_loss": "restart" } },
         "root": { "task": "all", "method": "sequential", "tasks": [
             { "task": "come", "type": "navigation", "roles": ["r1"], "parameters": { "to": "Dock" } },
-            { "task": "measure", "type": "measure_vital_signs", "roles": ["nurse"], "patience_s": patience_s },
+            { "task": "measure", "type": "measure_vital_signs", "roles": ["doctor"], "patience_s": patience_s },
             { "task": "stay", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "${measure.pulse_bpm}" } },
             { "task": "sign", "type": "attend", "roles": ["nurse"], "parameters": { "at": "Dock" } },
         ] },
@@ -70,7 +72,7 @@ async fn asked(seed: u64, patience_s: u32) -> (Fleet, MissionId, Value) {
 fn the_first_answer_counts_although_the_coordinator_dies() {
     for_each_seed(SEEDS, async |seed| {
         let (mut fleet, id, request) = asked(seed, 3600).await;
-        assert_eq!((&request["mission"], &request["role"]), (&json!(id), &json!("nurse")), "seed {seed}: {request}");
+        assert_eq!((&request["mission"], &request["role"]), (&json!(id), &json!("doctor")), "seed {seed}: {request}");
         let first = measured(&request, "Nia", 60);
         if kill_coordinator_during(&mut fleet, &first).await.as_str() == "amber" {
             fleet.start_robot("amber").await;
@@ -81,7 +83,7 @@ fn the_first_answer_counts_although_the_coordinator_dies() {
         let expected = format!("request {id}.1 is closed; it was answered by Nia: done");
         assert_eq!(reply["error"], expected, "seed {seed}");
 
-        // A simulated nurse signs. She states no results, so the measurement was left to others.
+        // A simulated nurse signs.
         fleet.assert_completes(&id).await;
         assert_eq!(fleet.task_counts(&id)["sign"].1, 1, "seed {seed}\n{}", fleet.event_log_text());
         let view = fleet.request_answered(ApiCall::Get, &json!({ "mission": id })).await;
@@ -164,7 +166,7 @@ fn a_request_expires_when_patience_is_over() {
             .await;
         let MissionState::Failed { cause } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
         assert!(cause.starts_with("nobody answered measure within 8"), "seed {seed}: {cause}");
-        assert!(cause.ends_with("s as nurse"), "seed {seed}: {cause}");
+        assert!(cause.ends_with("s as doctor"), "seed {seed}: {cause}");
         let failed =
             |kind: &EventKind| matches!(kind, EventKind::TaskFailed { task, .. } if task.as_str() == "measure");
         assert!(fleet.has_event(failed), "seed {seed}\n{}", fleet.event_log_text());
@@ -181,7 +183,7 @@ fn a_person_who_cannot_ends_the_mission_with_the_reason() {
         let cannot = json!({ "request": request["request"], "answer": "cannot", "note": "no cuff here", "by": "Nia" });
         answer(&fleet, &cannot).await;
         let MissionState::Failed { cause } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
-        assert_eq!(cause, "Nia as nurse could not do measure: no cuff here", "seed {seed}");
+        assert_eq!(cause, "Nia as doctor could not do measure: no cuff here", "seed {seed}");
     });
 }
 

@@ -397,6 +397,12 @@ impl Ledger {
         }
     }
 
+    /// Returns the results that the answer to a request states; `None` if there is no such request.
+    pub fn form_of(&self, request: &PersonRequestId) -> Option<BTreeMap<String, ValueKind>> {
+        let entry = self.mission(&request.mission)?;
+        Some(entry.form_of(entry.person_request(request.number)?))
+    }
+
     /// Returns the open requests to people, with their missions, in the order in which missions are
     /// served.
     pub fn open_person_requests(&self) -> Vec<(&MissionEntry, &PersonRequestEntry)> {

@@ -8,8 +8,8 @@ use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, WorldTime};
 use consort_skills::actions::{
-    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, NavigateToPose, PersonRequest, RobotBackend,
-    Telemetry,
+    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, NavigateToPose, PersonRequest, PersonResult,
+    RobotBackend, Telemetry,
 };
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -221,7 +221,7 @@ impl RobotBackend for ProcessDriver {
         vec![]
     }
 
-    fn person_result(&self, _id: GoalId) -> Option<Result<(), ActionError>> {
+    fn person_result(&self, _id: GoalId) -> Option<PersonResult> {
         None
     }
 

@@ -5,7 +5,7 @@ use crate::world::World;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::WorldTime;
 use consort_skills::actions::{
-    ActionError, BackendEvent, Goal, GoalId, GoalStatus, PersonRequest, RobotBackend, Telemetry,
+    BackendEvent, Goal, GoalId, GoalStatus, PersonRequest, PersonResult, RobotBackend, Telemetry,
 };
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -106,7 +106,7 @@ impl RobotBackend for SharedWorld {
         self.lock().world.open_person_requests()
     }
 
-    fn person_result(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+    fn person_result(&self, id: GoalId) -> Option<PersonResult> {
         self.lock().world.person_result(id)
     }
 

@@ -5,6 +5,7 @@ use super::goal::{Goal, GoalId, GoalStatus};
 use super::robot::Telemetry;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::mission::TaskSpec;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::WorldTime;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -20,6 +21,10 @@ pub struct PersonRequest {
     /// Holders of the managed roles.
     pub holders: BTreeMap<RoleId, RobotId>,
 }
+
+/// Result of a person request: the results of the task by name, or the reason why the person declined or
+/// could not do it.
+pub type PersonResult = Result<BTreeMap<String, Scalar>, ActionError>;
 
 /// An event of a robot or a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -51,8 +56,8 @@ pub enum BackendEvent {
     PersonRequestEnded {
         /// Id of the request.
         request: GoalId,
-        /// `Err` if the person declined or could not do the task.
-        result: Result<(), ActionError>,
+        /// Result.
+        result: PersonResult,
     },
 }
 
@@ -117,7 +122,7 @@ pub trait RobotBackend: Send + Sync {
     fn open_person_requests(&self) -> Vec<GoalId>;
 
     /// Result of a person request; `None` if it is open, was canceled, or ended long ago.
-    fn person_result(&self, id: GoalId) -> Option<Result<(), ActionError>>;
+    fn person_result(&self, id: GoalId) -> Option<PersonResult>;
 
     /// Checks whether a person request was canceled lately, before it ended.
     fn was_person_request_canceled(&self, id: GoalId) -> bool;

@@ -16,7 +16,7 @@ mod goal;
 mod nav2;
 mod robot;
 
-pub use backend::{BackendEvent, PersonRequest, RobotBackend};
+pub use backend::{BackendEvent, PersonRequest, PersonResult, RobotBackend};
 pub use error::{ActionError, ErrorCode};
 pub use goal::{ActionParameters, Feedback, Goal, GoalId, GoalProgress, GoalResult, GoalStatus, JsonObject};
 pub use nav2::{Dock, FollowWaypoints, NavigateToPose, Spin, Undock, Wait, Waypoint};

@@ -54,6 +54,9 @@ use reading_problems::{effect_problems, reading_problems, value_problem};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+/// System of the simulator that plays people.
+const PEOPLE: &str = "people";
+
 /// A checked domain file.
 #[derive(Debug, Clone)]
 pub struct DomainFile {
@@ -210,6 +213,16 @@ impl DomainFile {
         self.form.actions.iter().map(|(name, action)| (name.clone(), simulated(action)))
     }
 
+    /// Returns the task types for simulated people, each with its action: `simulate` contains all results of
+    /// the task. A task with a tree declares no time, so the simulator determines it.
+    pub fn simulated_tasks(&self) -> impl Iterator<Item = (TaskType, ActionForm)> {
+        self.form.tasks.iter().map(|(name, task)| {
+            let action = action_of(&self.form, task);
+            let results = task.results(action).clone();
+            (name.clone(), simulated(&ActionForm { results, ..action.cloned().unwrap_or_else(played_by_people) }))
+        })
+    }
+
     /// Adds the leaves of the actions and of the readings, and the trees of the task types to a library.
     ///
     /// # Errors
@@ -339,6 +352,12 @@ fn simulated(action: &ActionForm) -> ActionForm {
         complete.simulate.results.entry(name.clone()).or_insert_with(|| result.simulated());
     }
     complete
+}
+
+/// Returns the action of a task with a tree that a person does.
+fn played_by_people() -> ActionForm {
+    let simulate = SimulatedAction { system: Some(PEOPLE.to_owned()), ..SimulatedAction::default() };
+    ActionForm { simulate, ..ActionForm::default() }
 }
 
 /// Returns the action of a task, if it has one of this domain.

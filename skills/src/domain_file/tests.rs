@@ -9,6 +9,7 @@ use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{NumberRange, TaskSpec, ValueKind};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_protocol::yaml;
 use serde_json::json;
@@ -32,6 +33,17 @@ tasks:
     estimate: { time_s: "4.0 + 2.0 * litres", energy: "discharge * 10.0" }
   round: { tree: round.xml, parameters: { to: { type: place } }, estimate: { time_s: "distance.to / speed", ends_at: to } }
   look: { action: look }
+"#;
+
+const RESULTS: &str = r#"
+domain: ward
+actions:
+  count:
+    results: { beds: { type: integer }, free: { type: bool } }
+    simulate: { duration_s: [30, 60], results: { beds: [2, 4] } }
+tasks:
+  count: { action: count }
+  glance: { action: count, results: { beds: { type: integer } } }
 "#;
 
 const ROUND: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="round"><Sequence>
@@ -162,6 +174,22 @@ fn missions_are_checked_against_the_parameters() {
     assert_eq!(schema.parameters["litres"].kind, ValueKind::Number(range));
     assert!(schema.parameters["litres"].required && !schema.parameters["at"].required);
     assert_eq!(domain.simulated_actions().map(|(_, action)| action.simulate.mean_s()).collect::<Vec<_>>(), [2.0, 8.0]);
+}
+
+#[test]
+fn people_play_the_action_of_a_task_with_the_results_of_the_task() {
+    let domain = DomainFile::check(yaml::parse(RESULTS).unwrap(), &BTreeMap::new(), &[]).unwrap();
+    let tasks: BTreeMap<TaskType, ActionForm> = domain.simulated_tasks().collect();
+    let [count, glance] = ["count", "glance"].map(|name| tasks[&name.parse::<TaskType>().unwrap()].clone());
+    assert_eq!((count.simulate.duration_s, count.results.len()), ((30.0, 60.0), 2));
+    assert_eq!(count.simulate.results["beds"], SimulatedResult::Range([2.0, 4.0]));
+    let free = SimulatedResult::OneOf(vec![Scalar::Bool(false), Scalar::Bool(true)]);
+    assert_eq!(count.simulate.results["free"], free, "within the declared range");
+    assert_eq!(glance.results.keys().collect::<Vec<_>>(), ["beds"]);
+    assert_eq!(glance.simulate.duration_s, (30.0, 60.0));
+    let plants: BTreeMap<TaskType, ActionForm> = check(PLANTS).unwrap().simulated_tasks().collect();
+    let round = &plants[&"round".parse::<TaskType>().unwrap()];
+    assert_eq!(round.simulate.system.as_deref(), Some("people"), "a tree declares no time");
 }
 
 #[test]

@@ -138,9 +138,12 @@ fn award(role: &str, plan: LocalPlan) -> Award {
     }
 }
 
+fn results() -> BTreeMap<String, Scalar> {
+    BTreeMap::from([("pulse_bpm".to_owned(), Scalar::Integer(70))])
+}
+
 fn outcomes() -> TaskOutcomes {
-    let results = BTreeMap::from([("pulse_bpm".to_owned(), Scalar::Integer(70))]);
-    BTreeMap::from([(slug("measure"), TaskOutcome::Done(results)), (slug("attend"), TaskOutcome::Skipped)])
+    BTreeMap::from([(slug("measure"), TaskOutcome::Done(results())), (slug("attend"), TaskOutcome::Skipped)])
 }
 
 fn report() -> Report {
@@ -224,7 +227,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         }),
         body_state(),
         encoded(&PersonCommand { id: GoalId(3), request: None }),
-        encoded(&PersonRequestState::Ended(Ok(()))),
+        encoded(&PersonRequestState::Ended(Ok(results()))),
         encoded(&PersonEvent::CancelMission {
             by: "Nia".to_owned(),
             role: slug("nurse"),

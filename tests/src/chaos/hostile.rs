@@ -24,7 +24,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use serde_json::json;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::task::JoinSet;
@@ -150,7 +150,7 @@ impl Attacker {
                 _ if self.refuses_all => query.replier.refuse("no").await,
                 // A person of others has done what was asked.
                 _ if key.ends_with("wire/people/ask") => {
-                    let done = wire(&PersonRequestState::Ended(Ok(())));
+                    let done = wire(&PersonRequestState::Ended(Ok(BTreeMap::new())));
                     query.replier.reply(&key, done, Encoding::Wire).await
                 }
                 0 => query.replier.refuse("no").await,

@@ -183,17 +183,11 @@ impl ApiHandler {
             return Err("`results` belong to the answer `done`".to_owned().into());
         }
         let content = match answer {
-            AnswerWord::Done => {
-                let form = |ledger: &Ledger| {
-                    let entry = ledger.mission(&request.mission)?;
-                    Some(entry.form_of(entry.person_request(request.number)?))
-                };
-                // The ledger refuses the answer to an unknown request.
-                AnswerContent::Done(match self.replica.read(form) {
-                    Some(form) => check_results(&form, &results)?,
-                    None => results,
-                })
-            }
+            // The ledger refuses the answer to an unknown request.
+            AnswerWord::Done => AnswerContent::Done(match self.replica.read(|ledger| ledger.form_of(&request)) {
+                Some(form) => check_results(&form, &results)?,
+                None => results,
+            }),
             AnswerWord::Declined => AnswerContent::Declined,
             AnswerWord::Cannot => AnswerContent::Cannot,
             AnswerWord::Later => {

@@ -2,7 +2,7 @@
 
 use super::state_order::StateStamp;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{ActionError, Goal, GoalId, GoalResult, GoalStatus, PersonRequest, Telemetry};
+use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, PersonRequest, PersonResult, Telemetry};
 use serde::{Deserialize, Serialize};
 
 /// Command from the driver client of a robot to its driver server. A command without a request is a
@@ -85,7 +85,7 @@ pub enum PersonRequestState {
     /// The person has received the request.
     Requested,
     /// The request has ended.
-    Ended(Result<(), ActionError>),
+    Ended(PersonResult),
     /// The request was canceled. Its id is not served again.
     Canceled,
 }
@@ -98,7 +98,7 @@ pub enum PersonEvent {
         /// Id of the request.
         id: GoalId,
         /// Result of the request.
-        result: Result<(), ActionError>,
+        result: PersonResult,
     },
     /// The person cancels the mission for which a robot came. Repeated for some intervals.
     CancelMission {

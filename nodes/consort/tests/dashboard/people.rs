@@ -7,18 +7,18 @@ use crate::support::{Fleet, Folder, example, free_port, until};
 use serde_json::{Value, json};
 use toml::Table;
 
-/// A nurse measures twice, and signs in the end.
+/// A doctor measures twice. The world has no simulated doctor, who would answer.
 const MISSION: &str = r"
 mission: by-hand
-roles: { nurse: { kind: unmanaged }, r1: { kind: managed, on_loss: restart } }
+roles: { doctor: { kind: unmanaged }, r1: { kind: managed, on_loss: restart } }
 root:
   task: all
   method: sequential
   tasks:
     - { task: come, type: navigation, roles: [r1], parameters: { to: Dock } }
-    - { task: measure, type: measure_vital_signs, roles: [nurse], escalate: { to: head_nurse, after_s: 1 } }
+    - { task: measure, type: measure_vital_signs, roles: [doctor], escalate: { to: head_nurse, after_s: 1 } }
     - { task: stay, type: wait, roles: [r1], parameters: { seconds: '1' } }
-    - { task: measure_again, type: measure_vital_signs, roles: [nurse] }
+    - { task: measure_again, type: measure_vital_signs, roles: [doctor] }
 result: { first: measure.pulse_bpm, second: measure_again.pulse_bpm }
 ";
 
@@ -66,7 +66,7 @@ fn people_answer_requests_whichever_node_dies() {
     browser.open(&format!("{}/me", pages[0]));
     browser.wait_until("the request", "document.querySelectorAll('#open form').length === 1");
     let card = browser.text("#open form");
-    assert!(card.starts_with("measure") && card.contains("nurse – by-hand-1"), "{card}");
+    assert!(card.starts_with("measure") && card.contains("doctor – by-hand-1"), "{card}");
     check_access(&browser, "an open request");
     browser.screenshot("request");
     let small = "[...document.querySelectorAll('main button, main input, main select')].filter((control) => \
@@ -145,7 +145,7 @@ fn people_answer_requests_whichever_node_dies() {
 
     // The same from a shell.
     fleet.run(&["submit", &mission], "station-2").expect(0);
-    let open = until("another request", SOON, || requests(&mut fleet, &["--role", "nurse"]).into_iter().next());
+    let open = until("another request", SOON, || requests(&mut fleet, &["--role", "doctor"]).into_iter().next());
     let id = open["request"].as_str().expect("an id").to_owned();
     let refused = fleet.run(&["answer", &id, "--done", "--set", "pulse_bpm=fast"], "station-2").expect(2).stderr;
     assert!(refused.contains("pulse_bpm must be a whole number from 0 to 300"), "{refused}");

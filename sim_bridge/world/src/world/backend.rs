@@ -10,7 +10,7 @@ use super::systems::power::Battery;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::{BatteryShare, WorldTime};
 use consort_skills::actions::{
-    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, PersonRequest, RobotBackend, Telemetry,
+    BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, PersonRequest, PersonResult, RobotBackend, Telemetry,
 };
 
 impl World {
@@ -143,7 +143,7 @@ impl RobotBackend for World {
         }
     }
 
-    fn person_result(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+    fn person_result(&self, id: GoalId) -> Option<PersonResult> {
         if self.state.has_resource::<PersonRequests>() {
             self.state.resource::<PersonRequests>().result(id)
         } else {

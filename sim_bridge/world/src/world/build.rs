@@ -32,7 +32,7 @@ impl WorldSetup {
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
         let (doors, obstacles) = (Vec::new(), Vec::new());
         let (step_s, wind, program) = (default_step_s(), None, ProgramParts::default());
-        let (actions, readings) = (BTreeMap::new(), BTreeMap::new());
+        let (actions, tasks, readings) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let setup = Self {
             map,
             robots,
@@ -43,6 +43,7 @@ impl WorldSetup {
             seed,
             durations,
             actions,
+            tasks,
             readings,
             limits,
             systems,

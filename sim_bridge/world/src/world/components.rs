@@ -41,11 +41,11 @@ pub(crate) struct PersonInfo {
     pub(crate) on_call: bool,
 }
 
-/// True while a person hands something over.
+/// True while a person hands something over or does another task.
 pub(crate) struct HandsBusy(pub(crate) bool);
 
-/// Random generator for a person's handover times.
-pub(crate) struct HandoverRng(pub(crate) ChaCha8Rng);
+/// Random generator for the times and the results of a person's tasks.
+pub(crate) struct PersonRng(pub(crate) ChaCha8Rng);
 
 /// A sample's label.
 pub(crate) struct SampleLabel(pub(crate) SampleId);

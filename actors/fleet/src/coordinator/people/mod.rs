@@ -30,7 +30,7 @@ use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswe
 use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
-use consort_skills::actions::{ActionError, ErrorCode, GoalId};
+use consort_skills::actions::{ErrorCode, GoalId, PersonResult};
 use next_command::{PersonStep, next_step};
 use simulated::SimulatedPeople;
 use std::collections::{BTreeMap, BTreeSet};
@@ -191,13 +191,13 @@ impl People {
         }
     }
 
-    /// Proposes the answer of a simulated person. A host without such a person leaves the request to
-    /// others.
+    /// Proposes the answer of a simulated person. A host without such a person, or without such results,
+    /// leaves the request to others.
     fn answer(
         &mut self,
         context: &mut SessionContext,
         id: GoalId,
-        result: Result<(), ActionError>,
+        result: PersonResult,
         author: &Author,
         confirmed_ms: Option<u64>,
     ) {
@@ -206,13 +206,15 @@ impl People {
             return warn!(%author, %role, "the author does not serve this person: result ignored");
         }
         let role = role.as_str().to_owned();
-        match &result {
+        let form = context.read_ledger(|ledger| ledger.form_of(&request)).unwrap_or_default();
+        let (content, note) = match result.map(|results| simulated::done(&form, results)) {
+            Ok(Ok(content)) => (content, String::new()),
+            Ok(Err(problem)) => {
+                warn!(%request, problem, "results of a simulated person do not fit: request left to others");
+                return self.simulated.leave_to_others(id);
+            }
             Err(problem) if problem.code == ErrorCode::Unknown => return self.simulated.leave_to_others(id),
             Err(problem) if problem.code == ErrorCode::Busy => return self.simulated.renew(id),
-            Ok(()) | Err(_) => {}
-        }
-        let (content, note) = match result {
-            Ok(()) => (AnswerContent::Done(BTreeMap::new()), String::new()),
             Err(problem) => (AnswerContent::Cannot, problem.to_string()),
         };
         let at_ms = confirmed_ms.unwrap_or_else(|| context.settings.parts.clock.wall_ms());

@@ -4,7 +4,9 @@ use crate::robot_driver::PersonCommand;
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, RoleId};
 use consort_protocol::lease::RoleHolder;
-use consort_protocol::ledger::{Ledger, MissionEntry, PersonRequestEntry, PersonRequestId};
+use consort_protocol::ledger::{AnswerContent, Ledger, MissionEntry, PersonRequestEntry, PersonRequestId};
+use consort_protocol::mission::{ValueKind, check_results};
+use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{GoalId, PersonRequest};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, VecDeque};
@@ -123,21 +125,30 @@ impl SimulatedPeople {
     }
 }
 
-/// Returns the request for a simulated person. `None` for a task with results: simulated people state
-/// none.
+/// Returns the request for a simulated person. `None` if the mission has taken another branch since.
 fn simulated(entry: &MissionEntry, request: &PersonRequestEntry) -> Option<PersonRequest> {
-    if !entry.form_of(request).is_empty() {
-        return None;
-    }
     let (role, task) = (request.role.clone(), entry.requested_task(request)?);
     Some(PersonRequest { role, task, holders: RoleHolder::robots(&request.robots) })
+}
+
+/// Returns the answer of a simulated person that has done a task. Its host states all results that the domain
+/// declares; in a joint task the form is empty, and the robots return them.
+///
+/// # Errors
+/// A result is missing or does not fit the form: the host has other domain files.
+pub(super) fn done(
+    form: &BTreeMap<String, ValueKind>,
+    mut results: BTreeMap<String, Scalar>,
+) -> Result<AnswerContent, String> {
+    results.retain(|name, _| form.contains_key(name));
+    check_results(form, &results).map(AnswerContent::Done)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use consort_protocol::ids::TaskType;
-    use consort_protocol::mission::TaskSpec;
+    use consort_protocol::mission::{NumberRange, TaskSpec};
 
     fn id(number: u32) -> PersonRequestId {
         format!("vital-signs-1.{number}").parse().unwrap()
@@ -164,6 +175,20 @@ mod tests {
         assert_eq!(people.request_of(first), None, "it is renewed once");
         assert_eq!(SentRequest { turn: 1, ..sent(7) }.id(&request), second);
         assert_ne!(sent(8).id(&request), first, "another ledger may contain a mission of the same name");
+    }
+
+    #[test]
+    fn an_answer_states_the_results_of_the_form() {
+        let pulse = || ("pulse".to_owned(), Scalar::Integer(70));
+        let form = BTreeMap::from([("pulse".to_owned(), ValueKind::Number(NumberRange::default()))]);
+        let results = BTreeMap::from([pulse(), ("oxygen".to_owned(), Scalar::Integer(98))]);
+        let stated = BTreeMap::from([("pulse".to_owned(), Scalar::Number(70.0))]);
+        assert_eq!(done(&form, results.clone()), Ok(AnswerContent::Done(stated)));
+        assert_eq!(done(&BTreeMap::new(), results), Ok(AnswerContent::Done(BTreeMap::new())), "a joint task");
+        let missing = done(&form, BTreeMap::new()).unwrap_err();
+        assert!(missing.starts_with("the result `pulse` is missing"), "{missing}");
+        let wrong = done(&form, BTreeMap::from([("pulse".to_owned(), Scalar::Bool(true))])).unwrap_err();
+        assert!(wrong.starts_with("the result `pulse` is `true`, but it must be"), "{wrong}");
     }
 
     #[test]

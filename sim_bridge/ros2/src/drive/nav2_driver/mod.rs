@@ -12,7 +12,7 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use consort_skills::actions::{
     ActionError, BackendEvent, ErrorCode, Feedback, FollowWaypoints, Goal, GoalId, GoalProgress, GoalStatus,
-    NavigateToPose, PersonRequest, RobotBackend, Telemetry, Wait, Waypoint,
+    NavigateToPose, PersonRequest, PersonResult, RobotBackend, Telemetry, Wait, Waypoint,
 };
 use std::collections::{BTreeMap, VecDeque};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender};
@@ -397,7 +397,7 @@ impl RobotBackend for Nav2Driver {
         vec![]
     }
 
-    fn person_result(&self, _id: GoalId) -> Option<Result<(), ActionError>> {
+    fn person_result(&self, _id: GoalId) -> Option<PersonResult> {
         None
     }
 

@@ -6,7 +6,7 @@ use super::person::PersonSetup;
 use super::program_parts::ProgramParts;
 use super::robot::RobotSetup;
 use crate::map::Map;
-use consort_protocol::ids::ActionName;
+use consort_protocol::ids::{ActionName, TaskType};
 use consort_skills::domain_file::{ActionForm, DomainFile, ReadingForm};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -33,6 +33,8 @@ pub struct WorldSetup {
     pub durations: Durations,
     /// Actions that domain files declare.
     pub actions: BTreeMap<ActionName, ActionForm>,
+    /// Task types that domain files declare, each with the action that a person plays.
+    pub tasks: BTreeMap<TaskType, ActionForm>,
     /// Readings that domain files declare: every robot has them.
     pub readings: BTreeMap<String, ReadingForm>,
     /// Limits of memory and numbers.
@@ -75,10 +77,11 @@ impl Default for WindSettings {
 }
 
 impl WorldSetup {
-    /// Adds the actions and the readings of a domain.
+    /// Adds the actions, the task types and the readings of a domain.
     #[must_use]
     pub fn domain(mut self, domain: &DomainFile) -> Self {
         self.actions.extend(domain.simulated_actions());
+        self.tasks.extend(domain.simulated_tasks());
         self.readings.extend(domain.reading_forms().map(|(name, form)| (name.clone(), form.clone())));
         self
     }

@@ -1,5 +1,5 @@
 //! Actions and readings that domain files declare. An action takes a random time; at its end it fails, or
-//! returns random results and changes the readings of its robot.
+//! returns random results and changes the readings of its robot. People do declared tasks in the same way.
 
 use crate::component_types;
 use crate::world::components::SimRobot;
@@ -8,7 +8,7 @@ use crate::world::setup::{RobotSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::ComponentType;
-use consort_protocol::ids::ActionName;
+use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
 use consort_skills::domain_file::{ActionForm, Addition, ParameterForm, ReadingForm, SimulatedEffect, SimulatedResult};
@@ -25,11 +25,17 @@ pub(crate) struct DeclaredActions;
 /// The declared actions and readings, with the generator of durations, failures and values.
 pub(crate) struct ActionModels {
     actions: BTreeMap<ActionName, ActionForm>,
+    tasks: BTreeMap<TaskType, ActionForm>,
     readings: BTreeMap<String, ReadingForm>,
     chance: ChaCha8Rng,
 }
 
 impl ActionModels {
+    /// Returns the action that a person plays for a task; `None` if no domain declares the task.
+    pub(crate) fn of_task(&self, task: &TaskType) -> Option<&ActionForm> {
+        self.tasks.get(task)
+    }
+
     /// Returns a value in the type of a declared reading, and within its range.
     pub(crate) fn fit_reading(&self, name: &str, value: Scalar) -> Option<Scalar> {
         of_type(&self.readings.get(name)?.value, Some(value))
@@ -54,8 +60,8 @@ impl System for DeclaredActions {
 
     fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
         let chance = ChaCha8Rng::seed_from_u64(setup.seed ^ 0xac_7105);
-        let (actions, readings) = (setup.actions.clone(), setup.readings.clone());
-        state.insert_resource(ActionModels { actions, readings, chance });
+        let (actions, tasks, readings) = (setup.actions.clone(), setup.tasks.clone(), setup.readings.clone());
+        state.insert_resource(ActionModels { actions, tasks, readings, chance });
     }
 
     fn init_robot(&self, state: &mut SimState, robot: Entity, _body: &RobotSetup) {
@@ -72,29 +78,16 @@ impl System for DeclaredActions {
     fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let now = state.now;
         let mut models = state.resource_mut::<ActionModels>();
-        let (least, greatest) = models.actions.get(&goal.action)?.simulate.duration_s;
+        let (least, greatest) = declared_duration_s(models.actions.get(&goal.action)?)?;
         Some(Ok(now + models.chance.random_range(least..=greatest)))
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
         let mut models = state.resource_mut::<ActionModels>();
-        let ActionModels { actions, readings, chance } = &mut *models;
+        let ActionModels { actions, readings, chance, .. } = &mut *models;
         let Some(action) = actions.get(&goal.action) else { return Ok(GoalResult::default()) };
-        let declared = action.simulate.failures.iter().map(|(reason, share)| (Some(reason), *share));
-        let mut drawn = chance.random_range(0.0..1.0);
-        for (reason, share) in declared.chain([(None, action.simulate.failure_rate)]) {
-            if drawn < share {
-                let message = format!("{} failed at {}", state.robot_id(robot), goal.action);
-                let error = reason.and_then(|reason| action.failure(reason, &message));
-                return Err(error.unwrap_or_else(|| action_error(ErrorCode::Failed, message)));
-            }
-            drawn -= share;
-        }
-        let result = |(name, simulated): (&String, &SimulatedResult)| {
-            let value = action.results.get(name).and_then(|form| of_type(form, draw(simulated, chance)));
-            (name.clone(), json!(value))
-        };
-        let results = GoalResult(action.simulate.results.iter().map(result).collect());
+        let results = draw_end(action, chance, || format!("{} failed at {}", state.robot_id(robot), goal.action))?;
+        let results = GoalResult(results.into_iter().map(|(name, value)| (name, json!(value))).collect());
         let current = &mut state.get_mut::<Readings>(robot).0;
         for (name, effect) in &action.simulate.effects {
             let Some(form) = readings.get(name) else { continue };
@@ -127,6 +120,34 @@ impl SimState {
         readings.0.insert(name.to_owned(), value);
         true
     }
+}
+
+/// Returns the least and the greatest duration of an action; `None` if another system determines it.
+pub(crate) fn declared_duration_s(action: &ActionForm) -> Option<(f64, f64)> {
+    action.simulate.system.is_none().then_some(action.simulate.duration_s)
+}
+
+/// Draws the end of an action: its results, or a failure with this message.
+pub(crate) fn draw_end(
+    action: &ActionForm,
+    chance: &mut ChaCha8Rng,
+    failed: impl Fn() -> String,
+) -> Result<BTreeMap<String, Scalar>, ActionError> {
+    let declared = action.simulate.failures.iter().map(|(reason, share)| (Some(reason), *share));
+    let mut drawn = chance.random_range(0.0..1.0);
+    for (reason, share) in declared.chain([(None, action.simulate.failure_rate)]) {
+        if drawn < share {
+            let message = failed();
+            let error = reason.and_then(|reason| action.failure(reason, &message));
+            return Err(error.unwrap_or_else(|| action_error(ErrorCode::Failed, message)));
+        }
+        drawn -= share;
+    }
+    let result = |(name, simulated): (&String, &SimulatedResult)| {
+        let value = of_type(action.results.get(name)?, draw(simulated, chance))?;
+        Some((name.clone(), value))
+    };
+    Ok(action.simulate.results.iter().filter_map(result).collect())
 }
 
 /// Draws a value.

@@ -2,7 +2,7 @@
 //! the setup names.
 //!
 //! A generator per person decides whether an action is taken; it is separate from the generator for
-//! handover times. Actions are logged as events. [`people`](super::people) observes them and
+//! requested tasks. Actions are logged as events. [`people`](super::people) observes them and
 //! interrupts handovers.
 
 use crate::component_types;
@@ -22,7 +22,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// First random stream for actions of people. The streams for handover times are below it.
+/// First random stream for actions of people. The streams for their tasks are below it.
 const FIRST_STREAM: u64 = 1 << 32;
 
 /// State of all people with regard to their actions.

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::world::actions::{ApproachPerson, ApproachRobot, AuthenticatePerson, Deposit, OperateDrawer, PickUp};
+use std::collections::BTreeMap;
 
 /// The places from PC Room 3 to the Laboratory on the shipped map, 4 + 13 + 4 m.
 const WAY: [&str; 7] = [
@@ -29,7 +30,10 @@ fn the_sample_reaches_the_laboratory() {
     run_to_success(&mut world, "r1", 4, Goal::from(OperateDrawer { open: true }));
     world.request_person(GoalId(1), deposit("r1"));
     let due = world.next_due().unwrap();
-    assert_eq!(world.advance(due), [BackendEvent::PersonRequestEnded { request: GoalId(1), result: Ok(()) }]);
+    assert_eq!(
+        world.advance(due),
+        [BackendEvent::PersonRequestEnded { request: GoalId(1), result: Ok(BTreeMap::new()) }]
+    );
     let handed_over = world.now();
     run_to_success(&mut world, "r1", 5, Goal::from(OperateDrawer { open: false }));
     for (id, to) in (6..).zip(WAY) {

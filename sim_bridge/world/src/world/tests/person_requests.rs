@@ -2,6 +2,11 @@
 
 use super::*;
 use crate::world::actions::{ApproachPerson, ApproachRobot, Deposit, OperateDrawer, PickUp};
+use consort_protocol::scalar::Scalar;
+use consort_protocol::yaml;
+use consort_skills::actions::PersonResult;
+use consort_skills::domain_file::DomainFile;
+use std::collections::{BTreeMap, BTreeSet};
 
 fn approach() -> Goal {
     Goal::from(ApproachPerson { role: role("nurse") })
@@ -25,7 +30,7 @@ fn ready() -> World {
 }
 
 fn answer(ask: u64, result: Result<(), ActionError>) -> BackendEvent {
-    BackendEvent::PersonRequestEnded { request: GoalId(ask), result }
+    BackendEvent::PersonRequestEnded { request: GoalId(ask), result: result.map(|()| BTreeMap::new()) }
 }
 
 fn sample_holders(world: &World) -> Vec<SampleHolder> {
@@ -96,7 +101,7 @@ fn a_request_canceled_before_its_arrival_is_not_served() {
     assert_eq!(world.advance(at(199.0)), [answer(8, Ok(()))]);
     world.cancel_person_request(GoalId(8));
     assert!(!world.was_person_request_canceled(GoalId(8)), "it had ended");
-    assert_eq!(world.person_result(GoalId(8)), Some(Ok(())));
+    assert_eq!(world.person_result(GoalId(8)), Some(Ok(BTreeMap::new())));
 }
 
 #[test]
@@ -134,6 +139,77 @@ fn a_person_does_any_task_in_its_time() {
     dance.task.parameters.clear();
     world.request_person(GoalId(4), dance);
     assert_eq!(world.advance(at(69.0)), [answer(4, Ok(()))], "as long as a handover");
+}
+
+const WARD: &str = r#"
+domain: ward
+actions:
+  count:
+    results: { beds: { type: integer, minimum: 0, maximum: 9 }, free: { type: bool }, left: { type: number } }
+    simulate: { duration_s: [30, 60], results: { beds: [2, 4], left: [0.5, 1.5] } }
+  lift: { failures: { heavy: {} }, simulate: { duration_s: [5, 5], failures: { heavy: 1 } } }
+tasks:
+  count_beds: { action: count }
+  glance: { action: count, results: { beds: { type: integer } } }
+  lift: { action: lift }
+  look: { tree: look.xml, results: { seen: { type: text, one_of: [door] } }, estimate: { time_s: "1.0" } }
+"#;
+
+const LOOK: &str =
+    r#"<root BTCPP_format="4"><BehaviorTree ID="look"><Script code="seen := 'door'"/></BehaviorTree></root>"#;
+
+/// Lets a nurse do a task. Returns its duration and its result.
+fn done_by_nurse(seed: u64, task_type: &str, parameters: &[(&str, &str)]) -> (f64, PersonResult) {
+    let trees = [("look.xml".to_owned(), LOOK.to_owned())].into();
+    let ward = DomainFile::check(yaml::parse(WARD).unwrap(), &trees, &[]).unwrap();
+    let setup = hospital(seed).domain(&ward).person(nurse("Ana", "PC Room 1", "s1"));
+    let mut world = World::new(setup).unwrap();
+    let parameters = parameters.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+    let task = TaskSpec { parameters, ..TaskSpec::of(TaskType::new(task_type).unwrap(), vec![role("nurse")]) };
+    world.request_person(GoalId(1), PersonRequest { task, ..deposit("r1") });
+    let due = world.next_due().unwrap();
+    let events = world.advance(due);
+    let [BackendEvent::PersonRequestEnded { result, .. }] = &events[..] else { panic!("{events:?}") };
+    assert_eq!(world.person_result(GoalId(1)).as_ref(), Some(result));
+    (due.as_secs(), result.clone())
+}
+
+#[test]
+fn a_person_takes_the_declared_time_and_states_the_declared_results() {
+    let mut seen = BTreeSet::new();
+    for seed in 0..20 {
+        let (time_s, result) = done_by_nurse(seed, "count_beds", &[]);
+        assert!((30.0..=60.0).contains(&time_s), "{time_s} s");
+        let results = result.clone().unwrap();
+        assert_eq!(results.keys().map(String::as_str).collect::<Vec<_>>(), ["beds", "free", "left"]);
+        assert!(matches!(results["beds"], Scalar::Integer(2..=4)), "{results:?}");
+        assert!(matches!(results["free"], Scalar::Bool(_)), "{results:?}");
+        assert!(matches!(results["left"], Scalar::Number(0.5..=1.5)), "{results:?}");
+        assert_eq!(done_by_nurse(seed, "count_beds", &[]), (time_s, result), "same seed, same run");
+        seen.insert((time_s.to_bits(), format!("{results:?}")));
+    }
+    assert_eq!(seen.len(), 20, "seeds differ");
+    let (time_s, result) = done_by_nurse(1, "attend", &[("at", "PC Room 1")]);
+    assert!((30.0..=60.0).contains(&time_s), "{time_s} s");
+    assert_eq!(result, Ok(BTreeMap::new()));
+    let (time_s, result) = done_by_nurse(1, "ask_person", &[("message", "ready?")]);
+    assert!((10.0..=30.0).contains(&time_s), "{time_s} s");
+    let answer = &result.unwrap()["answer"];
+    assert!(["yes", "no"].map(|text| Scalar::Text(text.to_owned())).contains(answer), "{answer}");
+}
+
+#[test]
+fn a_person_states_the_results_of_the_task_and_fails_as_declared() {
+    let (_, result) = done_by_nurse(1, "glance", &[]);
+    let results = result.unwrap();
+    assert_eq!(results.keys().collect::<Vec<_>>(), ["beds"], "those of the task replace those of its action");
+    let (time_s, result) = done_by_nurse(1, "look", &[]);
+    assert!((2.0..=4.0).contains(&time_s), "a tree declares no time: {time_s} s");
+    assert_eq!(result.unwrap(), [("seen".to_owned(), Scalar::Text("door".to_owned()))].into());
+    let (time_s, result) = done_by_nurse(1, "lift", &[]);
+    assert_eq!((time_s, result.unwrap_err().to_string()), (5.0, "failed: heavy: Ana failed at lift".to_owned()));
+    let (time_s, result) = done_by_nurse(1, "count_beds", &[("seconds", "7")]);
+    assert!(result.is_ok() && time_s == 7.0, "the parameter counts: {time_s} s");
 }
 
 #[test]

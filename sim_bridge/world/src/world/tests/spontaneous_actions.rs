@@ -3,6 +3,7 @@
 use super::*;
 use crate::world::actions::{ApproachPerson, AuthenticatePerson, OperateDrawer};
 use consort_skills::actions::NavigateToPose;
+use std::collections::BTreeMap;
 
 fn bea_with(action: SpontaneousAction) -> PersonSetup {
     PersonSetup { spontaneous_actions: vec![action], ..nurse("Bea", "PC Room 2", "s2") }
@@ -73,7 +74,7 @@ fn a_person_cancels_the_mission_at_each_trigger() {
     let (given, off) = (&events[0], &events[1]);
     assert_eq!(
         (&given.1, &off.1),
-        (&BackendEvent::PersonRequestEnded { request: GoalId(7), result: Ok(()) }, &called_off())
+        (&BackendEvent::PersonRequestEnded { request: GoalId(7), result: Ok(BTreeMap::new()) }, &called_off())
     );
     assert!((off.0 - given.0 - 20.0).abs() < 1e-9 && events.len() == 2, "{events:?}");
     assert_eq!(sample_holder(&world), SampleHolder::Drawer(robot("r1")), "it is under way");
@@ -145,7 +146,7 @@ fn a_returning_person_serves_a_robot_that_stayed() {
     let mut world = ward(1, leaves(PersonTrigger::Authenticated, Some(30.0)));
     let events = meet_and_wait(&mut world);
     assert_eq!(events.len(), 1, "{events:?}");
-    assert_eq!(events[0].1, BackendEvent::PersonRequestEnded { request: GoalId(7), result: Ok(()) });
+    assert_eq!(events[0].1, BackendEvent::PersonRequestEnded { request: GoalId(7), result: Ok(BTreeMap::new()) });
     assert!(events[0].0 > 34.0, "she was back at 34 s: {events:?}");
     assert_eq!(sample_holder(&world), SampleHolder::Drawer(robot("r1")));
     assert_eq!(until(&mut world, 300.0), [], "nobody gives up afterwards");

@@ -4,7 +4,8 @@
 //! in the requested role and stands there with an open drawer. The approached person hands over: of
 //! several nurses, the nurse at the robot's place. A handover takes time. If the robot leaves or
 //! closes its drawer meanwhile, the person keeps the sample and the request waits on. Any other task is
-//! done by a free person in the role, in the time of the parameter `seconds`, or else of a handover.
+//! done by a free person in the role, in the time of the parameter `seconds`, or else in the time that the domain
+//! declares in `simulate`, or else of a handover. It ends with the declared results or failures.
 //!
 //! While every person in the role is away, a request waits for a return: for the seconds of the
 //! task's parameter `timeout_s`, or two minutes. A robot that has stayed at the place is next
@@ -15,7 +16,7 @@ mod requests;
 pub(crate) use requests::PersonRequests;
 
 use crate::component_types;
-use crate::world::components::{CoPresence, DrawerOpen, HandoverRng, HandsBusy, PersonInfo, SampleLabel, SimRobot};
+use crate::world::components::{CoPresence, DrawerOpen, HandsBusy, PersonInfo, PersonRng, SampleLabel, SimRobot};
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
 use crate::world::location::RobotLocation;
@@ -27,15 +28,16 @@ use crate::world::setup::{PersonSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, SystemTimer};
+use crate::world::systems::declared_actions::{ActionModels, declared_duration_s, draw_end};
 use crate::world::systems::spontaneous_actions::PersonStates;
-use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, PersonRequest};
+use consort_protocol::ids::{RobotId, RoleId, TaskType};
+use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, PersonRequest, PersonResult};
 use hecs::Entity;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use requests::{Handover, Request, RequestNumber, Work};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Task type of a handover.
 const HANDOVER: &str = "deposit";
@@ -70,8 +72,8 @@ struct Ready {
     person: Entity,
     /// The robot of a handover.
     robot: Option<Entity>,
-    /// Duration in seconds, if the request contains it.
-    seconds: Option<f64>,
+    /// Least and greatest duration in seconds.
+    duration_s: (f64, f64),
 }
 
 /// See the [module](self).
@@ -83,7 +85,7 @@ impl System for People {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        component_types![CoPresence, SimRobot, DrawerOpen, PersonStates, RobotLocation]
+        component_types![CoPresence, SimRobot, DrawerOpen, PersonStates, RobotLocation, ActionModels]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
@@ -94,7 +96,7 @@ impl System for People {
             HandoverCount,
             SampleLabel,
             PayloadData,
-            HandoverRng,
+            PersonRng,
             PersonInfo,
             SampleSupply
         ]
@@ -160,7 +162,7 @@ impl SimState {
         let PersonSetup { name, role, on_call, .. } = person.clone();
         self.insert(entity, PersonInfo { name, role, place, on_call });
         self.insert(entity, HandsBusy(false));
-        self.insert(entity, HandoverRng(rng));
+        self.insert(entity, PersonRng(rng));
         self.insert(entity, SampleSupply { endless: person.endless_samples, made: vec![] });
         self.people.insert(person.name.clone(), entity);
         for sample in &person.samples {
@@ -179,10 +181,11 @@ impl SimState {
             Ok(work) => {
                 let timeout = request.task.parameters.get(PATIENCE_PARAMETER).and_then(|seconds| seconds.parse().ok());
                 let timeout_s = timeout.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(PATIENCE_S);
-                let role = request.role.clone();
+                let (role, task) = (request.role.clone(), request.task.task_type.clone());
                 self.resource_mut::<PersonRequests>().open(Request {
                     id,
                     role,
+                    task,
                     work,
                     under_way: None,
                     timeout_s,
@@ -244,17 +247,13 @@ impl SimState {
         }
     }
 
-    /// Starts a handover for each request with its conditions met, earlier requests first.
+    /// Starts the work on each request with its conditions met, earlier requests first.
     fn serve_requests(&mut self) {
         let waiting = self.resource::<PersonRequests>().waiting();
         for number in waiting {
             let ready = self.resource::<PersonRequests>().open.get(&number).and_then(|request| self.ready(request));
-            let Some(Ready { person, robot, seconds }) = ready else { continue };
-            let (min_s, max_s) = (self.durations.person_min_s, self.durations.person_max_s);
-            let duration_s = match seconds {
-                Some(seconds) => seconds,
-                None => self.get_mut::<HandoverRng>(person).0.random_range(min_s..=max_s),
-            };
+            let Some(Ready { person, robot, duration_s: (least, greatest) }) = ready else { continue };
+            let duration_s = self.get_mut::<PersonRng>(person).0.random_range(least..=greatest);
             let ends = self.schedule(self.now + duration_s, person, number.0);
             self.get_mut::<HandsBusy>(person).0 = true;
             if let Some(robot) = robot {
@@ -271,6 +270,7 @@ impl SimState {
     /// approached them.
     fn ready(&self, request: &Request) -> Option<Ready> {
         let is_free = |person: Entity| !self.get::<HandsBusy>(person).0;
+        let of_handover_s = (self.durations.person_min_s, self.durations.person_max_s);
         match &request.work {
             Work::Handover { into } => {
                 let with = |robot: Entity| {
@@ -278,7 +278,7 @@ impl SimState {
                 };
                 let mut pairs = into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
                 let (person, robot) = pairs.find(|(person, _)| is_free(*person))?;
-                Some(Ready { person, robot: Some(robot), seconds: None })
+                Some(Ready { person, robot: Some(robot), duration_s: of_handover_s })
             }
             Work::Task { seconds } => {
                 let can_do = |person: &Entity| {
@@ -286,7 +286,9 @@ impl SimState {
                     info.role == request.role && self.is_present(&info.name)
                 };
                 let person = self.people.values().copied().find(|person| can_do(person) && is_free(*person))?;
-                Some(Ready { person, robot: None, seconds: *seconds })
+                let stated = seconds.map(|seconds| (seconds, seconds));
+                let duration_s = stated.or_else(|| self.task_duration_s(&request.task)).unwrap_or(of_handover_s);
+                Some(Ready { person, robot: None, duration_s })
             }
         }
     }
@@ -302,24 +304,41 @@ impl SimState {
         }
     }
 
-    /// Handles the end of a handover: transfers the sample, if the robot is still there.
+    /// Handles the end of a handover or of another task. A handover transfers the sample, if the robot is still
+    /// there.
     fn finish_handover(&mut self, number: RequestNumber) {
         let done = self
             .resource_mut::<PersonRequests>()
             .open
             .get_mut(&number)
-            .and_then(|request| Some((request.id, request.under_way.take()?)));
-        let Some((id, handover)) = done else { return };
+            .and_then(|request| Some((request.id, request.task.clone(), request.under_way.take()?)));
+        let Some((id, task, handover)) = done else { return };
         self.get_mut::<HandsBusy>(handover.person).0 = false;
         match handover.robot {
             Some(robot) if self.person_ready_at(robot) == Some(handover.person) => {
                 let result = self.transfer_to_drawer(handover.person, robot);
-                self.end_request(id, result);
+                self.end_request(id, result.map(|()| BTreeMap::new()));
             }
             Some(_) => {}
-            None => self.end_request(id, Ok(())),
+            None => {
+                let result = self.task_result(&task, handover.person);
+                self.end_request(id, result);
+            }
         }
         self.serve_requests();
+    }
+
+    /// Returns the least and the greatest duration of a task, if a domain declares them.
+    fn task_duration_s(&self, task: &TaskType) -> Option<(f64, f64)> {
+        declared_duration_s(self.find::<ActionModels>(self.resource_entity())?.of_task(task)?)
+    }
+
+    /// Draws the result of a task that a person has done.
+    fn task_result(&self, task: &TaskType, person: Entity) -> PersonResult {
+        let Some(models) = self.find::<ActionModels>(self.resource_entity()) else { return Ok(BTreeMap::new()) };
+        let Some(action) = models.of_task(task) else { return Ok(BTreeMap::new()) };
+        let chance = &mut self.get_mut::<PersonRng>(person).0;
+        draw_end(action, chance, || format!("{} failed at {task}", self.get::<PersonInfo>(person).name))
     }
 
     /// Interrupts a person's handover, to the given robot or to any. The request stays open.
@@ -419,12 +438,12 @@ impl SimState {
         Some(sample)
     }
 
-    fn end_request(&mut self, id: GoalId, result: Result<(), ActionError>) {
+    fn end_request(&mut self, id: GoalId, result: PersonResult) {
         self.close(id, Some(result.clone()));
         self.emit(BackendEvent::PersonRequestEnded { request: id, result });
     }
 
-    fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>) {
+    fn close(&mut self, id: GoalId, result: Option<PersonResult>) {
         let timeout_timer = {
             let mut requests = self.resource_mut::<PersonRequests>();
             let number = requests.ids.get(&id).copied();

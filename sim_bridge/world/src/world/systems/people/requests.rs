@@ -1,8 +1,8 @@
 //! The requests to people: open, and ended lately.
 
 use crate::world::event_queue::TimerId;
-use consort_protocol::ids::RoleId;
-use consort_skills::actions::{ActionError, GoalId};
+use consort_protocol::ids::{RoleId, TaskType};
+use consort_skills::actions::{GoalId, PersonResult};
 use hecs::Entity;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -16,7 +16,7 @@ pub(crate) struct PersonRequests {
     pub(super) open: BTreeMap<RequestNumber, Request>,
     pub(super) ids: BTreeMap<GoalId, RequestNumber>,
     /// Ended requests with their results; `None` for a canceled request.
-    pub(super) ended: BTreeMap<GoalId, Option<Result<(), ActionError>>>,
+    pub(super) ended: BTreeMap<GoalId, Option<PersonResult>>,
     /// Ended requests in the order of their ends.
     ended_order: VecDeque<GoalId>,
     next: u64,
@@ -26,6 +26,7 @@ pub(crate) struct PersonRequests {
 pub(super) struct Request {
     pub(super) id: GoalId,
     pub(super) role: RoleId,
+    pub(super) task: TaskType,
     pub(super) work: Work,
     pub(super) under_way: Option<Handover>,
     /// Time for which the request waits for an absent person, in seconds.
@@ -38,7 +39,7 @@ pub(super) struct Request {
 pub(super) enum Work {
     /// Handover of a sample to any of the robots `into`.
     Handover { into: BTreeSet<Entity> },
-    /// Any other task, with its duration in seconds if the request contains it.
+    /// Any other task, with its duration in seconds if a parameter contains it.
     Task { seconds: Option<f64> },
 }
 
@@ -72,7 +73,7 @@ impl PersonRequests {
         self.open.iter().filter(|(_, request)| request.under_way.is_none()).map(|(number, _)| *number).collect()
     }
 
-    pub(super) fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>, kept: usize) {
+    pub(super) fn close(&mut self, id: GoalId, result: Option<PersonResult>, kept: usize) {
         if let Some(number) = self.ids.remove(&id) {
             self.open.remove(&number);
         }
@@ -97,7 +98,7 @@ impl PersonRequests {
     }
 
     /// Result of a request that ended lately.
-    pub(crate) fn result(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+    pub(crate) fn result(&self, id: GoalId) -> Option<PersonResult> {
         self.ended.get(&id).cloned().flatten()
     }
 }
