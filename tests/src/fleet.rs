@@ -93,12 +93,14 @@ pub(crate) struct NodeOptions {
     pub(crate) runtimes: BTreeMap<String, Handle>,
 }
 
-/// Domain and ensembles of a hospital.
+/// Domain, ensembles and people of a hospital.
 pub struct DomainSetup {
     /// Actions, readings and tasks of its robots in addition to the standard domain.
     pub domain: DomainFile,
     /// Its ensembles.
     pub ensembles: Vec<EnsembleSpec>,
+    /// Rooms with a nurse.
+    pub rooms: &'static [&'static str],
     /// Nodes have certificates and sign their messages.
     pub closed: bool,
 }
@@ -188,18 +190,18 @@ impl Fleet {
         Fleet::hospital_with(seed, members, stations, vec![], options).await
     }
 
-    /// Starts the same hospital with this domain and these ensembles.
+    /// Starts the same hospital with this domain, these ensembles and these nurses.
     pub async fn hospital_of_domain_setup(
         seed: u64,
         members: Vec<RobotSpec>,
         stations: &[&str],
         setup: DomainSetup,
     ) -> Fleet {
-        let DomainSetup { domain, ensembles, closed } = setup;
+        let DomainSetup { domain, ensembles, rooms, closed } = setup;
         let extensions = Extensions::default().with_domain("domain.yaml", domain);
         let signatures = closed.then_some(Signatures::Ed25519);
         let options = NodeOptions { extensions, signatures, ensembles, ..NodeOptions::default() };
-        Fleet::hospital_with(seed, members, stations, vec![], options).await
+        Fleet::hospital_with(seed, members, stations, nurses_in(rooms), options).await
     }
 
     /// Starts the hospital, open or closed.

@@ -33,7 +33,7 @@ async fn fleet(seed: u64, robots: Vec<RobotSpec>, condition: &str, closed: bool)
         membership: vec!["member.robot".to_owned()],
         ..EnsembleSpec::with_any_skill_of(slug("hospital"), BTreeSet::new())
     };
-    let setup = DomainSetup { domain, ensembles: vec![icu, hospital], closed };
+    let setup = DomainSetup { domain, ensembles: vec![icu, hospital], rooms: &[], closed };
     let mut fleet = Fleet::hospital_of_domain_setup(seed, robots, &["aster"], setup).await;
     fleet.wait_for_coordinator().await;
     fleet

@@ -153,6 +153,44 @@ fn a_nurse_is_asked_to_meet_a_robot_once_there_is_a_holder() {
     });
 }
 
+/// The nurse answers and measures with results of the declared values, which a robot then uses, and attends
+/// for the declared time. The coordinator is killed while she measures.
+#[test]
+fn a_simulated_nurse_states_results_and_takes_the_declared_time() {
+    for_each_seed([751, 752, 753], async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", ROOM).with_skill("wait")];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
+        fleet.wait_for_coordinator().await;
+        let nurse = |task: &str, of: &str, parameters: Value| json!({ "task": task, "type": of, "roles": ["nurse"], "parameters": parameters });
+        let mission = json!({
+            "mission": "by-nurse", "roles": { "nurse": { "kind": "unmanaged" },
+                "r1": { "kind": "managed", "on_loss": "restart" } },
+            "root": { "task": "all", "method": "sequential", "tasks": [
+                nurse("ask", "ask_person", json!({ "message": "may I enter?", "at": ROOM })),
+                nurse("measure", "measure_vital_signs", json!({})),
+                { "task": "stay", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "${measure.pulse_bpm}" } },
+                nurse("look", "attend", json!({ "at": ROOM })),
+            ] },
+            "result": { "answer": "ask.answer", "pulse": "measure.pulse_bpm" },
+        });
+        let id = submit(&mut fleet, mission).await;
+        fleet.wait_until("the measurement", SOON, |fleet| fleet.has_event(task_began("measure"))).await;
+        if fleet.kill_coordinator().await.as_str() == "amber" {
+            fleet.start_robot("amber").await;
+        }
+        fleet.assert_completes(&id).await;
+        let view = fleet.request_answered(ApiCall::Get, &json!({ "mission": id })).await;
+        let (answer, pulse) = (&view["result"]["answer"], &view["result"]["pulse"]);
+        assert!(answer == "yes" || answer == "no", "seed {seed}: {answer}");
+        assert!([62, 70, 78, 96].iter().any(|declared| pulse == declared), "seed {seed}: {pulse}");
+        let ended = |kind: &EventKind| matches!(kind, EventKind::TaskEnded { task, .. } if task.as_str() == "look");
+        let (began, ended) = (fleet.event_log.times(task_began("look")), fleet.event_log.times(ended));
+        // The world runs ten times as fast as the nodes, and she takes 30 to 60 s.
+        let took_s = (ended[0] - began[0]).as_secs_f64();
+        assert!((2.9..7.0).contains(&took_s), "seed {seed}: {took_s} s\n{}", fleet.event_log_text());
+    });
+}
+
 /// The node of the nurses is killed while a nurse has an open request, and the mission is canceled
 /// meanwhile. Before the fix the request was forgotten: she handed her sample to the next robot for
 /// the ended mission and had none for the new mission.

@@ -35,14 +35,23 @@ const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="visit">
   </BehaviorTree>
 </root>"#;
 
-/// Starts a fleet with a robot that visits, and submits a visit.
+/// Starts a fleet with a robot that visits and no simulated nurse, and submits a visit.
 async fn visit(seed: u64, patience_s: u32, closed: bool) -> (Fleet, MissionId) {
+    visit_with_nurses(&[], seed, patience_s, closed).await
+}
+
+async fn visit_with_nurses(
+    rooms: &'static [&'static str],
+    seed: u64,
+    patience_s: u32,
+    closed: bool,
+) -> (Fleet, MissionId) {
     let trees = BTreeMap::from([("visit.xml".to_owned(), TREE.to_owned())]);
     let domain = DomainFile::check(serde_json::from_str(DOMAIN).expect("a domain"), &trees, &[]);
     let robots = vec!["member.robot".to_owned()];
     let hospital =
         EnsembleSpec { membership: robots, ..EnsembleSpec::with_any_skill_of(slug("hospital"), BTreeSet::new()) };
-    let setup = DomainSetup { domain: domain.expect("a valid domain"), ensembles: vec![hospital], closed };
+    let setup = DomainSetup { domain: domain.expect("a valid domain"), ensembles: vec![hospital], rooms, closed };
     let robots = vec![RobotSpec::carrier("amber", "Dock").with_skills(&["navigation", "visit"])];
     let mut fleet = Fleet::hospital_of_domain_setup(seed, robots, &["aster", "basil", "clove"], setup).await;
     fleet.wait_for_coordinator().await;
@@ -113,6 +122,19 @@ fn without_an_answer_the_tree_decides_how_to_go_on() {
             let error = late["error"].as_str().unwrap_or_default().to_owned();
             assert!(error.contains("is closed"), "seed {seed}: {late}");
         }
+    });
+}
+
+#[test]
+fn a_simulated_nurse_answers_the_questions_of_a_robot() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, id) = visit_with_nurses(&["IC Room 6"], seed, 3600, seed == SEEDS[0]).await;
+        fleet.assert_completes(&id).await;
+        let given = result(&fleet, &id).await;
+        assert!(given == "yes" || given == "no", "seed {seed}: {given}");
+        let by: Vec<_> =
+            person_requests(&fleet).await.iter().map(|asked| asked["phase"]["answered"]["by"].clone()).collect();
+        assert_eq!(by, ["nurse", "nurse"], "seed {seed}");
     });
 }
 
