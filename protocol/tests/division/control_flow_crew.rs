@@ -248,7 +248,7 @@ impl<'m> Crew<'m> {
     fn receive(&mut self, role: &RoleId) -> bool {
         let sent = self.entry().signals_to(role);
         let progress = &mut self.parts.get_mut(role).unwrap().progress;
-        sent.iter().fold(false, |has_received, signal| progress.receive(signal) || has_received)
+        sent.iter().filter(|signal| progress.receive(signal)).count() > 0
     }
 
     fn perform(&mut self, role: &RoleId) -> Result<bool, String> {

@@ -87,8 +87,8 @@ mod tests {
 
     #[test]
     fn mistakes_are_named() {
-        let mistakes: [(&str, &[(&str, &str)], &str); 5] = [
-            ("spinn", &[], "no domain declares the action spinn; allowed: "),
+        let mistakes = [
+            ("spinn", &[] as &[(&str, &str)], "no domain declares the action spinn; allowed: "),
             ("wait", &[], "wait needs the parameter `time`, in a table"),
             ("wait", &[("tine", "5")], "wait has no parameter `tine`; allowed: time"),
             ("wait", &[("time", "soon")], "the parameter `time` of wait is `soon`, allowed is "),

@@ -189,7 +189,7 @@ impl Drop for Fleet {
 }
 
 /// Names of all views of [`hospital`] without missions.
-pub(crate) const VIEWS: [&str; 11] = [
+pub(crate) const VIEWS: [&str; 12] = [
     "auctions",
     "coordinator",
     "ensembles",
@@ -200,6 +200,7 @@ pub(crate) const VIEWS: [&str; 11] = [
     "requests",
     "robot/ada",
     "robot/lab-arm",
+    "schedules",
     "world",
 ];
 
