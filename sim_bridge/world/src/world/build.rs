@@ -1,6 +1,5 @@
 //! Building a world from a setup.
 
-use super::action_systems::{ActionSystems, action_errors};
 use super::components::SimRobot;
 use super::goal_history::GoalHistory;
 use super::location::{MapPosition, RobotLocation};
@@ -10,6 +9,7 @@ use super::setup::{
     Durations, ProgramParts, RobotSetup, SetupError, SetupErrors, WorldLimits, WorldSetup, default_step_s,
 };
 use super::sim_state::SimState;
+use super::simulated_actions::{action_errors, systems_of_actions};
 use super::simulation::World;
 use super::systems;
 use crate::kinematics::{ChassisSettings, Kinematics, OwnSettings, build_chassis};
@@ -66,7 +66,7 @@ impl World {
             return Err(SetupErrors(errors));
         }
         let systems: Vec<_> = setup.systems.iter().filter_map(|name| setup.program.system(name)).collect();
-        let actions = ActionSystems::new(&setup.actions, &systems);
+        let actions = systems_of_actions(&setup.actions, &systems);
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
         state.own_chassis = setup.program.chassis();
         state.insert_resource(HandoverCount::default());

@@ -73,6 +73,7 @@ mod samples;
 mod sensing;
 mod setup;
 mod sim_state;
+mod simulated_actions;
 mod simulation;
 mod speed;
 mod steered;
@@ -82,7 +83,6 @@ mod systems;
 #[cfg(test)]
 mod tests;
 
-pub use action_systems::check_simulated_actions;
 pub use event::{LoggedEvent, SampleHolder, WorldEvent};
 pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};
@@ -95,6 +95,7 @@ pub use setup::{
     SetupError, SetupErrors, SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,
 };
 pub use sim_state::SimState;
+pub use simulated_actions::check_simulated_actions;
 pub use simulation::World;
 pub use system::{END_UNKNOWN, System};
 pub use system_access::{ComponentType, SystemTimer};
