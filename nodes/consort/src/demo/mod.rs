@@ -144,7 +144,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let domain = extensions.domain().with_places(places.into_keys());
     let requested = runner::request_mission(&args.mission, &args.people.people, &domain)?;
     let scenario = scenario.with_participants(&requested.mission, &domain);
-    let scenario = if args.keep_running { scenario.with_participants_of_shipped_missions(&domain) } else { scenario };
+    let scenario = if args.keep_running { scenario.with_participants_of_all_missions(&domain) } else { scenario };
     let scenario = args.driver.iter().fold(scenario, DemoScenario::with_driver);
     let reporter = DemoReporter::new(args.json, &scenario);
     let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, requested };

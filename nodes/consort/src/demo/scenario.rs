@@ -209,12 +209,17 @@ impl DemoScenario {
     /// Adds a person on call for each unmanaged role of a mission that nobody in the world has. Of the people in
     /// the role only those count for whom `counts` is true.
     #[must_use]
-    fn with_people(mut self, mission: &Mission, domain: &Domain, counts: fn(&PersonSetup) -> bool) -> DemoScenario {
-        for role in mission.unmanaged_roles() {
-            if self.world.person.iter().any(|person| person.role == *role && counts(person)) {
-                continue;
-            }
-            let place = place_of_role(mission, role, domain).unwrap_or_else(|| slug(ROOMS[0]));
+    fn with_people(self, mission: &Mission, domain: &Domain, counts: fn(&PersonSetup) -> bool) -> DemoScenario {
+        mission
+            .unmanaged_roles()
+            .fold(self, |scenario, role| scenario.with_person(role, place_of_role(mission, role, domain), counts))
+    }
+
+    /// Adds a person on call, at the place or else in the first room, unless somebody has the role.
+    #[must_use]
+    fn with_person(mut self, role: &RoleId, place: Option<PlaceId>, counts: fn(&PersonSetup) -> bool) -> DemoScenario {
+        if !self.world.person.iter().any(|person| person.role == *role && counts(person)) {
+            let place = place.unwrap_or_else(|| slug(ROOMS[0]));
             self.world.person.push(PersonSetup {
                 endless_samples: true,
                 on_call: true,
@@ -259,14 +264,16 @@ impl DemoScenario {
     }
 
     /// Adds the people and robots of all shipped missions, so that each of them can be submitted while the
-    /// demo runs, with any places.
+    /// demo runs, with any places; and the people of the domain's iHTNs.
     #[must_use]
-    pub fn with_participants_of_shipped_missions(self, domain: &Domain) -> DemoScenario {
+    pub fn with_participants_of_all_missions(self, domain: &Domain) -> DemoScenario {
         let shipped = missions::shipped().values();
         let missions = shipped.filter_map(|mission| mission.instantiate(&BTreeMap::new(), domain).ok());
-        missions.fold(self, |scenario, mission| {
+        let scenario = missions.fold(self, |scenario, mission| {
             scenario.with_people(&mission, domain, |person| person.on_call).with_robots(&mission)
-        })
+        });
+        let people = &domain.ihtn_names().people;
+        people.iter().fold(scenario, |scenario, role| scenario.with_person(role, None, |_| true))
     }
 
     /// Gives all mobile robots a driver, in place of the simulator.

@@ -38,15 +38,25 @@ fn ctrl_c_before_the_fleet_has_met_ends_it_too() {
     assert_eq!(folder.temporary_files(), Vec::<String>::new());
 }
 
+/// It takes missions of its domain, too, with people whom only the domain names.
 #[test]
 fn a_demo_that_keeps_running_ends_cleanly_at_sigterm() {
     let folder = Folder::new();
-    let arguments = ["demo", "--json", "--no-kill", "--robots", "1", "--speed", "40", "--keep-running"];
-    let demo = Program::start(&folder, "demo", &arguments);
+    let mission = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/ihtn/serve-meal.json");
+    let run = |name: &str, arguments: &[&str]| Program::start(&folder, name, arguments).end(LONG).expect(0).stdout;
+    let scaffold = ["domain", "scaffold", mission, "--person", "resident", "--object", "trolley"];
+    let domain = folder.write("domain.yaml", &run("scaffold", &scaffold));
+    let domain = domain.to_str().expect("UTF-8");
+    let arguments = ["demo", "--json", "--no-kill", "--robots", "2", "--speed", "40", "--keep-running"];
+    let demo = Program::start(&folder, "demo", &[&arguments[..], &["--domain", domain]].concat());
     until("the demo keeps its fleet running", LONG, || {
         demo.stdout().contains(r#""event":"demo_keeps_running""#).then_some(())
     });
     assert!(folder.processes().len() > 3, "{:?}", folder.processes());
+    let stdout = demo.stdout();
+    let address = stdout.split_once("--connect ").and_then(|(_, rest)| rest.split('"').next()).expect("an address");
+    let submitted = run("submit", &["submit", mission, "--fleet", "demo", "--connect", address, "--wait"]);
+    assert!(submitted.contains("serve-meal-1 completed"), "{submitted}");
     demo.signal("TERM");
     demo.end(LONG).expect(0);
     folder.await_no_process();
