@@ -45,7 +45,7 @@ pub fn estimate_success(
     // The estimated time of each step, and the places between which it drives.
     let steps = parts.iter().zip(&plan.steps).map(|(part, step)| {
         let to = match &step.action {
-            StepAction::Task { spec, .. } if spec.task_type.as_str() == "navigation" => spec.parameters.get("to"),
+            StepAction::Task { spec, .. } => spec.parameters.get("to"),
             _ => None,
         };
         let to = to.and_then(|to| to.parse::<PlaceId>().ok());

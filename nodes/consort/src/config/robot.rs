@@ -130,8 +130,9 @@ impl ConfigFile for RobotConfig {
         if self.skills.is_empty() {
             validate.push("skills: the list is empty; such a robot would get no work".to_owned());
         }
-        if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
-            validate.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
+        let travels = self.skills.iter().find(|skill| domain.ihtn_names().reaching.contains(*skill));
+        if let (Some(skill), None) = (travels, self.speed_mps) {
+            validate.push(format!("speed_mps: is missing, and the robot has the skill `{skill}`"));
         }
         if let Some(Err(problem)) = self.driver.clone().map(DriverEndpoint::try_from) {
             validate.push(format!("driver: {problem}"));

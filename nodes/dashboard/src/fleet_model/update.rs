@@ -270,13 +270,11 @@ fn ensemble_model(view: EnsembleView) -> (String, EnsembleModel) {
     (view.name.to_string(), shown)
 }
 
-/// Returns the destination of a navigation task in a mission's tree.
+/// Returns the destination of a task in a mission's tree: its parameter `to`.
 fn destination<'a>(tasks: &'a [TaskNode], task: &str) -> Option<&'a str> {
     match &tasks.iter().find(|node| node.id.as_str() == task)?.body {
-        TaskBody::Elementary(spec) if spec.task_type.as_str() == "navigation" => {
-            spec.parameters.get("to").map(String::as_str)
-        }
-        TaskBody::Elementary(_) | TaskBody::Abstract(_) => None,
+        TaskBody::Elementary(spec) => spec.parameters.get("to").map(String::as_str),
+        TaskBody::Abstract(_) => None,
     }
 }
 
