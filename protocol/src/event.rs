@@ -3,7 +3,7 @@
 
 use crate::auction::{AuctionRecord, Bid};
 use crate::cause::CauseClass;
-use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
+use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::lease::{EndReason, Epoch};
 use crate::ledger::MissionState;
 use crate::message::FailureKind;
@@ -81,6 +81,24 @@ pub enum EventKind {
         mission: MissionId,
         /// Its parameters.
         parameters: BTreeMap<String, String>,
+    },
+    /// A person added, paused, resumed or removed a schedule.
+    ScheduleChanged {
+        /// The schedule.
+        schedule: ScheduleId,
+        /// The change.
+        change: ScheduleChange,
+        /// The responsible person; in a closed fleet with the signer.
+        by: String,
+    },
+    /// An occurrence of a schedule was submitted.
+    OccurrenceSubmitted {
+        /// The schedule.
+        schedule: ScheduleId,
+        /// Time at which it was due, in milliseconds since 1970.
+        due_ms: u64,
+        /// Its mission.
+        mission: MissionId,
     },
     /// The coordinator sent a call for bids to the members.
     #[serde(alias = "called")]
@@ -313,6 +331,32 @@ pub enum EventKind {
     },
 }
 
+/// Change of a schedule.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScheduleChange {
+    /// It was added.
+    Added,
+    /// It was paused.
+    Paused,
+    /// It was resumed.
+    Resumed,
+    /// It was removed.
+    Removed,
+}
+
+impl ScheduleChange {
+    /// Returns the name.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            ScheduleChange::Added => "added",
+            ScheduleChange::Paused => "paused",
+            ScheduleChange::Resumed => "resumed",
+            ScheduleChange::Removed => "removed",
+        }
+    }
+}
+
 impl EventKind {
     /// Returns the name of the kind: the field `event` of its JSON.
     pub fn as_str(&self) -> &'static str {
@@ -324,6 +368,8 @@ impl EventKind {
             EventKind::Joined { .. } => "joined",
             EventKind::Left { .. } => "left",
             EventKind::Submitted { .. } => "submitted",
+            EventKind::ScheduleChanged { .. } => "schedule_changed",
+            EventKind::OccurrenceSubmitted { .. } => "occurrence_submitted",
             EventKind::BidsRequested { .. } => "bids_requested",
             EventKind::Bid { .. } => "bid",
             EventKind::Closed { .. } => "closed",
@@ -354,6 +400,7 @@ impl EventKind {
     pub fn mission(&self) -> Option<&MissionId> {
         match self {
             EventKind::Submitted { mission, .. }
+            | EventKind::OccurrenceSubmitted { mission, .. }
             | EventKind::BidsRequested { mission, .. }
             | EventKind::Bid { mission, .. }
             | EventKind::Closed { mission, .. }
@@ -381,6 +428,7 @@ impl EventKind {
             | EventKind::SteppedDown { .. }
             | EventKind::Foreign { .. }
             | EventKind::Voters { .. }
+            | EventKind::ScheduleChanged { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. } => None,
         }
@@ -394,10 +442,13 @@ mod tests {
     #[test]
     fn the_name_of_an_event_kind_equals_its_json_name() {
         let mission: MissionId = "vital-signs-1".parse().unwrap();
+        let schedule: ScheduleId = "rounds".parse().unwrap();
         let (role, task): (RoleId, TaskId) = ("r1".parse().unwrap(), "go".parse().unwrap());
         let kinds = [
             EventKind::SteppedDown { term: 1 },
             EventKind::TaskBegan { mission: mission.clone(), role: role.clone(), task },
+            EventKind::OccurrenceSubmitted { schedule: schedule.clone(), due_ms: 1, mission: mission.clone() },
+            EventKind::ScheduleChanged { schedule, change: ScheduleChange::Added, by: String::new() },
             EventKind::LowCharge { mission, role, cause: String::new() },
         ];
         for kind in kinds {

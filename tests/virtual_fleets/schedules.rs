@@ -1,6 +1,7 @@
 //! Schedules: missions that are submitted at certain times.
 
 use crate::support::with_wrong_clock;
+use consort_protocol::event::{EventKind, ScheduleChange};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
@@ -61,6 +62,24 @@ async fn wait_for_missions(fleet: &mut Fleet, count: usize) {
     fleet.wait_until("the occurrences", 8 * MINUTE, |fleet| missions(fleet).len() >= count).await;
 }
 
+/// Returns the missions of the events about occurrences, with the minutes after 1970 at which they were due.
+fn announced(fleet: &Fleet) -> Vec<(MissionId, u64)> {
+    let announced = fleet.events().into_iter().filter_map(|event| match event {
+        EventKind::OccurrenceSubmitted { due_ms, mission, .. } => Some((mission, due_ms / 60_000)),
+        _ => None,
+    });
+    announced.collect()
+}
+
+/// Returns the published changes of the schedule with the responsible people.
+fn changes(fleet: &Fleet) -> Vec<(ScheduleChange, String)> {
+    let changes = fleet.events().into_iter().filter_map(|event| match event {
+        EventKind::ScheduleChanged { schedule, change, by } if schedule.as_str() == "rests" => Some((change, by)),
+        _ => None,
+    });
+    changes.collect()
+}
+
 /// Asserts that the missions are those of consecutive minutes, each once.
 fn assert_consecutive(fleet: &Fleet, seed: u64) {
     let minutes = minutes(fleet);
@@ -80,6 +99,14 @@ fn each_occurrence_is_submitted_once_across_takeovers() {
         fleet.kill_coordinator().await;
         wait_for_missions(&mut fleet, 5).await;
         assert_consecutive(&fleet, seed);
+        let (announced, submitted) = (announced(&fleet), missions(&fleet));
+        // A coordinator that is killed may not have published its last one.
+        assert!(announced.len() >= 3, "seed {seed}: {announced:?}");
+        let is_once = |event: &&(MissionId, u64)| announced.iter().filter(|other| other == event).count() == 1;
+        assert!(
+            announced.iter().all(|event| is_once(&event) && submitted.contains(event)),
+            "seed {seed}: {announced:?}"
+        );
         for (mission, _) in &missions(&fleet)[..4] {
             fleet.assert_completes(mission).await;
             fleet.assert_each_task_once(mission);
@@ -106,6 +133,36 @@ fn a_paused_or_removed_schedule_submits_nothing() {
         assert_eq!(change(&fleet, "remove").await, json!({ "schedule": null }), "seed {seed}");
         tokio::time::sleep(3 * MINUTE).await; // virtual time
         assert_eq!(missions(&fleet).len(), 3, "seed {seed}");
+        assert_eq!(announced(&fleet), missions(&fleet), "seed {seed}");
+    });
+}
+
+#[test]
+fn each_change_of_a_schedule_is_published_once_with_the_person() {
+    use ScheduleChange::{Added, Paused, Removed, Resumed};
+    for_each_seed(SEEDS, async |seed| {
+        let fleet = fleet(seed, &["aba"]).await;
+        request(&fleet, &every_minute("skip")).await;
+        request(&fleet, &every_minute("skip")).await;
+        for action in ["resume", "pause", "pause", "resume", "remove", "remove"] {
+            change(&fleet, action).await;
+        }
+        let expected = [Added, Paused, Resumed, Removed].map(|change| (change, "Nia".to_owned()));
+        assert_eq!(changes(&fleet), expected, "seed {seed}");
+    });
+}
+
+#[test]
+fn a_closed_fleet_publishes_the_signer_of_a_change() {
+    for_each_seed([SEEDS[0]], async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", "Dock").with_skill("wait")];
+        let mut fleet = Fleet::closed_hospital(seed, robots, &["aba"], &[]).await;
+        fleet.wait_for_coordinator().await;
+        request(&fleet, &every_minute("skip")).await;
+        change(&fleet, "pause").await;
+        let changes = changes(&fleet);
+        assert_eq!(changes.len(), 2, "{changes:?}");
+        assert!(changes.iter().all(|(_, by)| by.starts_with("Nia, according to ")), "{changes:?}");
     });
 }
 

@@ -5,6 +5,7 @@
 //! fields of an event instead of a sentence, since programs sort it; its level is decided here all
 //! the same.
 
+use consort_fleet::recurrence::time_in_zone;
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::plan::{Signal, SignalKind};
@@ -46,6 +47,12 @@ pub fn describe_event(event: &Event) -> EventText {
             let given: Vec<String> = parameters.iter().map(|(name, value)| format!("{name} = {value}")).collect();
             let with = if given.is_empty() { String::new() } else { format!("; {}", given.join(", ")) };
             normal("mission", format!("{mission} acknowledged{with}"))
+        }
+        EventKind::ScheduleChanged { schedule, change, by } => {
+            normal("schedule", format!("{schedule} {} by {by}", change.as_str()))
+        }
+        EventKind::OccurrenceSubmitted { schedule, due_ms, mission } => {
+            normal("schedule", format!("{schedule} submitted {mission}, due {}", time_in_zone(*due_ms, "UTC")))
         }
         EventKind::BidsRequested { mission, roles, round, asked } => {
             let roles = joined(roles);
@@ -173,6 +180,16 @@ mod tests {
         assert_eq!(state(json!({ "canceled": { "by": "Nia" } })), ("mission", "m-1 canceled by Nia".to_owned(), true));
         let rescue = json!({ "needs_intervention": { "cause": "lost", "items": [] } });
         assert_eq!(state(rescue), ("mission", "m-1 needs intervention: lost".to_owned(), true));
+    }
+
+    #[test]
+    fn schedule_events_name_the_person_the_mission_and_the_time() {
+        let paused = json!({ "event": "schedule_changed", "schedule": "rounds", "change": "paused", "by": "Nia" });
+        assert_eq!(text_of(paused), ("schedule", "rounds paused by Nia".to_owned(), false));
+        let submitted =
+            json!({ "event": "occurrence_submitted", "schedule": "rounds", "due_ms": 60_000, "mission": "m-1" });
+        let expected = "rounds submitted m-1, due 1970-01-01 00:01 UTC".to_owned();
+        assert_eq!(text_of(submitted), ("schedule", expected, false));
     }
 
     #[test]

@@ -23,6 +23,10 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::Elected { .. } => "coordinates".to_owned(),
         EventKind::SteppedDown { .. } => "no longer coordinates".to_owned(),
         EventKind::Submitted { mission, .. } => format!("{mission} is acknowledged"),
+        EventKind::ScheduleChanged { schedule, change, by } => {
+            format!("schedule {schedule} is {} by {by}", change.as_str())
+        }
+        EventKind::OccurrenceSubmitted { schedule, mission, .. } => format!("{schedule} submits {mission}"),
         EventKind::Closed { mission, record } => {
             let why = record.failure.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
             format!("the auction for {mission} is closed{why}")

@@ -4,6 +4,7 @@
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
 use super::submission::{self, ScheduleError, SubmitError};
+use crate::events::EventPublisher;
 use crate::recurrence::schedule_view;
 use consort_bus::{MESSAGE_MAX, Requester};
 use consort_gossip::SharedKnowledge;
@@ -12,10 +13,11 @@ use consort_protocol::api::{
     NodeVersions, RequestError, ScheduleAction, ScheduleReply, ScheduleRequest, SubmitReply, SubmitRequest,
     UpgradeReply, UpgradeRequest, parse_request,
 };
+use consort_protocol::event::{EventKind, ScheduleChange};
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{
-    AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer, SchedulePause,
+    AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer, ScheduleEntry, SchedulePause,
 };
 use consort_protocol::mission::{Domain, check_results};
 use consort_protocol::versions::{UpgradeStatus, VersionRange};
@@ -39,6 +41,7 @@ pub(super) struct ApiHandler {
     pub(super) fleet: FleetId,
     pub(super) node: NodeId,
     pub(super) replica: Replica<Ledger>,
+    pub(super) events: EventPublisher,
     pub(super) knowledge: SharedKnowledge,
     pub(super) supported_versions: VersionRange,
     pub(super) domain: Arc<Domain>,
@@ -218,7 +221,7 @@ impl ApiHandler {
             (request.schedule.clone(), request.action, self.responsible(request.by.take()), self.time_ms()?);
         let command = match action {
             ScheduleAction::Add => {
-                let schedule = Box::new(submission::prepare_schedule(request, &self.domain, by)?);
+                let schedule = Box::new(submission::prepare_schedule(request, &self.domain, by.clone())?);
                 Command::AddSchedule { schedule, from_ms: at_ms }
             }
             _ if request.has_content() => {
@@ -226,12 +229,13 @@ impl ApiHandler {
                 return Err(text.to_owned().into());
             }
             ScheduleAction::Pause => {
-                let pause = SchedulePause { by, since_ms: at_ms };
+                let pause = SchedulePause { by: by.clone(), since_ms: at_ms };
                 Command::PauseSchedule { schedule: id.clone(), pause }
             }
             ScheduleAction::Resume => Command::ResumeSchedule { schedule: id.clone(), at_ms },
             ScheduleAction::Remove => Command::RemoveSchedule { schedule: id.clone() },
         };
+        let change = self.replica.read(|ledger| schedule_change(action, ledger.schedule(&id)));
         match self.replica.propose(command, COMMIT_TIMEOUT).await {
             Ok(CommandOutcome::Refused(refused)) => {
                 // A new ledger gets its version right after its creation.
@@ -239,6 +243,9 @@ impl ApiHandler {
                 Err(ApiError { text: refused.to_string(), may_retry })
             }
             Ok(_) => {
+                if let Some(change) = change {
+                    self.events.publish(EventKind::ScheduleChanged { schedule: id.clone(), change, by });
+                }
                 Ok(ScheduleReply { schedule: self.replica.read(|ledger| ledger.schedule(&id).map(schedule_view)) })
             }
             Err(problem) => Err(not_committed(&problem)),
@@ -369,5 +376,17 @@ fn not_committed(problem: &ProposeError) -> ApiError {
     match problem {
         ProposeError::TooLarge { .. } | ProposeError::Unencodable { .. } => problem.to_string().into(),
         _ => ApiError { text: format!("{problem}; the same request may be sent again"), may_retry: true },
+    }
+}
+
+/// Returns what a request changes about a schedule; `None` if it is repeated.
+fn schedule_change(action: ScheduleAction, known: Option<&ScheduleEntry>) -> Option<ScheduleChange> {
+    let is_paused = known.map(|entry| entry.pause.is_some());
+    match (action, is_paused) {
+        (ScheduleAction::Add, None) => Some(ScheduleChange::Added),
+        (ScheduleAction::Pause, Some(false)) => Some(ScheduleChange::Paused),
+        (ScheduleAction::Resume, Some(true)) => Some(ScheduleChange::Resumed),
+        (ScheduleAction::Remove, Some(_)) => Some(ScheduleChange::Removed),
+        _ => None,
     }
 }

@@ -3,9 +3,11 @@
 
 use super::session_context::SessionContext;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, RobotId, RoleId, ScheduleId};
 use consort_protocol::lease::{EndReason, Epoch, RoleHolder};
-use consort_protocol::ledger::{Branch, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, RoleRelease};
+use consort_protocol::ledger::{
+    Branch, Ledger, MissionEntry, MissionState, Occurrence, RoleEntry, RolePhase, RoleRelease,
+};
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
 use std::collections::BTreeMap;
@@ -44,19 +46,25 @@ impl MissionSnapshot {
 pub(super) struct ChangeFeed {
     /// Last published state of each mission, to detect changes.
     snapshots: BTreeMap<MissionId, MissionSnapshot>,
+    /// Time of the last published occurrence of each schedule, in milliseconds since 1970.
+    occurrences: BTreeMap<ScheduleId, u64>,
 }
 
 impl ChangeFeed {
-    /// Creates the feed. Missions that are in the ledger before the session are not reported as
-    /// changes.
+    /// Creates the feed. Missions and occurrences that are in the ledger before the session are not
+    /// reported as changes.
     pub(super) fn new(context: &SessionContext) -> ChangeFeed {
         let snapshot = |entry: &MissionEntry| (entry.id.clone(), MissionSnapshot::of(entry, context.since));
-        ChangeFeed { snapshots: context.read_ledger(|ledger| ledger.missions().map(snapshot).collect()) }
+        context.read_ledger(|ledger| ChangeFeed {
+            snapshots: ledger.missions().map(snapshot).collect(),
+            occurrences: last_occurrences(ledger).collect(),
+        })
     }
 
-    /// Forgets the missions that are no longer in the ledger.
+    /// Forgets the missions and schedules that are no longer in the ledger.
     pub(super) fn follow(&mut self, ledger: &Ledger) {
         self.snapshots.retain(|mission, _| ledger.mission(mission).is_some());
+        self.occurrences.retain(|schedule, _| ledger.schedule(schedule).is_some());
     }
 
     /// Publishes all changes since the last comparison.
@@ -97,9 +105,22 @@ impl ChangeFeed {
                 }
                 self.snapshots.insert(mission, snapshot);
             }
+            self.publish_occurrences(ledger, context);
         });
         for (robot, epoch, reason) in revoked {
             context.notify(robot, &AwardNotice::Revoked { epoch, reason });
+        }
+    }
+
+    /// Publishes the submitted occurrences. A session proposes the next occurrence of a schedule only after this
+    /// comparison, so each occurrence is the last one when it is published.
+    fn publish_occurrences(&mut self, ledger: &Ledger, context: &SessionContext) {
+        for entry in ledger.schedules() {
+            let schedule = entry.schedule.id.clone();
+            let Some(Occurrence { due_ms, mission }) = entry.last.clone() else { continue };
+            if self.occurrences.insert(schedule.clone(), due_ms) != Some(due_ms) {
+                context.publish_event(EventKind::OccurrenceSubmitted { schedule, due_ms, mission });
+            }
         }
     }
 
@@ -107,6 +128,11 @@ impl ChangeFeed {
     pub(super) fn time_known(&self, mission: &MissionId, now: NodeTime) -> Option<Duration> {
         self.snapshots.get(mission).map(|snapshot| now.since(snapshot.since))
     }
+}
+
+/// Returns the time of the last submitted occurrence of each schedule that has any.
+fn last_occurrences(ledger: &Ledger) -> impl Iterator<Item = (ScheduleId, u64)> {
+    ledger.schedules().filter_map(|entry| Some((entry.schedule.id.clone(), entry.last.as_ref()?.due_ms)))
 }
 
 /// Returns the reason for the end of an award; `None` if the role was completed.

@@ -66,11 +66,12 @@ impl Requests {
     }
 
     fn handler(&self, requester: Option<Requester>, time_ms: Option<u64>, context: &SessionContext) -> ApiHandler {
-        let NodeParts { node, keys, replica, knowledge, wire_version, .. } = &context.settings.parts;
+        let NodeParts { node, keys, replica, events, knowledge, wire_version, .. } = &context.settings.parts;
         ApiHandler {
             fleet: keys.fleet().clone(),
             node: node.clone(),
             replica: replica.clone(),
+            events: events.clone(),
             knowledge: knowledge.clone(),
             supported_versions: wire_version.supported(),
             domain: Arc::clone(&context.settings.domain),

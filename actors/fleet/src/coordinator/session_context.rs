@@ -80,7 +80,7 @@ impl SessionContext {
         let replica = self.settings.parts.replica.clone();
         self.tasks.spawn(async move {
             let outcome = replica.propose(command.clone(), RELEASE_TIMEOUT).await;
-            if !matches!(outcome, Ok(CommandOutcome::Done)) {
+            if !matches!(outcome, Ok(CommandOutcome::Done | CommandOutcome::Submitted { .. })) {
                 debug!(?command, ?outcome, "proposal was not applied");
             }
         });

@@ -71,6 +71,8 @@ fn level(event: &Event) -> Level {
         | EventKind::Foreign { .. }
         | EventKind::Voters { .. }
         | EventKind::Submitted { .. }
+        | EventKind::ScheduleChanged { .. }
+        | EventKind::OccurrenceSubmitted { .. }
         | EventKind::Awarded { .. }
         | EventKind::Released { .. }
         | EventKind::Mission { .. }

@@ -82,6 +82,8 @@ impl FleetModel {
             EventKind::SteppedDown { .. }
             | EventKind::Foreign { .. }
             | EventKind::Voters { .. }
+            | EventKind::ScheduleChanged { .. }
+            | EventKind::OccurrenceSubmitted { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. }
             | EventKind::Escalated { .. }
