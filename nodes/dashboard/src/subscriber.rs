@@ -93,6 +93,7 @@ async fn poll_views(bus: SharedBus, keys: Keys, listener: Arc<dyn FleetListener>
             query_view(Key::ViewFleet),
             query_view(Key::ViewCoordinator),
             query_view(Key::ViewMissions),
+            query_view(Key::ViewSchedules),
             query_view(Key::ViewAuctions),
             query_view(Key::ViewWorld),
             query_view(Key::ViewHealth),

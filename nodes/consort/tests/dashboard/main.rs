@@ -13,6 +13,7 @@ mod many_robots;
 mod mission_files;
 mod people;
 mod recording;
+mod schedules;
 #[path = "../../../../tests/support/slots.rs"]
 mod slots;
 #[path = "../processes/support/mod.rs"]

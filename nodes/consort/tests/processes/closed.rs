@@ -537,6 +537,15 @@ fn an_http_token_determines_identity_and_permissions() {
         events.contains("by submit").then_some(())
     });
 
+    let rounds = "POST /api/schedules/rounds";
+    let submit: Value = serde_json::from_str(&order).expect("JSON");
+    let adds = json!({ "action": "add", "cron": "0 8 * * *", "submit": submit }).to_string();
+    assert_eq!(with(&reads, rounds, &adds).status, 403);
+    let added = with(&submits, rounds, &adds);
+    assert_eq!(added.status, 200, "{}", added.body);
+    let by = added.json()["schedule"]["by"].clone();
+    assert!(by.as_str().is_some_and(|by| by.starts_with("submit")), "{by}");
+
     // A session stores the token in a cookie that scripts cannot read.
     let session = http(
         &page,

@@ -17,6 +17,7 @@ mod floor_plan;
 mod input;
 mod kpi;
 mod missions;
+mod schedules;
 mod state;
 mod tracked;
 mod update;
@@ -24,6 +25,7 @@ mod update;
 pub use floor_plan::FloorPlan;
 pub use input::{FleetInput, FleetListener};
 pub use kpi::Kpis;
+pub use schedules::ScheduleModel;
 pub(crate) use state::NodeModel;
 pub use state::{
     AuctionModel, CoordinatorModel, EnsembleModel, LogEntry, MissionModel, PersonModel, Reachability,
@@ -47,6 +49,8 @@ pub mod bounds {
     pub(crate) const AUCTIONS: usize = 60;
     /// Bars of a mission on the chart.
     pub const BARS: usize = 200;
+    /// Next occurrences of a schedule.
+    pub const OCCURRENCES: usize = 20;
     /// Changes of the coordinator.
     pub const TAKEOVERS: usize = 50;
     /// Health findings.
@@ -78,6 +82,7 @@ pub struct FleetModel {
     people: TrackedMap<String, PersonModel>,
     doors: TrackedMap<String, String>,
     missions: TrackedMap<String, MissionModel>,
+    schedules: TrackedMap<String, ScheduleModel>,
     auctions: TrackedMap<String, AuctionModel>,
     /// Bids received in open auctions, with their parts, by mission.
     open_bids: BTreeMap<String, Vec<consort_protocol::auction::Bid>>,
@@ -153,6 +158,7 @@ impl FleetModel {
         section("people", &mut self.people, drawn, &mut patch);
         section("doors", &mut self.doors, drawn, &mut patch);
         section("missions", &mut self.missions, drawn, &mut patch);
+        section("schedules", &mut self.schedules, drawn, &mut patch);
         section("auctions", &mut self.auctions, drawn, &mut patch);
         section("ensembles", &mut self.ensembles, drawn, &mut patch);
         section("log", &mut self.log, drawn, &mut patch);
@@ -167,6 +173,7 @@ impl FleetModel {
         self.people.mark_all_changed();
         self.doors.mark_all_changed();
         self.missions.mark_all_changed();
+        self.schedules.mark_all_changed();
         self.auctions.mark_all_changed();
         self.ensembles.mark_all_changed();
         self.log.mark_all_changed();
@@ -175,6 +182,11 @@ impl FleetModel {
     /// Returns the missions, by id.
     pub fn missions(&self) -> &BTreeMap<String, MissionModel> {
         &self.missions
+    }
+
+    /// Returns the schedules, by name.
+    pub fn schedules(&self) -> &BTreeMap<String, ScheduleModel> {
+        &self.schedules
     }
 
     /// Returns the robots, by name.

@@ -11,7 +11,7 @@ use consort_protocol::mission::{TaskBody, TaskNode};
 use consort_protocol::pose::Pose;
 use consort_protocol::view::{
     AuctionsView, CoordinatorView, EnsembleView, FleetView, HealthView, MissionView, MissionsView, NodeView,
-    Provenance, WithProvenance,
+    Provenance, SchedulesView, WithProvenance,
 };
 use consort_skills::actions::Telemetry;
 use consort_world::world::WorldReport;
@@ -31,6 +31,7 @@ impl FleetModel {
             }
             Key::ViewMissions => MissionsView::deserialize(view).map(|view| self.apply_missions(view, now_ms)),
             Key::ViewMission(_) => MissionView::deserialize(view).map(|view| self.apply_mission(view, now_ms)),
+            Key::ViewSchedules => SchedulesView::deserialize(view).map(|view| self.take_schedules(view)),
             Key::ViewAuctions => AuctionsView::deserialize(view).map(|view| self.apply_auctions(&view)),
             Key::ViewWorld => WorldReport::deserialize(view).map(|view| self.take_world(view)),
             Key::ViewHealth => HealthView::deserialize(view).map(|view| self.take_health(view)),

@@ -69,8 +69,25 @@ impl RequestForwarder {
         by: Option<String>,
         client: Option<&AuthenticatedClient>,
     ) -> Result<Value, ForwardError> {
-        let by = by.or_else(|| client.is_none().then(|| format!("the dashboard of {}", self.node)));
+        let by = by.or_else(|| self.unknown_person(client));
         self.query(call, &MissionChangeRequest { mission: mission.clone(), by }, client).await
+    }
+
+    /// Adds or changes a schedule, in the format of the API, on behalf of a person.
+    pub(super) async fn change_schedule(
+        &self,
+        mut fields: Map<String, Value>,
+        client: Option<&AuthenticatedClient>,
+    ) -> Result<Value, ForwardError> {
+        if let Some(by) = self.unknown_person(client) {
+            fields.entry("by").or_insert_with(|| by.into());
+        }
+        self.query(ApiCall::Schedule, &fields, client).await
+    }
+
+    /// Returns the name of a person that has not signed in and states none.
+    fn unknown_person(&self, client: Option<&AuthenticatedClient>) -> Option<String> {
+        client.is_none().then(|| format!("the dashboard of {}", self.node))
     }
 
     /// Returns the addresses of the fleet's dashboards.

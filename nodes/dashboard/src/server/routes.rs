@@ -54,6 +54,7 @@ pub(super) fn router(
         .route("/api/missions", guarded(required_scope(ApiCall::Submit), post(submit)))
         .route("/api/missions/{id}/cancel", guarded(required_scope(ApiCall::Cancel), post(cancel)))
         .route("/api/missions/{id}/resolve", guarded(required_scope(ApiCall::Resolve), post(resolve)))
+        .route("/api/schedules/{id}", guarded(required_scope(ApiCall::Schedule), post(change_schedule)))
         .route("/api/requests", guarded(AccessScope::Read, get(requests)))
         .route("/api/requests/{id}/answer", guarded(required_scope(ApiCall::Answer), post(answer)))
         .route("/api/replay", guarded(AccessScope::Read, get(replay).post(control_replay)))
@@ -214,6 +215,19 @@ async fn answer(
     let mut fields: Map<String, Value> = parse_body(&headers, &body)?;
     fields.insert("request".to_owned(), id.into());
     Ok(reply_of(forwarder.answer(&fields, client.as_ref()).await))
+}
+
+async fn change_schedule(
+    State(shared): State<DashboardState>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Rejection> {
+    let forwarder = forwarder(&shared)?;
+    let mut fields: Map<String, Value> = parse_body(&headers, &body)?;
+    fields.insert("schedule".to_owned(), id.into());
+    Ok(reply_of(forwarder.change_schedule(fields, client.as_ref()).await))
 }
 
 /// Name of the responsible person; by default the dashboard. The coordinator adds the token's name.

@@ -322,6 +322,37 @@ fn health_findings_come_from_the_nearest_node() {
 }
 
 #[test]
+fn schedules_have_their_next_occurrences() {
+    let mut model = model();
+    // 2027-03-26 08:00 in Berlin. In the night to 2027-03-28 the clocks go forward.
+    let first: u64 = 1_806_044_400_000;
+    let view = |cron: &str, change: Value| {
+        let mut schedule = json!({
+            "schedule": "rounds", "mission": "vital-signs", "cron": cron, "zone": "Europe/Berlin", "next_ms": first,
+        });
+        schedule.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
+        json!({ "schedules": [schedule] })
+    };
+    let mut upcoming = |view: Value| {
+        model.apply_view(&Key::ViewSchedules, &view, NOW);
+        assert_eq!(
+            model.to_json()["schedules"]["rounds"]["upcoming_ms"],
+            json!(model.schedules()["rounds"].upcoming_ms)
+        );
+        model.schedules()["rounds"].upcoming_ms.clone()
+    };
+    let daily = [0, 24, 47, 71, 95, 119, 143, 167].map(|hours| first + hours * 3_600_000);
+    assert_eq!(upcoming(view("0 8 * * *", json!({}))), daily);
+    let end = json!({ "until_ms": daily[2] });
+    assert_eq!(upcoming(view("0 8 * * *", end)), daily[..3]);
+    assert_eq!(upcoming(view("* * * * *", json!({}))).len(), bounds::OCCURRENCES);
+    let paused = json!({ "next_ms": null, "pause": { "by": "Nia", "since_ms": NOW } });
+    assert!(upcoming(view("0 8 * * *", paused)).is_empty());
+    model.apply_view(&Key::ViewSchedules, &json!({ "schedules": [] }), NOW);
+    assert_eq!(model.schedules().len(), 0, "it was removed");
+}
+
+#[test]
 fn consecutive_patches_equal_the_whole_model() {
     let mut model = model();
     let (mut drawn, mut seen) = (Value::Null, Value::Null);

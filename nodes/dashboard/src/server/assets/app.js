@@ -1,6 +1,7 @@
 // Entry point: draws changed sections at most once per browser frame, and only in the open panel.
 
 import * as auctions from './auctions.js';
+import * as calendar from './calendar.js';
 import { byId, tickAges } from './dom.js';
 import * as fleet from './fleet.js';
 import { open } from './connection.js';
@@ -71,6 +72,7 @@ function draw() {
   if (isOpen('auctions') && isDirty('auctions')) auctions.update(model);
   if (isOpen('ensembles') && isDirty('ensembles', 'nodes')) fleet.ensembles(model);
   if (isOpen('coordination') && isDirty('coordinator', 'takeovers', 'nodes', 'health')) fleet.coordination(model);
+  if (isOpen('calendar') && isDirty('schedules', 'map')) calendar.update(model);
   if (isOpen('log') && isDirty('log')) log.update(model);
   dirty.clear();
   tick();
@@ -99,10 +101,12 @@ const openMission = (mission) => {
   selected.mission = mission;
   byId('tab-missions').click();
 };
-schedule.start(redrawAll, (mission) => {
+const lookAtMission = (mission) => {
   openMission(mission);
   byId('mission').focus();
-});
+};
+schedule.start(redrawAll, lookAtMission);
+calendar.start(lookAtMission);
 submit.start(openMission);
 byId('health').onclick = () => byId('tab-coordination').click();
 setInterval(() => {

@@ -1,6 +1,19 @@
 // Fields for the parameters of a mission.
 
 import { make, readable } from './dom.js';
+import { send } from './request.js';
+
+let shipped;
+
+/** Returns the shipped missions with their parameters. */
+export const shippedMissions = async () => (shipped ??= (await send('GET', '/api/shipped')).missions);
+
+/** Fills an empty choice of missions. */
+export function fillMissions(choice, missions) {
+  if (choice.options.length > 0) return;
+  choice.append(...missions.map(({ mission, title }) => make('option', { value: mission, title }, mission)));
+  choice.value = missions.some(({ mission }) => mission === 'lab-samples') ? 'lab-samples' : choice.value;
+}
 
 /** Returns the names of the places that a mission can use. */
 export const placesOf = (model) => (model.map?.places ?? []).filter((place) => place.kind !== 'corridor').map(({ name }) => name);

@@ -1,7 +1,8 @@
 // Submitting, canceling and resolving missions.
 
+import { confirmAndSend } from './action.js';
 import { byId, make, setText } from './dom.js';
-import { givenParameters, parameterFields, placesOf } from './mission_form.js';
+import { fillMissions, givenParameters, parameterFields, placesOf, shippedMissions } from './mission_form.js';
 import { lastKnownPlace } from './missions.js';
 import { newRequest, send } from './request.js';
 import { announce } from './status.js';
@@ -18,8 +19,9 @@ export function start(onSubmitted) {
   byId('new-mission').onclick = async () => {
     showProblem('');
     try {
-      if (bundled.length === 0) bundled = (await send('GET', '/api/shipped')).missions;
-      fill();
+      bundled = await shippedMissions();
+      fillMissions(byId('submit-mission'), bundled);
+      parameters();
     } catch (problem) {
       showProblem(problem.message);
     }
@@ -72,18 +74,7 @@ export function setPlaces(model) {
   places = placesOf(model);
 }
 
-export async function cancel(id, button) {
-  if (!confirm(`Cancel ${id}? Its robots stop safely.`)) return;
-  button.disabled = true;
-  try {
-    await send('POST', `/api/missions/${encodeURIComponent(id)}/cancel`, {});
-    announce(`${id} is canceled`);
-  } catch (problem) {
-    button.disabled = false;
-    announce(problem.message);
-    alert(problem.message);
-  }
-}
+export const cancel = (id, button) => confirmAndSend(button, `Cancel ${id}? Its robots stop safely.`, `/api/missions/${encodeURIComponent(id)}/cancel`, {}, `${id} is canceled`);
 
 /** Requests the name of the person who took care of robots' items, and resolves the mission. */
 export function resolve(id, mission) {
@@ -116,15 +107,6 @@ function startResolve() {
       button.disabled = false;
     }
   };
-}
-
-function fill() {
-  const choice = byId('submit-mission');
-  if (choice.options.length === 0) {
-    choice.append(...bundled.map(({ mission, title }) => make('option', { value: mission, title }, mission)));
-    choice.value = bundled.some((template) => template.mission === 'lab-samples') ? 'lab-samples' : choice.value;
-  }
-  parameters();
 }
 
 /** Lets the node read the chosen file, and shows its parameters and agents, or what is wrong. */

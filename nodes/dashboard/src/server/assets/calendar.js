@@ -1,0 +1,150 @@
+// Schedules: a table with their actions, the next occurrences by day, and the form of a new schedule.
+
+import { confirmAndSend } from './action.js';
+import { byId, cells, make, redraw, rows, setText, state } from './dom.js';
+import { fillMissions, givenParameters, parameterFields, placesOf, shippedMissions } from './mission_form.js';
+import { send } from './request.js';
+import { announce } from './status.js';
+
+/** Number of days on the calendar. */
+const DAYS = 7;
+const ACTIONS = {
+  pause: ['Pause', 'Its occurrences are left out until it is resumed.', 'paused'],
+  resume: ['Resume', 'Its next occurrences are submitted.', 'resumed'],
+  remove: ['Remove', 'Its missions go on.', 'removed'],
+};
+
+let places = [];
+let missions = [];
+let choose = () => {};
+
+export function start(onChoose) {
+  choose = onChoose;
+  const dialog = byId('add-schedule');
+  byId('new-schedule').onclick = open;
+  byId('add-schedule-close').onclick = () => dialog.close();
+  dialog.onclose = () => byId('add-schedule-parameters').replaceChildren();
+  byId('add-schedule-mission').onchange = parameters;
+  byId('add-schedule-form').onsubmit = add;
+  byId('time-zones').append(...(Intl.supportedValuesOf?.('timeZone') ?? []).map((value) => make('option', { value })));
+  byId('add-schedule-zone').value = Intl.DateTimeFormat().resolvedOptions().timeZone;
+}
+
+export function update(model) {
+  const all = Object.entries(model.schedules ?? {});
+  places = placesOf(model);
+  byId('schedules-none').hidden = all.length > 0;
+  byId('schedules-all').hidden = all.length === 0;
+  rows(byId('schedules').tBodies[0], all.map(([key, schedule]) => ({ key, ...schedule })), (row, item) => {
+    const times = make('td', {}, make('code', {}, item.cron), make('span', { className: 'sub' }, item.zone));
+    cells(row, item.key, item.mission, times, condition(item), last(item), actions(item));
+  });
+  calendar(all);
+}
+
+function condition({ pause, next_ms: next, zone }) {
+  if (pause) return make('td', {}, state('warn', 'paused'), make('span', { className: 'sub' }, `by ${pause.by}`));
+  if (next === undefined) return make('td', {}, state('wait', 'ended'));
+  return make('td', {}, state('good', 'active'), make('span', { className: 'sub' }, `next ${date(next, zone)}, ${time(next, zone)}`));
+}
+
+function last({ last: latest, zone }) {
+  if (!latest) return '–';
+  const button = make('button', { className: 'rowbutton', type: 'button' }, latest.mission);
+  button.onclick = () => choose(latest.mission);
+  return make('td', {}, button, make('span', { className: 'sub' }, `${date(latest.due_ms, zone)}, ${time(latest.due_ms, zone)}`));
+}
+
+const actions = ({ key, pause }) => make('td', { className: 'schedule-actions' }, [pause ? 'resume' : 'pause', 'remove'].map((action) => {
+  const [word, effect, done] = ACTIONS[action];
+  const label = { type: 'button', className: action === 'remove' ? 'danger' : 'quiet', 'aria-label': `${word} ${key}` };
+  const button = make('button', label, word);
+  button.dataset.action = action;
+  button.onclick = () => confirmAndSend(button, `${word} ${key}? ${effect}`, path(key), { action }, `${key} is ${done}`);
+  return button;
+}));
+
+const path = (schedule) => `/api/schedules/${encodeURIComponent(schedule)}`;
+
+/** Draws the next occurrences by day. Days and times are those of the schedule's time zone, which is named if there are several. */
+function calendar(all) {
+  const days = new Map();
+  for (const [schedule, { zone, upcoming_ms: upcoming = [] }] of all) {
+    for (const ms of upcoming) {
+      const day = format(ms, zone, { dateStyle: 'short' }, 'sv');
+      days.set(day, [...(days.get(day) ?? []), { ms, schedule, zone, at: time(ms, zone) }]);
+    }
+  }
+  const next = [...days].sort(([a], [b]) => a.localeCompare(b)).slice(0, DAYS);
+  const hasZones = new Set(all.map(([, { zone }]) => zone)).size > 1;
+  byId('calendar-none').hidden = next.length > 0;
+  redraw(byId('calendar'), next.map(([, due]) => {
+    const [first] = due.sort((a, b) => a.at.localeCompare(b.at) || a.ms - b.ms);
+    const items = due.map(({ at, schedule, zone }) => make('li', {}, `${at} ${schedule}`, hasZones ? make('span', { className: 'muted' }, ` ${zone}`) : null));
+    return make('section', {}, make('h4', {}, date(first.ms, first.zone)), make('ul', {}, items));
+  }));
+}
+
+/** Formats a time in a time zone; in UTC if this browser does not know the time zone. */
+function format(ms, zone, options, locale = []) {
+  const instant = new Date(ms);
+  try {
+    return instant.toLocaleString(locale, { timeZone: zone, ...options });
+  } catch {
+    return instant.toLocaleString(locale, { timeZone: 'UTC', ...options });
+  }
+}
+
+const time = (ms, zone) => format(ms, zone, { hour: '2-digit', minute: '2-digit', hourCycle: 'h23' });
+
+const date = (ms, zone) => format(ms, zone, { weekday: 'short', day: 'numeric', month: 'short' });
+
+async function open() {
+  showProblem('');
+  try {
+    missions = await shippedMissions();
+    fillMissions(byId('add-schedule-mission'), missions);
+    parameters();
+  } catch (problem) {
+    showProblem(problem.message);
+  }
+  byId('add-schedule').showModal();
+  byId('add-schedule-name').focus();
+}
+
+function parameters() {
+  const chosen = missions.find(({ mission }) => mission === byId('add-schedule-mission').value);
+  byId('add-schedule-parameters').replaceChildren(...parameterFields(chosen?.parameters ?? {}, places));
+}
+
+/** Adds the schedule of the form. The same schedule may be added again, so a request may be repeated. */
+async function add(event) {
+  event.preventDefault();
+  showProblem('');
+  const value = (field) => byId(`add-schedule-${field}`).value;
+  const submit = {
+    mission: value('mission'),
+    parameters: givenParameters(byId('add-schedule-parameters')),
+    priority: Number(value('priority') || 0),
+  };
+  if (value('deadline')) submit.deadline_s = Number(value('deadline'));
+  const request = { action: 'add', cron: value('cron'), zone: value('zone'), missed: value('missed'), submit };
+  if (value('until')) request.until = new Date(value('until')).toISOString();
+  const button = byId('add-schedule-send');
+  button.disabled = true;
+  try {
+    await send('POST', path(value('name')), request);
+    announce(`${value('name')} is added`);
+    byId('add-schedule').close();
+    byId('add-schedule-name').value = '';
+  } catch (problem) {
+    showProblem(problem.message);
+  } finally {
+    button.disabled = false;
+  }
+}
+
+function showProblem(text) {
+  byId('add-schedule-problem').hidden = !text;
+  setText(byId('add-schedule-problem'), text);
+}
