@@ -3,6 +3,7 @@
 use super::chaos_fleet::{ChaosFleet, DATE_MS, WORLD};
 use super::fault_injector::FaultInjector;
 use super::hostile::{HOSTILE, HostileNode};
+use super::recurring;
 use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
 use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash};
@@ -127,6 +128,10 @@ impl ActionExecutor {
                 self.submit(fleet, request, &body);
             }
             ChaosAction::Cancel { request } => self.cancel(fleet, request),
+            ChaosAction::ChangeSchedule { change, missed } => {
+                let (client, request) = (self.client(fleet), recurring::request(*change, *missed));
+                tokio::spawn(async move { client.change_schedule(&request).await });
+            }
             ChaosAction::Crash { node, disk, .. } => {
                 let node = if node == "coordinator" {
                     let Some(coordinator) = fleet.coordinating() else { return };

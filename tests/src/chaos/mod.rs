@@ -20,6 +20,7 @@ mod hostile;
 pub(crate) mod invariants;
 pub mod mutants;
 pub mod mutation_checks;
+mod recurring;
 mod rolling_upgrade;
 pub mod run;
 pub(crate) mod run_counters;

@@ -196,6 +196,11 @@ impl Run {
                 && unfinished(fleet, &acknowledged).is_empty()
         })
         .await?;
+        let what = "the occurrences of schedules that are due";
+        self.until(what, CONVERGENCE_LIMIT, |fleet| {
+            fleet.ledger(|ledger| invariants::all_handled(ledger, fleet.elapsed())) == Some(true)
+        })
+        .await?;
         self.checker.counters.converged_ms = Some(millis(self.fleet.elapsed() - since));
         if schedule.has_only_poison() {
             self.check_undisturbed_by_poison(schedule)?;

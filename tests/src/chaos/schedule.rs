@@ -2,6 +2,8 @@
 
 use super::chaos_fleet::{MISSIONS, ROOMS_WITHOUT_NURSE};
 use crate::disk::{CrashEffect, DiskFault};
+use consort_protocol::api::ScheduleAction;
+use consort_protocol::ledger::MissedOccurrences;
 use consort_protocol::trust::NodeRole;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
@@ -106,6 +108,14 @@ pub enum ChaosAction {
     Cancel {
         /// Name of the request.
         request: String,
+    },
+    /// A client changes the schedule, and repeats this until it receives a reply.
+    ChangeSchedule {
+        /// The change.
+        change: ScheduleAction,
+        /// What becomes of missed occurrences, if it is added.
+        #[serde(default)]
+        missed: MissedOccurrences,
     },
     /// A node is killed and restarted later.
     Crash {
@@ -334,6 +344,7 @@ impl ChaosAction {
             | ChaosAction::Hostile { for_ms, .. } => Some(*for_ms),
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
+            | ChaosAction::ChangeSchedule { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -405,6 +416,7 @@ impl ChaosAction {
             | ChaosAction::Hostile { for_ms, .. } => *for_ms = ms,
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
+            | ChaosAction::ChangeSchedule { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -419,7 +431,13 @@ impl Schedule {
     /// Checks whether the schedule has no faults but hostile nodes.
     pub(super) fn has_only_hostile_nodes(&self) -> bool {
         self.steps.iter().all(|step| {
-            matches!(step.action, ChaosAction::Submit { .. } | ChaosAction::Cancel { .. } | ChaosAction::Hostile { .. })
+            matches!(
+                step.action,
+                ChaosAction::Submit { .. }
+                    | ChaosAction::Cancel { .. }
+                    | ChaosAction::ChangeSchedule { .. }
+                    | ChaosAction::Hostile { .. }
+            )
         })
     }
 
@@ -475,6 +493,12 @@ impl Display for ChaosAction {
                 deadline_s.map_or(Ok(()), |seconds| write!(f, ", within {seconds} s"))
             }
             ChaosAction::Cancel { request } => write!(f, "request {request} is canceled"),
+            ChaosAction::ChangeSchedule { change, missed } => match change {
+                ScheduleAction::Add => write!(f, "a schedule is added; missed occurrences: {}", missed.as_str()),
+                ScheduleAction::Pause => f.write_str("the schedule is paused"),
+                ScheduleAction::Resume => f.write_str("the schedule is resumed"),
+                ScheduleAction::Remove => f.write_str("the schedule is removed"),
+            },
             ChaosAction::Crash { node, disk, for_ms } => {
                 write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms))
             }

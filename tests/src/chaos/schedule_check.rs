@@ -28,6 +28,7 @@ impl Schedule {
                     check_known(step, mission, &MISSIONS, &own)?;
                 }
                 ChaosAction::Cancel { .. }
+                | ChaosAction::ChangeSchedule { .. }
                 | ChaosAction::Blackout { .. }
                 | ChaosAction::Upgrade { .. }
                 | ChaosAction::Hostile { .. } => {}

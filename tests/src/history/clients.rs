@@ -93,6 +93,23 @@ impl RecordingClient {
         self.query_each(&Key::Leave(node.clone()), &json!({}), ServiceSelection::All, LEAVE_TIMEOUT, drop).await;
     }
 
+    /// Changes a schedule, again and again until there is a definite reply. The reply is not recorded, and a schedule
+    /// counts as a request that may create missions at any time.
+    pub async fn change_schedule(&self, request: &Value) {
+        if request["action"] == "add" {
+            self.history.record_unknown(ClientCall::Submit { request: None }, self.history.invoke());
+        }
+        loop {
+            let mut is_definite = false;
+            let each = |reply: Value| is_definite |= reply.get("retry_after_ms").is_none();
+            self.query_each(&Key::Api(ApiCall::Schedule), request, ServiceSelection::All, CALL_TIMEOUT, each).await;
+            if is_definite {
+                return;
+            }
+            tokio::time::sleep(RETRY_INTERVAL).await;
+        }
+    }
+
     /// Raises the wire version of the fleet, again and again until it is `newest`.
     pub async fn upgrade(&self, newest: u8) {
         let (key, mut wire) = (Key::Api(ApiCall::Upgrade), None);

@@ -11,6 +11,7 @@ mod committed;
 mod custody;
 mod deadlines;
 mod guarded;
+mod occurrences;
 mod one_holder;
 mod one_leader;
 mod reference_ledger;
@@ -20,6 +21,7 @@ mod signals;
 mod single_voter_change;
 mod under_lease;
 
+pub(super) use occurrences::all_handled;
 pub(super) use reference_ledger::ReferenceLedger;
 
 use crate::{Fleet, Observation};
@@ -81,6 +83,7 @@ pub(crate) fn all(ended_missions_max: usize) -> Vec<Box<dyn Invariant>> {
         Box::<deadlines::Deadlines>::default(),
         Box::<guarded::Guarded>::default(),
         Box::<single_voter_change::SingleVoterChange>::default(),
+        Box::<occurrences::Occurrences>::default(),
         Box::<replayed::Replayed>::default(),
     ]
 }

@@ -37,10 +37,16 @@ impl ReferenceLedger {
     pub(in crate::chaos) fn apply(&mut self, at: Epoch, commands: &[Command]) {
         if self.is_new(at) {
             self.index = at.index;
-            let is_ignored = |command: &&Command| self.keeps_all && matches!(command, Command::SetHistoryLimits(_));
-            for command in commands.iter().filter(|command| !is_ignored(command)) {
-                self.ledger.apply(at, command.clone());
+            for command in commands {
+                self.apply_command(at, command);
             }
+        }
+    }
+
+    /// Applies a command of the entry at `at`.
+    pub(super) fn apply_command(&mut self, at: Epoch, command: &Command) {
+        if !(self.keeps_all && matches!(command, Command::SetHistoryLimits(_))) {
+            self.ledger.apply(at, command.clone());
         }
     }
 }
