@@ -187,12 +187,12 @@ fn a_person_who_cannot_ends_the_mission_with_the_reason() {
     });
 }
 
-/// Submits a mission that calls a visitor with an alert, which escalates to a porter. Returns the mission and
+/// Submits a mission that calls a visitor with an alert, which escalates to another role. Returns the mission and
 /// the request.
-async fn visitor_called(fleet: &Fleet, after_s: u64) -> (MissionId, Value) {
+async fn visitor_called(fleet: &Fleet, to: &str, after_s: u64) -> (MissionId, Value) {
     let alert = json!({ "task": "call", "type": "alert", "roles": ["visitor"],
         "parameters": { "message": "a robot is here", "level": "urgent", "at": "Dock" },
-        "escalate": { "to": "porter", "after_s": after_s } });
+        "escalate": { "to": to, "after_s": after_s } });
     let come = json!({ "task": "come", "type": "navigation", "roles": ["r1"], "parameters": { "to": "Dock" } });
     let mission = json!({
         "mission": "visit", "roles": { "visitor": { "kind": "unmanaged" }, "r1": { "kind": "managed" } },
@@ -210,7 +210,7 @@ async fn visitor_called(fleet: &Fleet, after_s: u64) -> (MissionId, Value) {
 fn a_request_for_a_role_that_the_world_lacks_is_left_to_others() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
-        let (id, request) = visitor_called(&fleet, 300).await;
+        let (id, request) = visitor_called(&fleet, "porter", 300).await;
         assert_eq!((&request["place"], &request["escalates_to"]), (&json!("Dock"), &json!("porter")), "{request}");
         let asked_ms = request["asked_at_ms"].as_u64().expect("a time");
         assert_eq!(request["escalates_at_ms"], asked_ms + 300_000);
@@ -251,7 +251,12 @@ async fn replace_coordinator(fleet: &mut Fleet) {
 
 /// Matches the escalation to the porter.
 fn escalated(kind: &EventKind) -> bool {
-    matches!(kind, EventKind::Escalated { task, to, .. } if task.as_str() == "call" && to.as_str() == "porter")
+    escalated_to("porter")(kind)
+}
+
+/// Matches the escalation to a role.
+fn escalated_to(role: &str) -> impl Fn(&EventKind) -> bool {
+    move |kind| matches!(kind, EventKind::Escalated { task, to, .. } if task.as_str() == "call" && to.as_str() == role)
 }
 
 /// Without an answer the porter is asked, too, once and not before the time. He answers.
@@ -259,7 +264,7 @@ fn escalated(kind: &EventKind) -> bool {
 fn a_request_without_an_answer_is_escalated_to_another_role() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
-        let (id, request) = visitor_called(&fleet, 60).await;
+        let (id, request) = visitor_called(&fleet, "porter", 60).await;
         assert!(is_for(&request, "visitor") && !is_for(&request, "porter"), "seed {seed}: {request}");
         fleet.assert_never("an early escalation", Duration::from_secs(50), |fleet| fleet.has_event(escalated)).await;
         let request = escalated_request(&fleet).await;
@@ -274,13 +279,34 @@ fn a_request_without_an_answer_is_escalated_to_another_role() {
     });
 }
 
+/// The simulated world has nurses and no visitor: a nurse answers, and not before the escalation.
+#[test]
+fn simulated_people_answer_a_request_that_was_escalated_to_them() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        let (id, request) = visitor_called(&fleet, "nurse", 60).await;
+        fleet
+            .assert_never("an early answer", Duration::from_secs(50), |fleet| {
+                fleet.mission_state(&id).is_some_and(|state| state.is_final())
+            })
+            .await;
+        fleet.assert_completes(&id).await;
+        let escalations = fleet.events().into_iter().filter(escalated_to("nurse")).count();
+        assert_eq!(escalations, 1, "seed {seed}\n{}", fleet.event_log_text());
+        let late = json!({ "request": request["request"], "answer": "done", "by": "Ria" });
+        let late = fleet.request_answered(ApiCall::Answer, &late).await;
+        let expected = format!("request {id}.1 is closed; it was answered by nurse: done");
+        assert_eq!(late["error"], expected, "seed {seed}");
+    });
+}
+
 /// The coordinator dies before the time of the escalation, and the next coordinator escalates; another dies
 /// after it, and the mark stays.
 #[test]
 fn an_escalation_happens_although_coordinators_die() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet_with(seed, &["aster", "basil", "clove", "daisy", "elder"]).await;
-        let (id, _) = visitor_called(&fleet, 60).await;
+        let (id, _) = visitor_called(&fleet, "porter", 60).await;
         replace_coordinator(&mut fleet).await;
         let first = escalated_request(&fleet).await;
         replace_coordinator(&mut fleet).await;

@@ -327,6 +327,17 @@ impl PersonRequestEntry {
         self.is_open() && pending.zip(now_ms).is_some_and(|(escalation, now_ms)| escalation.due_ms <= now_ms)
     }
 
+    /// Returns the role to which it was escalated, if it was.
+    pub fn escalated_to(&self) -> Option<&RoleId> {
+        let escalation = self.escalation.as_ref().filter(|escalation| escalation.escalated_ms.is_some());
+        escalation.map(|escalation| &escalation.to)
+    }
+
+    /// Returns the roles whose people are asked.
+    pub fn asked_roles(&self) -> impl Iterator<Item = &RoleId> {
+        [&self.role].into_iter().chain(self.escalated_to())
+    }
+
     /// Puts the request off: it expires and escalates so much later.
     pub(super) fn postpone(&mut self, postponement: Postponement, at_ms: u64) {
         let PersonRequestPhase::Open { postponed } = &mut self.phase else { return };

@@ -77,8 +77,7 @@ fn seen(entry: &MissionEntry) -> Seen {
 }
 
 fn seen_request(request: &PersonRequestEntry) -> SeenRequest {
-    let is_escalated = request.escalation.as_ref().is_some_and(|escalation| escalation.escalated_ms.is_some());
-    SeenRequest { is_escalated, is_closed: !request.is_open() }
+    SeenRequest { is_escalated: request.escalated_to().is_some(), is_closed: !request.is_open() }
 }
 
 fn add_step(published: &mut Published, entry: &MissionEntry, role: &RoleId, step: StepIndex) {
@@ -115,10 +114,10 @@ fn add_request(
         let (mission, role, task) = (mission.clone(), role.clone(), task.clone());
         published.events.push(EventKind::TaskBegan { mission, role, task });
     }
-    if let Some(escalation) = request.escalation.as_ref().filter(|escalation| escalation.escalated_ms.is_some())
+    if let Some(to) = request.escalated_to()
         && known.is_none_or(|known| !known.is_escalated)
     {
-        let (mission, role, task, to) = (mission.clone(), role.clone(), task.clone(), escalation.to.clone());
+        let (mission, role, task, to) = (mission.clone(), role.clone(), task.clone(), to.clone());
         published.events.push(EventKind::Escalated { mission, role, task, to });
     }
     if known.is_some_and(|known| known.is_closed) {

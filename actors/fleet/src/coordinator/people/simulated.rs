@@ -16,11 +16,14 @@ use std::collections::{BTreeMap, VecDeque};
 /// during a person request.
 const CANCELLATIONS_MAX: usize = 64;
 
+/// Request, as sent to the people of one role. An escalated request is sent to two roles.
+type RoleRequest = (PersonRequestId, RoleId);
+
 /// Open requests, as sent to the host of simulated people. A host cancels a request that is no longer
 /// repeated.
 #[derive(Debug, Default)]
 pub(super) struct SimulatedPeople {
-    open: BTreeMap<PersonRequestId, SentRequest>,
+    open: BTreeMap<RoleRequest, SentRequest>,
     cancellations: VecDeque<GoalId>,
     /// A host has replied. Until then a single request is repeated.
     has_host: bool,
@@ -38,10 +41,11 @@ struct SentRequest {
 }
 
 impl SentRequest {
-    /// Returns the id for the host: FNV-1a (Fowler, Noll, Vo) over cluster, request and turn, so that
+    /// Returns the id for the host: FNV-1a (Fowler, Noll, Vo) over cluster, request, role and turn, so that
     /// every coordinator uses the same id.
     fn id(&self, request: &PersonRequestId) -> GoalId {
-        let content = codec::encode_record(&(self.cluster, request, self.turn)).expect("an id fits a record");
+        let content = (self.cluster, request, &self.request.role, self.turn);
+        let content = codec::encode_record(&content).expect("an id fits a record");
         let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
         GoalId(content.iter().fold(0xcbf2_9ce4_8422_2325, step))
     }
@@ -54,21 +58,13 @@ impl SentRequest {
 impl SimulatedPeople {
     /// Follows the ledger. Returns the commands for requests that were opened or closed.
     pub(super) fn follow(&mut self, ledger: &Ledger) -> Vec<PersonCommand> {
-        let open: BTreeMap<PersonRequestId, PersonRequest> = ledger
-            .open_person_requests()
-            .into_iter()
-            .filter_map(|(entry, request)| {
-                Some((
-                    PersonRequestId { mission: entry.id.clone(), number: request.number },
-                    simulated(entry, request)?,
-                ))
-            })
-            .collect();
-        let closed: Vec<PersonRequestId> = self.open.keys().filter(|id| !open.contains_key(id)).cloned().collect();
+        let open: BTreeMap<RoleRequest, PersonRequest> =
+            ledger.open_person_requests().into_iter().flat_map(|(entry, request)| simulated(entry, request)).collect();
+        let closed: Vec<RoleRequest> = self.open.keys().filter(|id| !open.contains_key(id)).cloned().collect();
         let mut commands = vec![];
-        for id in closed {
-            if let Some(sent) = self.open.remove(&id) {
-                let id = sent.id(&id);
+        for key in closed {
+            if let Some(sent) = self.open.remove(&key) {
+                let id = sent.id(&key.0);
                 if self.has_host && !sent.left_to_others {
                     self.cancellations.push_back(id);
                     commands.push(PersonCommand { id, request: None });
@@ -78,10 +74,10 @@ impl SimulatedPeople {
         while self.cancellations.len() > CANCELLATIONS_MAX {
             self.cancellations.pop_front();
         }
-        for (id, request) in open {
-            if let Entry::Vacant(slot) = self.open.entry(id) {
+        for (key, request) in open {
+            if let Entry::Vacant(slot) = self.open.entry(key) {
                 let sent = SentRequest { cluster: ledger.cluster(), turn: 0, request, left_to_others: false };
-                commands.push(sent.command(slot.key()));
+                commands.push(sent.command(&slot.key().0));
                 slot.insert(sent);
             }
         }
@@ -91,7 +87,7 @@ impl SimulatedPeople {
     /// Returns the commands to be repeated.
     pub(super) fn repeated(&self) -> Vec<PersonCommand> {
         let open = self.open.iter().filter(|(_, sent)| !sent.left_to_others);
-        let open = open.take(if self.has_host { usize::MAX } else { 1 }).map(|(id, sent)| sent.command(id));
+        let open = open.take(if self.has_host { usize::MAX } else { 1 }).map(|((id, _), sent)| sent.command(id));
         open.chain(self.cancellations.iter().map(|id| PersonCommand { id: *id, request: None })).collect()
     }
 
@@ -107,28 +103,36 @@ impl SimulatedPeople {
 
     /// Stops offering a request to the host, which has no such person.
     pub(super) fn leave_to_others(&mut self, id: GoalId) {
-        let sent = self.open.iter_mut().find(|(request, sent)| sent.id(request) == id);
-        sent.into_iter().for_each(|(_, sent)| sent.left_to_others = true);
+        self.sent(id).into_iter().for_each(|sent| sent.left_to_others = true);
     }
 
     /// Returns the open request with this id for the host, and the role of the person.
     pub(super) fn request_of(&self, id: GoalId) -> Option<(PersonRequestId, &RoleId)> {
-        let found = self.open.iter().find(|(request, sent)| sent.id(request) == id)?;
-        Some((found.0.clone(), &found.1.request.role))
+        let ((request, role), _) = self.open.iter().find(|((request, _), sent)| sent.id(request) == id)?;
+        Some((request.clone(), role))
     }
 
     /// Renews a request that the host has canceled or turned down for now, although it is still needed.
     /// The timer sends it.
     pub(super) fn renew(&mut self, id: GoalId) {
-        let sent = self.open.iter_mut().find(|(request, sent)| sent.id(request) == id);
-        sent.into_iter().for_each(|(_, sent)| sent.turn += 1);
+        self.sent(id).into_iter().for_each(|sent| sent.turn += 1);
+    }
+
+    fn sent(&mut self, id: GoalId) -> Option<&mut SentRequest> {
+        self.open.iter_mut().find(|((request, _), sent)| sent.id(request) == id).map(|(_, sent)| sent)
     }
 }
 
-/// Returns the request for a simulated person. `None` if the mission has taken another branch since.
-fn simulated(entry: &MissionEntry, request: &PersonRequestEntry) -> Option<PersonRequest> {
-    let (role, task) = (request.role.clone(), entry.requested_task(request)?);
-    Some(PersonRequest { role, task, holders: RoleHolder::robots(&request.robots) })
+/// Returns the request for the simulated people of each role that is asked. Empty if the mission has taken
+/// another branch since.
+fn simulated(entry: &MissionEntry, request: &PersonRequestEntry) -> Vec<(RoleRequest, PersonRequest)> {
+    let Some(task) = entry.requested_task(request) else { return vec![] };
+    let id = PersonRequestId { mission: entry.id.clone(), number: request.number };
+    let to_role = |role: &RoleId| {
+        let holders = RoleHolder::robots(&request.robots);
+        ((id.clone(), role.clone()), PersonRequest { role: role.clone(), task: task.clone(), holders })
+    };
+    request.asked_roles().map(to_role).collect()
 }
 
 /// Returns the answer of a simulated person that has done a task. Its host states all results that the domain
@@ -146,16 +150,25 @@ pub(super) fn done(
 
 #[cfg(test)]
 mod tests {
+    use super::super::test_ledger::{clerk, ledger};
     use super::*;
     use consort_protocol::ids::TaskType;
+    use consort_protocol::lease::Epoch;
+    use consort_protocol::ledger::{Branch, Command, PersonAnswer};
     use consort_protocol::mission::{NumberRange, TaskSpec};
+    use consort_protocol::plan::StepIndex;
+    use std::collections::BTreeSet;
 
     fn id(number: u32) -> PersonRequestId {
         format!("vital-signs-1.{number}").parse().unwrap()
     }
 
+    fn key(number: u32) -> RoleRequest {
+        (id(number), clerk())
+    }
+
     fn sent(cluster: u64) -> SentRequest {
-        let role = RoleId::new("clerk").unwrap();
+        let role = clerk();
         let task = TaskSpec::of(TaskType::new("deposit").unwrap(), vec![role.clone()]);
         let request = PersonRequest { role, task, holders: BTreeMap::new() };
         SentRequest { cluster: Some(ClusterId(cluster)), turn: 0, request, left_to_others: false }
@@ -165,7 +178,7 @@ mod tests {
     fn a_renewed_request_has_another_id_and_every_coordinator_computes_the_same() {
         let request = id(1);
         let mut people = SimulatedPeople::default();
-        people.open.insert(request.clone(), sent(7));
+        people.open.insert(key(1), sent(7));
         let first = people.repeated()[0].id;
         assert_eq!(people.request_of(first).map(|(id, _)| id), Some(request.clone()));
         people.renew(first);
@@ -194,7 +207,7 @@ mod tests {
     #[test]
     fn a_cancellation_is_repeated_until_it_is_confirmed_and_their_number_is_bounded() {
         let mut people = SimulatedPeople { has_host: true, ..SimulatedPeople::default() };
-        people.open.insert(id(1), sent(7));
+        people.open.insert(key(1), sent(7));
         let commands = people.follow(&Ledger::default());
         let [PersonCommand { id: canceled, request: None }] = commands[..] else { panic!("{commands:?}") };
         assert_eq!(people.repeated(), commands);
@@ -202,7 +215,7 @@ mod tests {
         people.confirm(canceled);
         assert_eq!(people.repeated(), []);
         for number in 0..200 {
-            people.open.insert(id(number + 1), sent(7));
+            people.open.insert(key(number + 1), sent(7));
         }
         people.follow(&Ledger::default());
         assert_eq!(people.repeated().len(), CANCELLATIONS_MAX);
@@ -211,14 +224,53 @@ mod tests {
     #[test]
     fn without_a_host_a_single_request_is_repeated_and_nothing_is_canceled() {
         let mut people = SimulatedPeople::default();
-        (1..200).for_each(|number| drop(people.open.insert(id(number), sent(7))));
+        (1..200).for_each(|number| drop(people.open.insert(key(number), sent(7))));
         assert_eq!(people.repeated().len(), 1);
         people.host_replied();
         assert_eq!(people.repeated().len(), 199);
         people.leave_to_others(people.repeated()[0].id);
         assert_eq!(people.repeated().len(), 198, "the host has nobody for it");
         let mut people = SimulatedPeople::default();
-        people.open.insert(id(1), sent(7));
+        people.open.insert(key(1), sent(7));
         assert_eq!(people.follow(&Ledger::default()), []);
+    }
+    /// Both roles are asked with ids of their own; the answer of one cancels the request to the other.
+    #[test]
+    fn an_escalated_request_is_sent_to_the_other_role_too() {
+        const ASKED_MS: u64 = 1_700_000_000_000;
+        let (mut ledger, mission) = ledger(false);
+        let mut people = SimulatedPeople { has_host: true, ..SimulatedPeople::default() };
+        let mut follow = |ledger: &mut Ledger, command| {
+            ledger.apply(Epoch { term: 2, index: 9 }, command);
+            people.follow(ledger)
+        };
+        let role_of = |command: &PersonCommand| command.request.as_ref().map(|request| request.role.to_string());
+        let ask = Command::AskPerson {
+            mission: mission.clone(),
+            branch: Branch::Main,
+            role: clerk(),
+            step: clerk_deposit(&ledger),
+            asked_ms: ASKED_MS,
+        };
+        let first = follow(&mut ledger, ask);
+        assert_eq!(first.iter().map(role_of).collect::<Vec<_>>(), [Some("clerk".to_owned())]);
+        let request = PersonRequestId { mission, number: 1 };
+        let escalate = Command::EscalatePersonRequest { request: request.clone(), now_ms: ASKED_MS + 30_000 };
+        let second = follow(&mut ledger, escalate);
+        assert_eq!(second.iter().map(role_of).collect::<Vec<_>>(), [Some("head".to_owned())]);
+        let (by, at_ms) = ("head".to_owned(), ASKED_MS + 40_000);
+        let answer = PersonAnswer { by, content: AnswerContent::Done(BTreeMap::new()), note: String::new(), at_ms };
+        let canceled = follow(&mut ledger, Command::AnswerPerson { request, answer, places: BTreeMap::new() });
+        let ids = |commands: &[PersonCommand]| commands.iter().map(|command| command.id).collect::<BTreeSet<_>>();
+        assert_eq!(ids(&canceled), ids(&[first, second].concat()), "both are canceled");
+        assert!(canceled.iter().all(|command| command.request.is_none()), "{canceled:?}");
+    }
+
+    /// Returns the step of the clerk's first task.
+    fn clerk_deposit(ledger: &Ledger) -> StepIndex {
+        let entry = ledger.missions().next().unwrap();
+        let steps = entry.plan(&clerk()).unwrap().steps.len();
+        let is_task = |step: &StepIndex| entry.plan(&clerk()).unwrap().step_task(*step).is_some();
+        (0..u32::try_from(steps).unwrap()).find(is_task).unwrap()
     }
 }
