@@ -123,8 +123,7 @@ fn check_kind(
             Ok(format!("{}, {}", count(places, "place", "places"), count(ways, "way", "ways")))
         }
         FileKind::Fleet => {
-            let extensions = domains::with_files(extensions, &load_unchecked::<FleetConfig>(path)?.domains)?;
-            let fleet: FleetConfig = config::load(path, &extensions.domain())?;
+            let (fleet, extensions) = fleet_file(path, extensions)?;
             wiring::fleet_settings(&fleet, extensions)?;
             wiring::fleet_skill_resources(&fleet, extensions)?;
             Ok(fleet.name.to_string())
@@ -171,6 +170,16 @@ fn check_kind(
             Ok(format!("{skills}, {}", count(learned.legs.len(), "leg", "legs")))
         }
     }
+}
+
+/// Reads a fleet file. Returns it with the fleet's domains.
+///
+/// # Errors
+/// [`Diagnostics`] of the files.
+pub(crate) fn fleet_file(path: &Path, extensions: Extensions) -> Result<(FleetConfig, Extensions), Diagnostics> {
+    let extensions = domains::with_files(extensions, &load_unchecked::<FleetConfig>(path)?.domains)?;
+    let fleet = config::load(path, &extensions.domain())?;
+    Ok((fleet, extensions))
 }
 
 /// Reads the file of a node and the fleet that it names. Returns them with the fleet's domains.

@@ -8,11 +8,13 @@ use consort_protocol::auction::{
     AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, EnergyBudget, Invitation, RoleReply,
     clear_auction,
 };
-use consort_protocol::ensemble::Membership;
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ensemble::{Ensembles, Membership};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::knowledge::{Knowledge, KnowledgeBase, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::mission::{Mission, Role};
 use consort_protocol::plan::Division;
-use consort_protocol::units::Energy;
+use consort_protocol::units::{Energy, NodeTime};
+use consort_protocol::versions::VersionRange;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -48,28 +50,91 @@ pub(crate) struct DryRunOutcome {
     pub failure: Option<String>,
 }
 
-/// Auctions the plans of `roles` among the workers, who count as members of every ensemble. Roles without
-/// a plan are skipped.
+/// Fleet whose auction is computed.
+pub(crate) struct AssumedFleet {
+    /// Estimator of its robots, and the domain of its missions.
+    pub equipment: SkillResources,
+    /// Limits of bids.
+    pub limits: BidLimits,
+    /// Its ensembles. `None`: every worker is a member of every ensemble.
+    pub ensembles: Option<Arc<Ensembles>>,
+}
+
+/// Memberships of the workers, evaluated as robots and coordinator evaluate them.
+struct Memberships<'a> {
+    ensembles: Option<&'a Ensembles>,
+    coordinator: NodeId,
+    base: KnowledgeBase,
+}
+
+impl<'a> Memberships<'a> {
+    /// Assumes a station on mains power as coordinator, and robots with the defaults of a robot file.
+    fn of(workers: &[WorkerEntry], fleet: &'a AssumedFleet) -> Memberships<'a> {
+        let coordinator = NodeId::new("coordinator").expect("a slug");
+        let mut base = KnowledgeBase::default();
+        let mut add = |owner: NodeId, robot: Option<RobotKnowledge>| {
+            let is_station = robot.is_none();
+            let knowledge = Knowledge {
+                may_vote: true,
+                stationary: is_station,
+                mains_powered: is_station,
+                replica: None,
+                cluster: None,
+                leaving: false,
+                supported_versions: VersionRange::OWN,
+                robot,
+            };
+            let record = Record { owner, stamp: RecordStamp::default(), knowledge, proof: None };
+            base.merge(record, NodeTime::ZERO);
+        };
+        for worker in workers {
+            add(worker.name.clone().into(), Some(worker.worker(&fleet.equipment.places)));
+        }
+        add(coordinator.clone(), None);
+        Memberships { ensembles: fleet.ensembles.as_deref(), coordinator, base }
+    }
+
+    fn invitation(&self, call: &CallForBids, workers: &[WorkerEntry]) -> Invitation {
+        let Some(ensembles) = self.ensembles else {
+            let robots = workers.iter().map(|worker| worker.name.clone()).collect();
+            return Invitation { robots, preferred: vec![] };
+        };
+        let robots = |nodes: BTreeSet<NodeId>| nodes.into_iter().map(RobotId::from).collect();
+        let members = ensembles.members(&self.coordinator, &self.base, NodeTime::ZERO);
+        Invitation::of(&call.ensembles, &members.into_iter().map(|(name, nodes)| (name, robots(nodes))).collect())
+    }
+
+    fn of_worker(&self, call: &CallForBids, worker: &WorkerEntry) -> Membership {
+        let Some(ensembles) = self.ensembles else {
+            return Membership { member: true, reason: "named in the file".to_owned(), age_ms: 0 };
+        };
+        let node = NodeId::from(worker.name.clone());
+        ensembles.membership_of(&call.ensembles, &node, &self.coordinator, &self.base, NodeTime::ZERO)
+    }
+}
+
+/// Auctions the plans of `roles` among the workers. Roles without a plan are skipped.
 pub(crate) fn simulate_auction(
     mission: &Mission,
     division: &Division,
     roles: &BTreeSet<RoleId>,
     workers: &[WorkerEntry],
-    equipment: &SkillResources,
-    limits: &BidLimits,
+    fleet: &AssumedFleet,
 ) -> DryRunOutcome {
+    let AssumedFleet { equipment, limits, .. } = fleet;
     let open = division.plans.iter().filter(|(role, _)| roles.contains(*role));
     let condition = |(role, declared): (&RoleId, &Role)| Some((role.clone(), declared.eligible.clone()?));
     let call = CallForBids {
         auction: AuctionId { mission: MissionId::new("dry-run").expect("a slug"), term: 0, round: 1 },
-        ensembles: vec![],
+        ensembles: mission.ensembles.clone(),
         eligible: mission.roles.iter().filter_map(condition).collect(),
         spread: mission.roles.iter().filter(|(_, declared)| declared.spread).map(|(role, _)| role.clone()).collect(),
         roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
     };
-    let tenders: Vec<BidResponse> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
-    let robots = workers.iter().map(|worker| worker.name.clone()).collect();
-    let invitation = Invitation { robots, preferred: vec![] };
+    let memberships = Memberships::of(workers, fleet);
+    let respond = |worker: &WorkerEntry| response(worker, &call, memberships.of_worker(&call, worker), equipment);
+    let tenders: Vec<BidResponse> = workers.iter().map(respond).collect();
+    let invitation = memberships.invitation(&call, workers);
     let unavailable = BTreeMap::new();
     let excluded = BTreeMap::new();
     let circumstances = AuctionContext {
@@ -92,9 +157,13 @@ pub(crate) fn simulate_auction(
     DryRunOutcome { bids, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
 }
 
-fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &SkillResources) -> BidResponse {
+fn response(
+    worker: &WorkerEntry,
+    call: &CallForBids,
+    membership: Membership,
+    equipment: &SkillResources,
+) -> BidResponse {
     let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator));
-    let membership = Membership { member: true, reason: "named in the file".to_owned(), age_ms: 0 };
     let own = worker.worker(&equipment.places);
     bidder.respond(call, &BidContext { worker: &own, closed_lanes: &[], age_ms: 0, membership, present: None })
 }

@@ -4,6 +4,7 @@ use super::{ConditionError, Ensemble, EnsembleSpec, Membership};
 use crate::ids::{EnsembleId, NodeId};
 use crate::knowledge::KnowledgeBase;
 use crate::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Ensembles of a fleet, in the order of the fleet file.
 #[derive(Debug)]
@@ -31,6 +32,17 @@ impl Ensembles {
     /// Returns the ensemble with this name.
     pub fn get(&self, name: &EnsembleId) -> Option<&Ensemble> {
         self.iter().find(|ensemble| ensemble.spec().name == *name)
+    }
+
+    /// Returns the nodes that this node evaluates to be members of each ensemble.
+    pub fn members(
+        &self,
+        coordinator: &NodeId,
+        base: &KnowledgeBase,
+        now: NodeTime,
+    ) -> BTreeMap<EnsembleId, BTreeSet<NodeId>> {
+        let of = |ensemble: &Ensemble| (ensemble.spec().name.clone(), ensemble.members(coordinator, base, now));
+        self.iter().map(of).collect()
     }
 
     /// Evaluates whether a node is a member of any of the called ensembles. None called: of any ensemble.

@@ -4,7 +4,6 @@
 use super::last_known_place::foreign_clusters;
 use super::session_context::SessionContext;
 use super::settings::CoordinatorSettings;
-use consort_protocol::ensemble::Ensemble;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, EnsembleId, NodeId};
 use consort_protocol::units::NodeTime;
@@ -77,11 +76,9 @@ pub(super) fn live_members(settings: &CoordinatorSettings, now: NodeTime) -> BTr
             let cluster = base.get(node).and_then(|stored| stored.record.knowledge.cluster);
             cluster.is_none() || own.is_none() || cluster == own
         };
-        let of = |ensemble: &Ensemble| {
-            let members = ensemble.members(&parts.node, base, now);
-            (ensemble.spec().name.clone(), members.into_iter().filter(is_own).collect::<BTreeSet<_>>())
-        };
-        auctions.ensembles.iter().map(of).collect::<BTreeMap<_, _>>()
+        let mut members = auctions.ensembles.members(&parts.node, base, now);
+        members.values_mut().for_each(|nodes| nodes.retain(is_own));
+        members
     });
     members.values_mut().for_each(|members| members.retain(|node| parts.knowledge.is_alive(node)));
     members

@@ -1,14 +1,17 @@
 //! `consort dry-run`: computes the result of a mission's auction.
 
-use super::flag_values::key_value;
-use super::flags::PeopleFlags;
-use crate::dry_run::{DryRunOutcome, WorkerBid, simulate_auction};
+use super::flag_values::{key_value, seconds, share};
+use super::flags::{PeopleFlags, set};
+use crate::check::fleet_file;
+use crate::config::FleetConfig;
+use crate::diagnostic::Diagnostics;
+use crate::dry_run::{AssumedFleet, DryRunOutcome, WorkerBid, simulate_auction};
 use crate::exit::Failure;
-use crate::wiring::{SkillResources, skill_resources};
-use crate::{inputs, map_loader, output};
-use consort_protocol::auction::{BidLimits, BidPart};
+use crate::wiring::{fleet_settings, fleet_skill_resources, limits};
+use crate::{inputs, output};
+use consort_protocol::auction::BidPart;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_protocol::mission::{Mission, MissionDocument};
+use consort_protocol::mission::{Domain, Mission, MissionDocument};
 use consort_protocol::plan::{Division, divide_and_check};
 use consort_protocol::units::{BatteryShare, Seconds};
 use consort_skills::extensions::Extensions;
@@ -26,6 +29,7 @@ use std::path::PathBuf;
 Examples:
   consort dry-run lab-samples --workers examples/workers.toml --set room='PC Room 3'
   consort dry-run my-mission.yaml --map my-map.yaml --workers workers.json --json
+  consort dry-run my-mission.yaml --fleet fleet.toml --workers workers.toml
   consort dry-run my-ihtn.json --domain my-domain.yaml --person nurse --workers workers.toml
   consort dry-run lab-samples --map hospital_map.json --scenarios scenarios_81.json --json
 
@@ -44,10 +48,14 @@ pub(crate) struct Args {
     mission: String,
     #[command(flatten)]
     people: PeopleFlags,
+    /// The fleet file, with the ensembles, limits, map and domains; the coordinator is assumed to be a station
+    /// on mains power. Without it, every worker is a member of every ensemble
+    #[arg(long, env = "CONSORT_FLEET", value_name = "FILE")]
+    fleet: Option<PathBuf>,
     /// The map: the name of a bundled map (hospital), or a file in Consort's format or that of the
-    /// published evaluation
-    #[arg(long, env = "CONSORT_MAP", default_value = "hospital")]
-    map: String,
+    /// published evaluation. Default: that of the fleet, or hospital
+    #[arg(long, env = "CONSORT_MAP", value_name = "NAME|FILE")]
+    map: Option<String>,
     /// The workers that bid
     #[arg(long, value_name = "FILE", required_unless_present = "scenarios", conflicts_with = "scenarios")]
     workers: Option<PathBuf>,
@@ -61,12 +69,12 @@ pub(crate) struct Args {
     /// A role to auction; may be repeated. Default: all managed roles; with --scenarios: r1
     #[arg(long = "role", value_name = "ROLE")]
     roles: Vec<RoleId>,
-    /// Maximum time of a plan, in seconds
-    #[arg(long, env = "CONSORT_TIME_LIMIT_S", value_name = "SECONDS")]
-    time_limit_s: Option<f64>,
-    /// Charge that must be left, as a share
-    #[arg(long, env = "CONSORT_CHARGE_MIN", value_name = "SHARE", default_value_t = 0.05)]
-    charge_min: f64,
+    /// Maximum time of a plan, in seconds. Default: that of the fleet, or none
+    #[arg(long, env = "CONSORT_TIME_LIMIT_S", value_name = "SECONDS", value_parser = seconds)]
+    time_limit_s: Option<Seconds>,
+    /// Charge that must be left, as a share. Default: that of the fleet, or 0.05
+    #[arg(long, env = "CONSORT_CHARGE_MIN", value_name = "SHARE", value_parser = share)]
+    charge_min: Option<BatteryShare>,
     /// Print JSON: a line for the mission, or for each scenario
     #[arg(long)]
     json: bool,
@@ -110,32 +118,49 @@ struct BidLine<'a> {
 /// [`Failure::Usage`] for wrong files; [`Failure::Unsuccessful`] if a role of the mission is not
 /// assigned (an unassigned scenario is a normal result).
 pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
-    let limits = BidLimits {
-        time: args.time_limit_s.map(Seconds::new).transpose().map_err(|e| Failure::Usage(e.to_string()))?,
-        charge_min: BatteryShare::new(args.charge_min).map_err(|e| Failure::Usage(e.to_string()))?,
-    };
     let template = inputs::mission(&args.mission, &args.people.people)?;
-    let equipment = skill_resources(&map_loader::load(&args.map)?, extensions)?;
+    let fleet = assumed_fleet(&args, extensions)?;
     let given: BTreeMap<String, String> = args.parameters.iter().cloned().collect();
     match (&args.scenarios, &args.workers) {
-        (Some(path), _) => scenarios(&args, path, &template, &equipment, &limits, &given),
-        (None, Some(path)) => mission(&args, path, &template, &equipment, &limits, &given),
+        (Some(path), _) => scenarios(&args, path, &template, &fleet, &given),
+        (None, Some(path)) => mission(&args, path, &template, &fleet, &given),
         (None, None) => Err(Failure::Usage("--workers or --scenarios is needed".to_owned())),
     }
+}
+
+/// Returns the fleet of the fleet file, with the values of the flags; without a file, a fleet of all defaults
+/// and without ensembles.
+fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<AssumedFleet, Diagnostics> {
+    let (mut config, extensions) = match &args.fleet {
+        Some(path) => fleet_file(path, extensions)?,
+        None => (FleetConfig::default(), extensions),
+    };
+    set(&mut config.map, args.map.clone());
+    config.limits.time_s = args.time_limit_s.or(config.limits.time_s);
+    set(&mut config.limits.charge_min, args.charge_min);
+    let (mut equipment, limits) = (fleet_skill_resources(&config, extensions)?, limits(&config));
+    let ensembles = match &args.fleet {
+        Some(_) => {
+            let settings = fleet_settings(&config, extensions)?;
+            equipment.domain = settings.domain;
+            Some(settings.ensembles)
+        }
+        None => None,
+    };
+    Ok(AssumedFleet { equipment, limits, ensembles })
 }
 
 fn mission(
     args: &Args,
     path: &std::path::Path,
     template: &MissionDocument,
-    equipment: &SkillResources,
-    limits: &BidLimits,
+    fleet: &AssumedFleet,
     given: &BTreeMap<String, String>,
 ) -> Result<(), Failure> {
     let workers = inputs::workers(&inputs::read_text(path)?, &path.display().to_string())?;
-    let (mission, division) = divide(template, equipment, given)?;
+    let (mission, division) = divide(template, &fleet.equipment.domain, given)?;
     let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, || mission.managed_roles().cloned().collect())?;
-    let result = simulate_auction(&mission, &division, &roles, &workers, equipment, limits);
+    let result = simulate_auction(&mission, &division, &roles, &workers, fleet);
     if args.json {
         let roles = result.bids.iter().map(|(role, bids)| RoleLine {
             role,
@@ -164,17 +189,16 @@ fn scenarios(
     args: &Args,
     path: &std::path::Path,
     template: &MissionDocument,
-    equipment: &SkillResources,
-    limits: &BidLimits,
+    fleet: &AssumedFleet,
     given: &BTreeMap<String, String>,
 ) -> Result<(), Failure> {
     for scenario in inputs::scenarios(&inputs::read_text(path)?, &path.display().to_string())? {
         let mut given = given.clone();
         given.entry("room".to_owned()).or_insert_with(|| scenario.room.to_string());
-        let (mission, division) = divide(template, equipment, &given)?;
+        let (mission, division) = divide(template, &fleet.equipment.domain, &given)?;
         let r1 = || RoleId::new("r1").into_iter().collect();
         let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, r1)?;
-        let result = simulate_auction(&mission, &division, &roles, &scenario.workers, equipment, limits);
+        let result = simulate_auction(&mission, &division, &roles, &scenario.workers, fleet);
         if args.json {
             for (role, bids) in &result.bids {
                 output::json(&ScenarioLine { code: &scenario.code, bids, selected: result.holders.get(role) })?;
@@ -189,11 +213,11 @@ fn scenarios(
 
 fn divide(
     template: &MissionDocument,
-    equipment: &SkillResources,
+    domain: &Domain,
     given: &BTreeMap<String, String>,
 ) -> Result<(Mission, Division), Failure> {
     let usage = |problem: String| Failure::Usage(problem);
-    let mission = template.instantiate(given, &equipment.domain).map_err(|e| usage(e.to_string()))?;
+    let mission = template.instantiate(given, domain).map_err(|e| usage(e.to_string()))?;
     let division = divide_and_check(&mission).map_err(|e| usage(e.to_string()))?;
     Ok((mission, division))
 }

@@ -1,5 +1,5 @@
 use super::skip::skip;
-use super::support::{crate_file, run, test_file};
+use super::support::{CommandOutput, crate_file, run, test_file};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -102,6 +102,62 @@ fn a_worker_without_the_attributes_of_a_role_is_not_eligible() {
     }
     let ran = dry_run("section=radiology");
     assert_eq!(ran.code, Some(1), "{}", ran.out);
+}
+
+const ENSEMBLES: &str = "\
+    [[ensemble]]\nname = \"icu\"\nmembership = [\"member.attributes.section == 'icu'\"]\n\
+    coordinator = [\"coordinator.mains_powered\"]\nstale_after_ms = 1000\n\
+    [[ensemble]]\nname = \"charged\"\nmembership = [\"member.robot\", \"member.battery > 0.3\"]\nstale_after_ms = 1000\n";
+
+/// Dry-runs a mission for these ensembles among a slow member of `icu` and `charged`, a member of `charged`, and
+/// a robot in none.
+fn ran_with_ensembles(name: &str, ensembles: &str, fleet: Option<&str>) -> CommandOutput {
+    let worker = |name: &str, rest: &str| {
+        format!("[[worker]]\nname = {name:?}\nplace = \"Laboratory\"\nskills = [\"navigation\"]\n{rest}\n")
+    };
+    let workers = [
+        worker("ada", "speed_mps = 0.3\nattributes = { section = \"icu\" }"),
+        worker("bob", "speed_mps = 0.6\nattributes = { section = \"er\" }"),
+        worker("cyd", "speed_mps = 0.9\nbattery = 0.2"),
+    ];
+    let workers = test_file(&format!("{name}_workers.toml"), &workers.concat());
+    let mission = format!(
+        "mission: m\nensembles: {ensembles}\nroles: {{ r1: {{ kind: managed }} }}\n\
+        root: {{ task: go, type: navigation, roles: [r1], parameters: {{ to: Dock }} }}\n"
+    );
+    let mission = test_file(&format!("{name}_mission.yaml"), &mission);
+    let fleet = fleet.map(|fleet| test_file(&format!("{name}_fleet.toml"), fleet));
+    let fleet: Vec<&str> = fleet.iter().flat_map(|fleet| ["--fleet", fleet.as_str()]).collect();
+    run(&[&["dry-run", &mission, "--workers", &workers], &fleet[..]].concat())
+}
+
+#[test]
+fn a_worker_outside_the_ensembles_of_the_fleet_refuses_with_the_condition() {
+    let ran = ran_with_ensembles("icu", "[icu]", Some(ENSEMBLES));
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    for expected in [
+        "refuses: not a member of icu: `member.attributes.section == 'icu'` is false for bob",
+        "refuses: not a member of icu: `member.attributes.section == 'icu'` for cyd: there is no attribute `section`",
+        "r1 = ada",
+    ] {
+        assert!(ran.out.contains(expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+    let ran = ran_with_ensembles("all", "[]", Some(ENSEMBLES));
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let why = "charged: `member.battery > 0.3` is false for cyd";
+    assert!(ran.out.contains("r1 = bob") && ran.out.contains(why), "{}", ran.out);
+    let unknown = ran_with_ensembles("unknown", "[er]", Some(ENSEMBLES));
+    assert_eq!(unknown.code, Some(2), "{}", unknown.out);
+    assert!(unknown.err.contains("er") && unknown.err.contains("icu"), "{}", unknown.err);
+}
+
+#[test]
+fn members_of_the_first_ensemble_come_before_faster_robots() {
+    let ran = ran_with_ensembles("first", "[icu, charged]", Some(ENSEMBLES));
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(ran.out.contains("r1 = ada"), "{}", ran.out);
+    let ran = ran_with_ensembles("no_fleet", "[icu, charged]", None);
+    assert!(ran.out.contains("r1 = cyd"), "without a fleet file each worker is a member\n{}", ran.out);
 }
 
 /// Returns the folder of the published evaluation; skips the test if it is not installed.
