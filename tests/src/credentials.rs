@@ -10,7 +10,7 @@ use consort_bus::trust::{Keyring, RevokedFiles, SigningBus};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal, ServedName};
+use consort_protocol::trust::{AccessScope, Identity, MissionRights, NodeRole, Principal, ServedName};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -83,7 +83,8 @@ impl Credentials {
 
     /// Returns the keyring of a person with this scope.
     pub fn keyring_of_person(&self, name: &str, scope: AccessScope) -> Keyring {
-        let principal = Principal::Person { name: PersonId::new(name).expect("a name"), scope };
+        let person = PersonId::new(name).expect("a name");
+        let principal = Principal::Person { name: person, scope, missions: MissionRights::All };
         self.keyring(principal, &format!("person {name}"), 0)
     }
 

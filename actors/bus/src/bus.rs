@@ -39,6 +39,7 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ids::{NodeId, PersonId};
+use consort_protocol::trust::MissionRights;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -242,6 +243,8 @@ pub struct Requester {
 pub struct RequestAuthor {
     /// Person that signed the request, or whose token was forwarded.
     pub name: PersonId,
+    /// Missions that the person may submit. The node that executes a request checks them.
+    pub missions: MissionRights,
     /// Node of the dashboard that forwarded the token.
     pub through: Option<NodeId>,
 }

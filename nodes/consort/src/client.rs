@@ -221,7 +221,7 @@ impl Client {
     /// Checks whether the person's certificate allows a call. Nodes drop the request otherwise, and
     /// Zenoh gives no error.
     fn check_scope(&self, call: ApiCall) -> Result<(), Failure> {
-        let Some(Principal::Person { name, scope }) = &self.person else { return Ok(()) };
+        let Some(Principal::Person { name, scope, .. }) = &self.person else { return Ok(()) };
         let needed = access::required_scope(call);
         if *scope >= needed {
             return Ok(());

@@ -1,7 +1,8 @@
 //! Identity of a principal, as contained in its certificate.
 
+use super::mission_rights::{MissionRights, MissionRightsError};
 use super::served_name::ServedName;
-use crate::ids::{FleetId, NameError, NodeId, PersonId};
+use crate::ids::{FleetId, NameError, NodeId, PersonId, TaskId};
 use crate::word_enum::words;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -9,7 +10,7 @@ use std::str::FromStr;
 
 /// Identity in a certificate. Stored as a URI in the certificate's subject alternative names:
 /// `consort://ward/node/ada?roles=robot,voter`, `consort://ward/node/world?roles=host&serves=ada,bo`,
-/// `consort://ward/person/kim?scope=submit`.
+/// `consort://ward/person/kim?scope=submit`, `consort://ward/person/lee?scope=submit&missions=lab-samples`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
     /// Fleet of the principal.
@@ -36,6 +37,8 @@ pub enum Principal {
         name: PersonId,
         /// Permissions of the person.
         scope: AccessScope,
+        /// Missions that the person may submit.
+        missions: MissionRights,
     },
 }
 
@@ -93,6 +96,12 @@ read! {
 #[error("{0}")]
 pub struct IdentityError(String);
 
+impl From<MissionRightsError> for IdentityError {
+    fn from(problem: MissionRightsError) -> Self {
+        IdentityError(problem.to_string())
+    }
+}
+
 impl From<NameError> for IdentityError {
     fn from(problem: NameError) -> Self {
         IdentityError(problem.to_string())
@@ -137,7 +146,8 @@ impl fmt::Display for Principal {
                     false => write!(f, " of {}", listed(serves)),
                 }
             }
-            Principal::Person { name, scope } => write!(f, "person {name} ({scope})"),
+            Principal::Person { name, scope, missions: MissionRights::All } => write!(f, "person {name} ({scope})"),
+            Principal::Person { name, scope, missions } => write!(f, "person {name} ({scope}; missions: {missions})"),
         }
     }
 }
@@ -165,7 +175,16 @@ impl fmt::Display for Identity {
                     }
                 }
             }
-            Principal::Person { name, scope } => write!(f, "consort://{}/person/{name}?scope={scope}", self.fleet),
+            Principal::Person { name, scope, missions } => {
+                write!(f, "consort://{}/person/{name}?scope={scope}", self.fleet)?;
+                match missions {
+                    MissionRights::All => Ok(()),
+                    MissionRights::Named(names) => {
+                        let names = names.iter().map(TaskId::as_str).collect::<Vec<_>>().join(",");
+                        write!(f, "&missions={names}")
+                    }
+                }
+            }
         }
     }
 }
@@ -181,7 +200,7 @@ impl FromStr for Identity {
 
     fn from_str(text: &str) -> Result<Identity, IdentityError> {
         let form = || {
-            let forms = "consort://FLEET/node/NAME?roles=robot,voter,host,dashboard&serves=NAMES or consort://FLEET/person/NAME?scope=read";
+            let forms = "consort://FLEET/node/NAME?roles=robot,voter,host,dashboard&serves=NAMES or consort://FLEET/person/NAME?scope=read&missions=NAMES";
             IdentityError(format!("{text:?} is not an identity; the form is {forms}"))
         };
         let (path, query) = text.strip_prefix("consort://").and_then(|rest| rest.split_once('?')).ok_or_else(form)?;
@@ -193,7 +212,8 @@ impl FromStr for Identity {
                 (fleet, Principal::Node { name: name.parse()?, roles, serves })
             }
             (&[fleet, "person", name], Some(("scope", scope))) => {
-                (fleet, Principal::Person { name: name.parse()?, scope: scope.parse()? })
+                let (scope, missions) = scope.split_once("&missions=").unwrap_or((scope, "*"));
+                (fleet, Principal::Person { name: name.parse()?, scope: scope.parse()?, missions: missions.parse()? })
             }
             _ => return Err(form()),
         };
@@ -213,6 +233,8 @@ mod tests {
             "consort://ward/node/world?roles=host,dashboard&serves=ada,drone-*",
             "consort://ward/node/world?roles=host&serves=*",
             "consort://ward/person/kim.lee?scope=operate",
+            "consort://ward/person/kim?scope=submit&missions=lab-samples,rounds",
+            "consort://ward/person/kim?scope=submit&missions=",
         ] {
             assert_eq!(text.parse::<Identity>().unwrap().to_string(), text);
         }

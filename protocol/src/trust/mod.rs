@@ -17,6 +17,7 @@
 mod attachment;
 mod envelope;
 mod identity;
+mod mission_rights;
 mod replay_window;
 mod request_proof;
 mod served_name;
@@ -27,6 +28,7 @@ pub use envelope::{
     decode_envelope, encode_envelope, is_refusal, signed_part,
 };
 pub use identity::{AccessScope, Identity, IdentityError, NodeRole, Principal};
+pub use mission_rights::{MissionNotPermitted, MissionRights, MissionRightsError};
 pub use replay_window::{Freshness, ReplayWindow};
 pub use request_proof::{REQUEST_SKEW_MAX_MS, RequestProof, signed_request};
 pub use served_name::ServedName;

@@ -118,18 +118,18 @@ impl Verifier {
         needed: AccessScope,
     ) -> Result<RequestAuthor, RequestRejected> {
         let principal = &signer.principal;
-        let (name, has, through) = match (principal, token) {
-            (Principal::Person { name, scope }, _) => (name.clone(), *scope, None),
+        let (name, has, missions, through) = match (principal, token) {
+            (Principal::Person { name, scope, missions }, _) => (name.clone(), *scope, missions.clone(), None),
             (Principal::Node { name, roles, .. }, Some(token)) if roles.contains(&NodeRole::Dashboard) => {
                 let claims = self.keyring.verify_forwarded_token(token, self.clock.unix_time())?;
-                (claims.name, claims.scope, Some(name.clone()))
+                (claims.name, claims.scope, claims.missions, Some(name.clone()))
             }
             (Principal::Node { .. }, Some(_)) => return Err(RequestRejected::Forwarder(principal.clone())),
             (Principal::Node { .. }, None) => return Err(RequestRejected::Node(principal.clone())),
         };
         match has < needed {
             true => Err(RequestRejected::Scope { name, has, needed }),
-            false => Ok(RequestAuthor { name, through }),
+            false => Ok(RequestAuthor { name, missions, through }),
         }
     }
 }

@@ -19,7 +19,7 @@ use super::keyring::{CertificateError, Keyring, VerifiedCertificate, format_span
 use base64::Engine as _;
 use base64::engine::general_purpose::{STANDARD, URL_SAFE_NO_PAD};
 use consort_protocol::ids::{FleetId, PersonId};
-use consort_protocol::trust::{AccessScope, Principal};
+use consort_protocol::trust::{AccessScope, MissionRights, Principal};
 use ring::digest::{SHA256, digest};
 use ring::rand::{SystemRandom, generate};
 use serde::{Deserialize, Serialize};
@@ -35,6 +35,8 @@ pub struct TokenClaims {
     pub name: PersonId,
     /// Scope of the token: at most that of the certificate.
     pub scope: AccessScope,
+    /// Missions that the person may submit, by the certificate.
+    pub missions: MissionRights,
     /// Expiry, in time since 1970.
     pub expires: Duration,
 }
@@ -174,16 +176,18 @@ impl Keyring {
             return Err(TokenError::Expired(format_span(now.as_secs() - claims.exp)));
         }
         let scope = AccessScope::parse(&claims.scope).ok_or(TokenError::Malformed("its scope is unknown"))?;
-        let name = authorized_person(&verified.identity.principal, scope)?.clone();
-        Ok((TokenClaims { name, scope, expires: Duration::from_secs(claims.exp) }, claims.secret_sha256))
+        let (name, missions) = authorized_person(&verified.identity.principal, scope)?;
+        let (name, missions, expires) = (name.clone(), missions.clone(), Duration::from_secs(claims.exp));
+        Ok((TokenClaims { name, scope, missions, expires }, claims.secret_sha256))
     }
 }
 
-/// Returns the person, if the principal may hold a token of the claimed scope.
-fn authorized_person(principal: &Principal, claimed: AccessScope) -> Result<&PersonId, TokenError> {
+/// Returns the person and the missions that it may submit, if the principal may hold a token of the claimed
+/// scope.
+fn authorized_person(principal: &Principal, claimed: AccessScope) -> Result<(&PersonId, &MissionRights), TokenError> {
     match principal {
-        Principal::Person { name, scope } if claimed <= *scope => Ok(name),
-        Principal::Person { name, scope } => Err(TokenError::Scope { name: name.clone(), claimed, has: *scope }),
+        Principal::Person { name, scope, missions } if claimed <= *scope => Ok((name, missions)),
+        Principal::Person { name, scope, .. } => Err(TokenError::Scope { name: name.clone(), claimed, has: *scope }),
         node @ Principal::Node { .. } => Err(TokenError::Node(node.clone())),
     }
 }

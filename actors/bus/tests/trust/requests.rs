@@ -6,7 +6,7 @@ use bytes::Bytes;
 use consort_bus::trust::{SigningBus, forwarded_part};
 use consort_bus::{Bus, Query, RequestAuthor, RequestAuthority, ServiceSelection, Stream};
 use consort_protocol::keys::{ApiCall, Key};
-use consort_protocol::trust::{AccessScope, REQUEST_SKEW_MAX_MS};
+use consort_protocol::trust::{AccessScope, MissionRights, REQUEST_SKEW_MAX_MS};
 use std::time::Duration;
 
 /// A coordinator, and what it receives.
@@ -44,7 +44,7 @@ impl Coordinator {
 }
 
 fn kim(through: Option<&str>) -> Result<RequestAuthor, String> {
-    Ok(RequestAuthor { name: "kim".parse().unwrap(), through: through.map(node) })
+    Ok(RequestAuthor { name: "kim".parse().unwrap(), missions: MissionRights::All, through: through.map(node) })
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
@@ -67,6 +67,22 @@ async fn a_request_needs_a_person_with_its_scope() {
     // What changes nothing needs no signature.
     assert_eq!(ada.receive(&*plain, ApiCall::List, b"").await.unwrap().authority, RequestAuthority::Unchecked);
     assert!(ada.bus.rejections().iter().any(|reason| reason.contains(robot)), "{:?}", ada.bus.rejections());
+}
+
+/// Signs a request, or forwards a token.
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn the_author_of_a_request_has_the_missions_of_the_certificate() {
+    let mut ada = Coordinator::start().await;
+    let identity = "consort://ward/person/kim?scope=submit&missions=lab-samples";
+    let allowed: MissionRights = "lab-samples".parse().unwrap();
+    let kim_bus = ada.fixture.node("kim", identity).await;
+    assert_eq!(ada.author(&kim_bus, ApiCall::Submit, b"").await.unwrap().missions, allowed);
+    let issued = ada.fixture.authority().issue(&identity.parse().unwrap(), &[], LONG).unwrap();
+    let person = ada.fixture.files("kim-2", &issued).open(&ward(), NOW, 1).unwrap();
+    let token = person.issue_token(AccessScope::Submit, NOW + Duration::from_secs(60)).unwrap();
+    let page = ada.fixture.node("page", "consort://ward/node/page?roles=dashboard").await;
+    let author = ada.author(&page, ApiCall::Submit, forwarded_part(&token).as_bytes()).await.unwrap();
+    assert_eq!((author.missions, author.through), (allowed, Some(node("page"))));
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]

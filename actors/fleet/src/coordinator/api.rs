@@ -10,8 +10,8 @@ use consort_bus::{MESSAGE_MAX, Requester};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{
     AnswerReply, AnswerRequest, AnswerWord, ErrorReply, LATER_MINUTES_MAX, MissionChangeReply, MissionChangeRequest,
-    NodeVersions, RequestError, ScheduleAction, ScheduleReply, ScheduleRequest, SubmitReply, SubmitRequest,
-    UpgradeReply, UpgradeRequest, parse_request,
+    MissionSource, NodeVersions, RequestError, ScheduleAction, ScheduleReply, ScheduleRequest, SubmitReply,
+    SubmitRequest, UpgradeReply, UpgradeRequest, parse_request,
 };
 use consort_protocol::event::{EventKind, ScheduleChange};
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
@@ -20,6 +20,7 @@ use consort_protocol::ledger::{
     AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer, ScheduleEntry, SchedulePause,
 };
 use consort_protocol::mission::{Domain, check_results};
+use consort_protocol::trust::MissionNotPermitted;
 use consort_protocol::versions::{UpgradeStatus, VersionRange};
 use consort_raft::store::Backup;
 use consort_raft::{ProposeError, Replica};
@@ -81,6 +82,12 @@ impl From<ScheduleError> for ApiError {
     }
 }
 
+impl From<MissionNotPermitted> for ApiError {
+    fn from(error: MissionNotPermitted) -> ApiError {
+        error.to_string().into()
+    }
+}
+
 impl From<SubmitError> for ApiError {
     fn from(error: SubmitError) -> ApiError {
         error.to_string().into()
@@ -118,6 +125,7 @@ impl ApiHandler {
 
     async fn submit(&self, payload: &[u8]) -> Result<SubmitReply, ApiError> {
         let mut request_fields: SubmitRequest = parse_request(ApiCall::Submit, payload)?;
+        self.check_mission_right(&request_fields.mission)?;
         let by = self.responsible(request_fields.by.take());
         // A repetition of a signed request, by a link or an attacker, has the same id.
         let default_id = match &self.requester {
@@ -140,6 +148,16 @@ impl ApiHandler {
             Ok(other) => Err(format!("unexpected outcome of the ledger: {other:?}").into()),
             Err(problem) => Err(not_committed(&problem)),
         }
+    }
+
+    /// Checks whether the signer may submit a mission, in a closed fleet.
+    fn check_mission_right(&self, mission: &MissionSource) -> Result<(), ApiError> {
+        let Some(Requester { author, .. }) = &self.requester else { return Ok(()) };
+        let name = match mission {
+            MissionSource::Shipped(name) => Some(name.as_str()),
+            MissionSource::File(_) => None,
+        };
+        Ok(author.missions.check(&author.name, name)?)
     }
 
     fn time_ms(&self) -> Result<u64, ApiError> {
@@ -217,6 +235,9 @@ impl ApiHandler {
     /// Adds or changes a schedule.
     async fn schedule(&self, payload: &[u8]) -> Result<ScheduleReply, ApiError> {
         let mut request: ScheduleRequest = parse_request(ApiCall::Schedule, payload)?;
+        if let Some(submit) = &request.submit {
+            self.check_mission_right(&submit.mission)?;
+        }
         let (id, action, by, at_ms) =
             (request.schedule.clone(), request.action, self.responsible(request.by.take()), self.time_ms()?);
         let command = match action {

@@ -4,7 +4,7 @@ use crate::certs::{CertificateEntry, CertificateState, CertificateStore};
 use crate::exit::Failure;
 use crate::output;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
-use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal, ServedName};
+use consort_protocol::trust::{AccessScope, Identity, MissionRights, NodeRole, Principal, ServedName};
 use consort_text::count;
 use std::path::{Path, PathBuf};
 
@@ -32,6 +32,7 @@ Examples:
   consort cert node ward-1 --roles voter --address 192.0.2.7
   consort cert node world --roles host,voter --serves ada,lab-arm,nurse
   consort cert person kim --scope submit
+  consort cert person lee --scope submit --missions lab-samples,vital-signs
   consort cert show
 
   # certs/ada is copied to ada's machine, certs/kim to Kim's
@@ -79,6 +80,10 @@ enum CertCommand {
         /// nodes). Each includes the former
         #[arg(long, value_name = "SCOPE", default_value = "read")]
         scope: AccessScope,
+        /// Missions that the person may submit or schedule: names of shipped missions, or `*` for all missions and
+        /// mission files
+        #[arg(long, value_name = "NAMES", default_value = "*")]
+        missions: MissionRights,
         #[command(flatten)]
         validity: ValidityFlag,
     },
@@ -133,8 +138,8 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
             let principal = Principal::Node { name, roles, serves };
             issue(&dir, principal, &address, validity.days)
         }
-        CertCommand::Person { name, scope, validity } => {
-            issue(&dir, Principal::Person { name, scope }, &[], validity.days)
+        CertCommand::Person { name, scope, missions, validity } => {
+            issue(&dir, Principal::Person { name, scope, missions }, &[], validity.days)
         }
         CertCommand::Renew { name, validity } => renew(&dir, &name, validity.days),
         CertCommand::Revoke { name } => {

@@ -545,6 +545,30 @@ fn an_http_token_determines_identity_and_permissions() {
     assert_eq!(added.status, 200, "{}", added.body);
     let by = added.json()["schedule"]["by"].clone();
     assert!(by.as_str().is_some_and(|by| by.starts_with("submit")), "{by}");
+    // A person who may submit some missions is offered these alone, and no other is executed.
+    closed.cert(&["person", "lee", "--scope", "submit", "--missions", "vital-signs"]);
+    let lee = closed.token("lee", &[]);
+    let offered = with(&lee, "GET /api/shipped", "").json();
+    let names: Vec<&Value> =
+        offered["missions"].as_array().expect("a list").iter().map(|one| &one["mission"]).collect();
+    assert_eq!(names, [&json!("vital-signs")]);
+    let all = with(&submits, "GET /api/shipped", "").json();
+    assert!(all["missions"].as_array().is_some_and(|missions| missions.len() > 1), "{all}");
+    let allowed = "the right `missions` of the certificate allows vital-signs, by name";
+    let refused = with(&lee, "POST /api/missions", &order);
+    assert_eq!((refused.status, error(&refused)), (400, format!("lee may not submit \"lab-samples\": {allowed}")));
+    let file = json!({ "mission": { "mission": "vital-signs", "roles": {}, "root": {} } }).to_string();
+    assert_eq!(
+        error(&with(&lee, "POST /api/missions", &file)),
+        format!("lee may not submit a mission file: {allowed}")
+    );
+    let certs = closed.of("lee").display().to_string();
+    let add = ["schedule", "add", "daily", "--cron", "0 8 * * *", "lab-samples", "--certs", &certs];
+    let refused = closed.fleet.run(&add, "station-1").expect(1).stderr;
+    assert!(refused.contains(&format!("lee may not submit \"lab-samples\": {allowed}")), "{refused}");
+    let permitted = json!({ "mission": "vital-signs" }).to_string();
+    let taken = with(&lee, "POST /api/missions", &permitted);
+    assert!(taken.json()["mission"].as_str().is_some_and(|id| id.starts_with("vital-signs-")), "{}", taken.body);
 
     // A session stores the token in a cookie that scripts cannot read.
     let session = http(

@@ -117,7 +117,7 @@ async fn events(State(shared): State<DashboardState>, Query(filter): Query<Event
     json_reply(StatusCode::OK, &EventsReply { events: found })
 }
 
-/// Reply with the shipped missions.
+/// Reply with the shipped missions that the visitor may submit.
 #[derive(Serialize)]
 struct ShippedReply<'a> {
     missions: Vec<ShippedMission<'a>>,
@@ -131,8 +131,10 @@ struct ShippedMission<'a> {
     parameters: &'a BTreeMap<String, TemplateParameter>,
 }
 
-async fn shipped_missions() -> Response {
-    let missions = shipped().values().map(|template| ShippedMission {
+async fn shipped_missions(Extension(client): Extension<Option<AuthenticatedClient>>) -> Response {
+    let may_submit = |name: &TaskId| client.as_ref().is_none_or(|client| client.claims.missions.permits(name.as_str()));
+    let permitted = shipped().values().filter(|template| may_submit(template.name()));
+    let missions = permitted.map(|template| ShippedMission {
         mission: template.name(),
         title: template.title(),
         parameters: template.parameters(),

@@ -33,7 +33,11 @@ async function send(...request) {
   try {
     return await requestOnce(...request);
   } catch (problem) {
-    if (problem.status === 401) await signIn();
+    if (problem.status === 401) {
+      await signIn();
+      // Another person may submit other missions.
+      loadCalls().catch(() => {});
+    }
     throw problem;
   }
 }
@@ -279,12 +283,15 @@ byId('call-send').disabled = true;
 }
 
 async function startCalls() {
-  try {
-    shipped = (await send('GET', '/api/shipped')).missions;
-    places = placesOf(await send('GET', '/api/fleet'));
-  } catch {
-    return setTimeout(startCalls, POLL);
-  }
+  await loadCalls().catch(() => setTimeout(startCalls, POLL));
+}
+
+/** Offers the missions that this person may submit. */
+async function loadCalls() {
+  shipped = (await send('GET', '/api/shipped')).missions;
+  places = placesOf(await send('GET', '/api/fleet'));
+  byId('call').hidden = shipped.length === 0;
+  byId('no-calls').hidden = shipped.length > 0;
   byId('call-mission').replaceChildren(...shipped.map(({ mission, title }) => make('option', { value: mission, title }, readable(mission))));
   byId('call-mission').onchange = showParameters;
   showParameters();
