@@ -176,6 +176,17 @@ impl Browser {
         self.runtime.block_on(self.client.issue_cmd(raw)).unwrap_or_else(|problem| panic!("{name}: {problem}"))
     }
 
+    /// Permits notifications to the pages of an address, and lists those that the open page shows from now on in
+    /// `window.shown`, each by title, text and tag.
+    pub(crate) fn watch_notifications(&self) {
+        let origin = self.value("location.origin");
+        self.command("Browser.grantPermissions", json!({ "permissions": ["notifications"], "origin": origin }));
+        self.value(
+            "((Shown) => { window.shown = []; window.Notification = class extends Shown { constructor(title, options) \
+             { super(title, options); window.shown.push([title, options.body, options.tag]); } }; return true; })(Notification)",
+        );
+    }
+
     /// Sets the size of the screen; a narrow screen is a phone.
     pub(crate) fn screen(&self, width: u32, height: u32) {
         let phone = width < 700;

@@ -9,10 +9,8 @@ use std::time::Duration;
 /// Lifetime of the brief token: long enough to type it and check the page on a slow machine.
 const BRIEF: Duration = Duration::from_secs(25);
 
-#[test]
-fn a_closed_dashboard_requires_a_valid_token() {
-    let folder = Folder::new();
-    let Some(browser) = Browser::start(&folder) else { return };
+/// Starts a closed fleet. Returns it with the address of its dashboard.
+pub(crate) fn start_with_dashboard() -> (Closed, String) {
     let mut closed = Closed::new();
     let mut station = example("station");
     station.insert("dashboard".to_owned(), "127.0.0.1:0".into());
@@ -22,6 +20,14 @@ fn a_closed_dashboard_requires_a_valid_token() {
         let output = closed.fleet.node("station-1").stdout();
         Some(output.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
     });
+    (closed, url)
+}
+
+#[test]
+fn a_closed_dashboard_requires_a_valid_token() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let (mut closed, url) = start_with_dashboard();
     browser.open(&url);
     browser.wait_until("the sign-in dialog", "document.querySelector('#admission').open");
     assert!(browser.text("#admission-reason").contains("this fleet is closed"), "{}", browser.text("#admission"));

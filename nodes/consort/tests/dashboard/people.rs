@@ -2,8 +2,9 @@
 //! between the press and the answer.
 
 use crate::browser::{Browser, SOON};
+use crate::closed::start_with_dashboard;
 use crate::demo_fleet::{ENTER, check_access};
-use crate::support::{Fleet, Folder, example, free_port, until};
+use crate::support::{Closed, Fleet, Folder, example, free_port, until};
 use serde_json::{Value, json};
 use toml::Table;
 
@@ -20,6 +21,18 @@ root:
     - { task: stay, type: wait, roles: [r1], parameters: { seconds: '1' } }
     - { task: measure_again, type: measure_vital_signs, roles: [doctor] }
 result: { first: measure.pulse_bpm, second: measure_again.pulse_bpm }
+";
+
+/// A doctor signs, once a robot is there.
+const SIGN: &str = r"
+mission: signature
+roles: { doctor: { kind: unmanaged }, r1: { kind: managed } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - { task: come, type: navigation, roles: [r1], parameters: { to: Dock } }
+    - { task: sign, type: attend, roles: [doctor], parameters: { at: Dock } }
 ";
 
 fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
@@ -157,5 +170,89 @@ fn people_answer_requests_whichever_node_dies() {
     assert_eq!(fleet.run(&words, "station-2").expect(0).stdout, format!("{id} answered by Ria: cannot\n"));
     let refused = fleet.run(&["answer", &id, "--declined", "--by", "Nia"], "station-2").expect(1).stderr;
     assert!(refused.contains(&format!("request {id} is closed; it was answered by Ria: cannot")), "{refused}");
+    fleet.stop();
+}
+
+#[test]
+fn a_person_signs_in_with_a_token_and_answers() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let (mut closed, url) = start_with_dashboard();
+    closed.cert(&["person", "lee", "--scope", "submit", "--missions", "vital-signs"]);
+    let certs = closed.of("submit").display().to_string();
+    let mission = folder.write("signature.yaml", SIGN).display().to_string();
+    closed.fleet.run(&["submit", &mission, "--certs", &certs], "station-1").expect(0);
+
+    browser.screen(390, 844);
+    browser.open(&format!("{}/me", url.trim_end_matches('/')));
+    browser.wait_until("the sign-in dialog", "document.querySelector('#admission').open");
+    assert!(browser.text("#admission-reason").contains("this fleet is closed"), "{}", browser.text("#admission"));
+    let sign_in = |token: &str| {
+        browser.value(&format!("(document.querySelector('#admission-token').value = {token:?}, true)"));
+        browser.click("#admission-send");
+    };
+    // The token of another authority.
+    let mut other = Closed::new();
+    sign_in(&other.token("submit", &[]));
+    let problem = "document.querySelector('#admission-problem').innerText";
+    browser.wait_until("what is wrong", &format!("/invalid certificate in the token/.test({problem})"));
+    assert_eq!(
+        browser.value("[document.querySelector('#admission').open, document.querySelectorAll('#open form').length]"),
+        json!([true, 0]),
+        "nothing is shown"
+    );
+
+    sign_in(&closed.token("lee", &[]));
+    browser.wait_until("the request", "/^sign\\b/.test(document.querySelector('#open form')?.innerText)");
+    assert_eq!(browser.value("document.querySelector('#admission').open"), false);
+    let name = "[document.querySelector('#name').value, document.querySelector('#name').readOnly]";
+    assert_eq!(browser.value(name), json!(["lee", true]), "the token says who answers");
+    browser.wait_until("the missions", "document.querySelectorAll('#call-mission option').length > 0");
+    let offered = "[...document.querySelectorAll('#call-mission option')].map((option) => option.value)";
+    assert_eq!(browser.value(offered), json!(["vital-signs"]), "those that lee may submit");
+    browser.value(&format!("(document.{DONE}, true)"));
+    browser.wait_until("it counts", "/Thank you/.test(document.querySelector('#announce').innerText)");
+    let answered = closed.fleet.run(&["requests", "--all", "--json", "--certs", &certs], "station-1").expect(0).json();
+    assert_eq!(answered["requests"][0]["phase"]["answered"]["by"], "lee", "{answered}");
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_new_request_is_notified_once() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let port = free_port();
+    let mut fleet = Fleet::new(&example("fleet"));
+    let station = with(example("station"), "name", "station-2");
+    fleet.start("station", with(station, "dashboard", format!("127.0.0.1:{port}")), &[]);
+    fleet.start("world", example("world"), &["station-2"]);
+    for robot in ["robot", "arm"] {
+        fleet.start("robot", example(robot), &["station-2", "world"]);
+    }
+    let mission = folder.write("signature.yaml", SIGN).display().to_string();
+    let submit = ["submit", &mission];
+    // A request that is open when the page is opened is not new.
+    fleet.run(&submit, "station-2").expect(0);
+    until("the first request", SOON, || requests(&mut fleet, &[]).into_iter().next());
+    browser.open(&format!("http://127.0.0.1:{port}/me"));
+    browser.wait_until("the first request", "document.querySelectorAll('#open form').length === 1");
+    browser.watch_notifications();
+    browser.click("#notify");
+    browser.wait_until("the permission", "document.querySelector('#notify').innerText === 'Notified'");
+
+    let mut expected = vec![];
+    for number in [2, 3] {
+        // The robot is free again.
+        let open = requests(&mut fleet, &[])[0]["request"].as_str().expect("an id").to_owned();
+        fleet.run(&["answer", &open, "--done", "--by", "Ria"], "station-2").expect(0);
+        fleet.run(&submit, "station-2").expect(0);
+        let id = format!("signature-{number}.1");
+        browser.wait_until(
+            "the next request",
+            &format!("document.querySelector('#open form').dataset.request === '{id}'"),
+        );
+        expected.push(json!(["New request", "sign at Dock", id]));
+        assert_eq!(browser.value("window.shown"), json!(expected), "each request once, and no other");
+    }
     fleet.stop();
 }
