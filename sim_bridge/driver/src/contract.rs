@@ -6,9 +6,10 @@ use consort_protocol::mission::ValueKind;
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{ActionError, ErrorCode};
 use consort_skills::domain::standard_domain;
-use consort_skills::domain_file::{ActionForm, DomainFile, ParameterForm};
+use consort_skills::domain_file::{ActionForm, CancelForm, DomainFile, ParameterForm};
 use consort_text::{AllowedNames, shorten};
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Maximum size of the name or the value of a reading in an error, in bytes.
 const SHOWN_BYTES_MAX: usize = 80;
@@ -106,6 +107,12 @@ impl Contract {
     /// Returns the results of an action.
     pub(crate) fn results(&self, action: &ActionName) -> impl Iterator<Item = (&String, &ParameterForm)> {
         self.declared.get(action).into_iter().flat_map(|form| &form.results)
+    }
+
+    /// Returns the declared time from a cancel to the end of a goal.
+    pub(crate) fn cancel_limit(&self, action: &ActionName) -> Option<Duration> {
+        let CancelForm { within_s } = self.declared.get(action)?.cancel.as_ref()?;
+        Duration::try_from_secs_f64(*within_s).ok()
     }
 
     /// Checks the content of a hello.

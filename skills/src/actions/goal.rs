@@ -27,6 +27,9 @@ pub struct Goal {
     /// object is done once, and fails the second time.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub repeatable: bool,
+    /// Whether the goal may move items, if the declaration of the action says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hands_over: Option<bool>,
 }
 
 /// The parameters of an action, for programs that know the action: skills, simulators and adapters.
@@ -47,7 +50,7 @@ impl<P: ActionParameters> From<P> for Goal {
         };
         // A parameter without a value is left out, as in a behavior tree.
         let parameters = parameters.into_iter().filter(|(_, value)| !value.is_null()).collect();
-        Goal { action, parameters, repeatable: P::REPEATABLE }
+        Goal { action, parameters, repeatable: P::REPEATABLE, hands_over: None }
     }
 }
 
@@ -55,6 +58,11 @@ impl Goal {
     /// Checks whether this is a goal of the action.
     pub fn is<P: ActionParameters>(&self) -> bool {
         self.action.as_str() == P::ACTION
+    }
+
+    /// Checks whether the goal may move items: as declared, or else if a repetition has a further effect.
+    pub fn may_move_items(&self) -> bool {
+        self.hands_over.unwrap_or(!self.repeatable)
     }
 
     /// Reads the parameters of a goal of this action; `None` for other actions.
@@ -208,6 +216,7 @@ mod tests {
             action: "water".parse().unwrap(),
             parameters: JsonObject::from_iter([("litres".to_owned(), json!(0.5))]),
             repeatable: true,
+            hands_over: Some(false),
         };
         let navigate = |place| Goal::from(NavigateToPose { pose, place });
         vec![
@@ -224,7 +233,10 @@ mod tests {
                 json!({ "action": "wait", "parameters": { "time": 2.5 }, "repeatable": true }),
             ),
             (Undock {}.into(), json!({ "action": "undock", "parameters": {}, "repeatable": true })),
-            (water, json!({ "action": "water", "parameters": { "litres": 0.5 }, "repeatable": true })),
+            (
+                water,
+                json!({ "action": "water", "parameters": { "litres": 0.5 }, "repeatable": true, "hands_over": false }),
+            ),
         ]
     }
 

@@ -70,6 +70,13 @@ pub struct ActionForm {
     /// True if a repetition of a completed goal has no further effect. Default false: a completed goal is
     /// never sent again.
     pub repeatable: bool,
+    /// True if a goal may move items from one holder to another: if it ends in another way than by a failure that
+    /// `moved_nothing`, its items may be anywhere. Default: the opposite of `repeatable`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hands_over: Option<bool>,
+    /// How a goal is canceled. Default: a driver has 3 s, and the simulator stops at once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cancel: Option<CancelForm>,
     /// True if people perform the action: trees of robots do not contain it. A robot asks a person with the node
     /// `AskPerson`. Default false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -82,6 +89,15 @@ pub struct ActionForm {
     pub retry: Option<RetryForm>,
     /// What the simulator does with a goal of the action.
     pub simulate: SimulatedAction,
+}
+
+/// How a goal is canceled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CancelForm {
+    /// Time from a cancel to the end of the goal, from 0.1 to 60 s. A driver that needs longer is killed. The simulator
+    /// takes exactly this time, unless the goal reaches its end before, or a `system` executes it.
+    pub within_s: f64,
 }
 
 /// Repetition of a goal that fails for a reason that may pass. The node of the action has the port `timeout_s`,
@@ -266,6 +282,44 @@ pub struct SimulatedAction {
     /// Changes of readings when a goal succeeds, by the name of the reading.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, SimulatedEffect>,
+    /// Move of an item when a goal succeeds. A goal that cannot move it is rejected, or fails at its end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moves: Option<SimulatedMove>,
+}
+
+/// Move of an item by a simulated goal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedMove {
+    /// Holder of the item before.
+    pub from: ItemHolder,
+    /// Holder of the item afterwards.
+    pub to: ItemHolder,
+    /// Parameter of type `text` with the name of the item. Default: the item that `from` has had for the longest
+    /// time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub item: Option<String>,
+    /// Parameter of type `robot` with the robot of `other_drawer`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
+    /// Declared failure of a goal that cannot move the item. Default: the standard code of the reason, such as
+    /// `out_of_reach`, `container_state` or `too_heavy`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub otherwise: Option<String>,
+}
+
+/// Holder of an item of a simulated goal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ItemHolder {
+    /// The table at the robot's place.
+    Table,
+    /// The robot's own drawer, open or closed.
+    Drawer,
+    /// The robot's arm, within its reach and payload.
+    Arm,
+    /// The open drawer of another robot at the same place, after one of the two has approached the other.
+    OtherDrawer,
 }
 
 /// Maximum number of whole numbers among which the simulator chooses a result that is not described.
@@ -304,8 +358,16 @@ pub struct Addition {
 impl Default for SimulatedAction {
     fn default() -> Self {
         let (failures, results, effects) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        let (system, goal_kind) = (None, None);
-        SimulatedAction { system, goal_kind, duration_s: (2.0, 2.0), failure_rate: 0.0, failures, results, effects }
+        SimulatedAction {
+            system: None,
+            goal_kind: None,
+            duration_s: (2.0, 2.0),
+            failure_rate: 0.0,
+            failures,
+            results,
+            effects,
+            moves: None,
+        }
     }
 }
 

@@ -12,6 +12,10 @@
 //!       failure_rate: 0.02
 //!       results: { poured: [0.4, 0.6] }
 //!       effects: { tank_l: { add: -0.5 } }
+//!   load:                                      # a goal that hands an item over
+//!     hands_over: true
+//!     cancel: { within_s: 5 }
+//!     simulate: { moves: { from: table, to: drawer } }
 //! readings:                                    # what a driver publishes
 //!   tank_l: { type: number, unit: l, minimum: 0, maximum: 5, simulate: { value: 5 } }
 //! tasks:                                       # what a mission contains
@@ -31,13 +35,15 @@ mod action_leaf;
 mod content_hash;
 mod estimate;
 mod form;
+mod goal_problems;
 mod reading_leaf;
 mod reading_problems;
 mod scaffold;
 
 pub use form::{
-    ActionForm, Addition, DomainForm, EstimateForm, FailureForm, IhtnForm, ParameterForm, ParameterKind, ReadingForm,
-    RetryForm, SimulatedAction, SimulatedEffect, SimulatedReading, SimulatedResult, TaskForm,
+    ActionForm, Addition, CancelForm, DomainForm, EstimateForm, FailureForm, IhtnForm, ItemHolder, ParameterForm,
+    ParameterKind, ReadingForm, RetryForm, SimulatedAction, SimulatedEffect, SimulatedMove, SimulatedReading,
+    SimulatedResult, TaskForm,
 };
 pub use scaffold::{scaffold, scaffold_yaml};
 
@@ -50,6 +56,7 @@ use consort_protocol::mission::{DomainHash, DomainReference, IhtnNames, RESULTS_
 use consort_text::AllowedNames;
 use content_hash::content_hash;
 use estimate::DeclaredEstimate;
+use goal_problems::{cancel_problem, move_problems};
 use reading_problems::{effect_problems, reading_problems, value_problem};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -303,6 +310,8 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
     {
         problems.push(problem(format!("{place}.retry.timeout_s"), "allowed are seconds of 0 or more"));
     }
+    problems.extend(cancel_problem(&place, action));
+    problems.extend(move_problems(&place, action));
     problems.extend(result_problems(&place, &action.results));
     for (result, simulated) in &action.simulate.results {
         let wrong = match action.results.get(result) {

@@ -103,7 +103,7 @@ fn a_declared_task_sends_the_goals_of_its_actions() {
     };
     let goal = |action: &str, parameters: serde_json::Value, repeatable| {
         let parameters = parameters.as_object().unwrap().clone();
-        Goal { action: action.parse().unwrap(), parameters, repeatable }
+        Goal { action: action.parse().unwrap(), parameters, repeatable, hands_over: None }
     };
     assert_eq!(goals(&task("water_plant", &[("litres", "1.5")])), [goal("water", json!({ "litres": 1.5 }), false)]);
     let both = [goal("look", json!({}), true), goal("water", json!({ "litres": 0.5, "gentle": true }), false)];
@@ -283,6 +283,72 @@ tasks:
     }
     let unknown = check("domain: p\ntasks: { t: { tree: round.xml, estimate: { time_s: \"1.0\" } } }").unwrap_err();
     assert!(unknown[0].starts_with("round.xml:2: "), "{unknown:?}");
+}
+
+#[test]
+fn goals_say_whether_they_hand_items_over() {
+    let goals = |action: &str| {
+        let text = format!("domain: d\nactions: {{ load: {action} }}\ntasks: {{ load: {{ action: load }} }}");
+        let domain = check(&text).unwrap();
+        let mut library = SkillLibrary::standard(Environment::new());
+        domain.extend_library(&mut library).unwrap();
+        let mut skill = library.load(&task("load", &[]), &SkillContext::default()).unwrap();
+        let mut robot = InstantRobot::default();
+        while skill.tick(&mut robot) == SkillStatus::Running {}
+        robot.0.iter().map(Goal::may_move_items).collect::<Vec<_>>()
+    };
+    for (action, may_move_items) in [
+        ("{}", true),
+        ("{ repeatable: true }", false),
+        ("{ hands_over: false }", false),
+        ("{ repeatable: true, hands_over: true }", true),
+    ] {
+        assert_eq!(goals(action), [may_move_items], "{action}");
+    }
+}
+
+#[test]
+fn wrong_moves_and_cancels_are_reported_with_their_place() {
+    let wrong = r#"
+domain: loading
+actions:
+  a: { cancel: { within_s: 0 } }
+  b: { cancel: { within_s: 61 } }
+  c: { simulate: { system: arm, moves: { from: table, to: drawer } } }
+  d: { by_people: true, simulate: { moves: { from: table, to: table } } }
+  e: { repeatable: true, simulate: { moves: { from: table, to: arm } } }
+  f: { hands_over: false, simulate: { moves: { from: table, to: arm, robot: other } } }
+  g:
+    parameters: { name: { type: text, optional: true }, thing: { type: text }, other: { type: robot } }
+    failures: { gone: {} }
+    simulate: { moves: { from: other_drawer, to: arm, item: thin, otherwise: gon } }
+  h:
+    parameters: { name: { type: text, optional: true }, other: { type: text } }
+    simulate: { moves: { from: arm, to: other_drawer, item: name, robot: other } }
+"#;
+    let problems = check(wrong).unwrap_err();
+    let expected = [
+        "actions.a.cancel.within_s: allowed are seconds from 0.1 to 60",
+        "actions.b.cancel.within_s: allowed are seconds from 0.1 to 60",
+        "actions.c.simulate.moves: the system arm determines what a goal moves; omit `moves`",
+        "actions.d.simulate.moves: people perform the action, and only robots have `moves`",
+        "actions.d.simulate.moves: `from` and `to` are the same; allowed are two different holders",
+        "actions.e.simulate.moves: an action that moves items needs `hands_over: true`",
+        "actions.f.simulate.moves: an action that moves items needs `hands_over: true`",
+        "actions.f.simulate.moves.robot: only `other_drawer` has a robot; omit `robot`",
+        "actions.g.simulate.moves.item: no parameter with the type \"text\" that is not `optional`; allowed: thing; did \
+         you mean `thing`?",
+        "actions.g.simulate.moves: `other_drawer` needs `robot`: a parameter of type robot",
+        "actions.g.simulate.moves.otherwise: no such failure; allowed: gone; did you mean `gone`?",
+        "actions.h.simulate.moves.item: no parameter with the type \"text\" that is not `optional`; allowed: other",
+        "actions.h.simulate.moves.robot: no parameter with the type \"robot\" that is not `optional`; no names are \
+         available",
+    ];
+    assert_eq!(problems, expected);
+    let unknown =
+        yaml::parse::<DomainForm>("domain: d\nactions: { a: { simulate: { moves: { from: shelf, to: arm } } } }");
+    let unknown = unknown.unwrap_err();
+    assert!(unknown.contains("shelf") && unknown.contains("other_drawer"), "{unknown}");
 }
 
 #[test]

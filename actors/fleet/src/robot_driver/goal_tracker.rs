@@ -122,7 +122,7 @@ impl GoalTracker {
         while self.goals.len() > GOALS_KEPT {
             self.goals.pop_first();
         }
-        if !goal.repeatable {
+        if goal.may_move_items() {
             self.moving.insert(id);
         }
         self.pending.push(GoalRequest::Start { id, goal });
@@ -277,7 +277,7 @@ mod tests {
     /// Returns a goal that must not be repeated.
     fn pick_up(from: &str) -> Goal {
         let parameters = JsonObject::from_iter([("from".to_owned(), from.into())]);
-        Goal { action: "pick_up".parse().unwrap(), parameters, repeatable: false }
+        Goal { action: "pick_up".parse().unwrap(), parameters, repeatable: false, hands_over: None }
     }
 
     fn stamp(sequence: u64) -> StateStamp {
@@ -347,6 +347,10 @@ mod tests {
         assert!(!tracker.moved_nothing(GoalId(103)), "a later goal of the task may have");
         tracker.begin_attempt(GoalId(106));
         assert!(tracker.moved_nothing(GoalId(106)));
+        tracker.start_goal(Goal { hands_over: Some(false), ..pick_up.clone() });
+        assert!(tracker.moved_nothing(GoalId(106)), "its action hands no item over");
+        tracker.start_goal(Goal { hands_over: Some(true), ..Goal::from(Wait { time: Seconds::ZERO }) });
+        assert!(!tracker.moved_nothing(GoalId(106)), "its action hands items over");
     }
 
     #[test]

@@ -76,10 +76,11 @@ impl Goals {
     }
 
     /// Returns the goal that was canceled, and since when.
-    pub(super) fn stopping(&self) -> Option<(GoalId, Duration)> {
-        match self.current()? {
-            (id, Progress::Stopping { since }) => Some((id, since)),
-            (_, Progress::Waiting { .. } | Progress::Active) => None,
+    pub(super) fn stopping(&self) -> Option<(GoalId, &Goal, Duration)> {
+        let current = self.current.as_ref()?;
+        match current.progress {
+            Progress::Stopping { since } => Some((current.id, &current.goal, since)),
+            Progress::Waiting { .. } | Progress::Active => None,
         }
     }
 

@@ -38,7 +38,8 @@ const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without any line after a heartbeat until a process counts as hung.
 const SILENCE_LIMIT: Duration = Duration::from_secs(4);
 
-/// Time for a driver to stop its robot after a cancel message, until its process is killed.
+/// Time for a driver to stop its robot after a cancel message, until its process is killed, for an action that
+/// declares no other.
 const STOP_LIMIT: Duration = Duration::from_secs(3);
 
 /// Backoff after the first failure of a process; it doubles with each further one.
@@ -238,10 +239,11 @@ impl DriverSession {
         if self.heartbeats.unanswered_since.is_some_and(is_silent) {
             return self.kill(format!("no reply to heartbeats for {} s", SILENCE_LIMIT.as_secs()));
         }
-        if let Some((id, since)) = self.goals.stopping()
-            && now.saturating_sub(since) >= STOP_LIMIT
-        {
-            return self.kill(format!("goal {} did not end within {} s of its cancel", id.0, STOP_LIMIT.as_secs()));
+        if let Some((id, goal, since)) = self.goals.stopping() {
+            let limit = self.contract.cancel_limit(&goal.action).unwrap_or(STOP_LIMIT);
+            if now.saturating_sub(since) >= limit {
+                return self.kill(format!("goal {} did not end within {} s of its cancel", id.0, limit.as_secs_f64()));
+            }
         }
         if now.saturating_sub(self.heartbeats.sent_at) < HEARTBEAT_INTERVAL {
             return vec![];

@@ -40,6 +40,7 @@ fn ended(how: &str) -> SessionEvent {
 fn new() -> DriverSession {
     let form = json!({
         "domain": "cleaning",
+        "actions": { "press": { "cancel": { "within_s": 5.5 } } },
         "readings": { "dust": { "type": "number", "minimum": 0 }, "bag": { "type": "text" } },
     });
     let form = serde_json::from_value(form).unwrap();
@@ -212,6 +213,23 @@ fn a_driver_that_ignores_a_cancel_is_killed() {
     assert_eq!(killed, [SessionAction::Kill("goal 7 did not end within 3 s of its cancel".to_owned())]);
     session.handle(ended("signal 9"), at(3_110));
     assert_eq!(session.take_ended(), outcome(7, GoalStatus::Canceled));
+}
+
+#[test]
+fn an_action_declares_how_long_its_cancel_takes() {
+    let mut session = new();
+    session.tick(&dock(), at(0));
+    let actions = BTreeMap::from([("press".parse().unwrap(), OfferedAction::default())]);
+    let hello = DriverMessage::Hello { protocol: 1, driver: "test".to_owned(), actions, resumes: false };
+    session.handle(SessionEvent::Message(hello), at(0));
+    session.permit(GoalId(7), KEEP, at(0));
+    let press = serde_json::from_value(json!({ "action": "press" })).unwrap();
+    assert_eq!(session.start(GoalId(7), press, at(0)).len(), 1);
+    assert_eq!(sent(session.cancel(GoalId(7), at(100))), [NodeMessage::Cancel { id: GoalId(7) }]);
+    let late = session.tick(&dock(), at(3_200));
+    assert_eq!(late, [SessionAction::Send(NodeMessage::Heartbeat { sequence: 1 })], "it is not killed after 3 s");
+    let killed = session.tick(&dock(), at(5_600));
+    assert_eq!(killed, [SessionAction::Kill("goal 7 did not end within 5.5 s of its cancel".to_owned())]);
 }
 
 #[test]

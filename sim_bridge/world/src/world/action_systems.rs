@@ -13,6 +13,8 @@ pub(super) struct ActionSystem {
     pub(super) index: SystemIndex,
     /// The system's name for goals of the action.
     pub(super) kind: ActionName,
+    /// Time from a cancel to the end of a goal, in seconds. A system other than that of declared actions stops at once.
+    pub(super) cancel_s: f64,
 }
 
 impl FromIterator<(ActionName, ActionSystem)> for ActionSystems {
@@ -24,7 +26,12 @@ impl FromIterator<(ActionName, ActionSystem)> for ActionSystems {
 impl ActionSystems {
     /// Returns the system that executes a goal, and the goal with the system's name for its action.
     pub(super) fn of(&self, goal: &Goal) -> Option<(SystemIndex, Goal)> {
-        let ActionSystem { index, kind } = self.0.get(&goal.action)?;
+        let ActionSystem { index, kind, .. } = self.0.get(&goal.action)?;
         Some((*index, Goal { action: kind.clone(), ..goal.clone() }))
+    }
+
+    /// Returns the time from a cancel to the end of a goal, in seconds.
+    pub(super) fn cancel_s(&self, goal: &Goal) -> f64 {
+        self.0.get(&goal.action).map_or(0.0, |system| system.cancel_s)
     }
 }

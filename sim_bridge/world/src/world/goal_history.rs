@@ -24,6 +24,8 @@ pub(super) struct ActiveGoal {
     pub(super) ends: Option<TimerId>,
     /// The system that executes the goal.
     pub(super) system: SystemIndex,
+    /// The goal was canceled and ends at `ends`.
+    pub(super) is_canceled: bool,
 }
 
 /// An ended goal.

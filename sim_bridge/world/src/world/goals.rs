@@ -29,7 +29,8 @@ impl World {
                 let state = &mut self.state;
                 state.log_event(WorldEvent::GoalStarted { robot: state.robot_id(robot), id, goal: goal.clone() });
                 let ends = ends.is_finite().then(|| state.queue.schedule(ends, ScheduledEvent::GoalEnds(robot)));
-                state.get_mut::<GoalHistory>(robot).active = Some(ActiveGoal { id, goal, executed, ends, system });
+                state.get_mut::<GoalHistory>(robot).active =
+                    Some(ActiveGoal { id, goal, executed, ends, system, is_canceled: false });
             }
             Err(error) => {
                 let event = self.state.record(robot, id, goal, GoalStatus::Aborted(error));
@@ -57,7 +58,11 @@ impl World {
 
     /// Ends the active goal and applies its effect, if that is still possible.
     pub(super) fn complete_goal(&mut self, robot: Entity) -> Option<BackendEvent> {
-        let ActiveGoal { id, goal, executed, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
+        if self.state.get::<GoalHistory>(robot).active.as_ref().is_some_and(|active| active.is_canceled) {
+            return self.interrupt_goal(robot, GoalStatus::Canceled);
+        }
+        let active = self.state.get_mut::<GoalHistory>(robot).active.take()?;
+        let ActiveGoal { id, goal, executed, ends, system, .. } = active;
         ends.into_iter().for_each(|ends| self.state.queue.cancel(ends));
         let status = match self.run_system(system, |system, state| system.finish_goal(state, robot, &executed)) {
             Ok(GoalResult(result)) => GoalStatus::with_result(result),
@@ -66,17 +71,37 @@ impl World {
         Some(self.state.record(robot, id, goal, status))
     }
 
-    /// Cancels a goal, if it is the active goal.
+    /// Cancels a goal, if it is the active goal. It ends after the declared time for its cancel, or at its end if that
+    /// is earlier.
     pub(super) fn cancel_goal(&mut self, robot: Entity, id: GoalId) {
-        let is_active = self.state.get::<GoalHistory>(robot).active.as_ref().is_some_and(|active| active.id == id);
-        if is_active && let Some(event) = self.interrupt_goal(robot, GoalStatus::Canceled) {
+        let cancel_s = match &self.state.get::<GoalHistory>(robot).active {
+            Some(active) if active.id == id && !active.is_canceled => self.actions.cancel_s(&active.goal),
+            _ => return,
+        };
+        if cancel_s > 0.0 {
+            self.end_canceled_goal_at(robot, self.state.now + cancel_s);
+        } else if let Some(event) = self.interrupt_goal(robot, GoalStatus::Canceled) {
             self.state.emit(event);
+        }
+    }
+
+    /// Ends the active goal as canceled at this time, unless it reaches its end before.
+    fn end_canceled_goal_at(&mut self, robot: Entity, time: f64) {
+        let ends = self.state.get::<GoalHistory>(robot).active.as_ref().and_then(|active| active.ends);
+        if ends.is_some_and(|ends| ends.time <= time) {
+            return;
+        }
+        ends.into_iter().for_each(|ends| self.state.queue.cancel(ends));
+        let ends = self.state.queue.schedule(time, ScheduledEvent::GoalEnds(robot));
+        if let Some(active) = &mut self.state.get_mut::<GoalHistory>(robot).active {
+            (active.ends, active.is_canceled) = (Some(ends), true);
         }
     }
 
     /// Ends the active goal, if any, and leaves everything as it is now.
     pub(super) fn interrupt_goal(&mut self, robot: Entity, status: GoalStatus) -> Option<BackendEvent> {
-        let ActiveGoal { id, goal, executed, ends, system } = self.state.get_mut::<GoalHistory>(robot).active.take()?;
+        let active = self.state.get_mut::<GoalHistory>(robot).active.take()?;
+        let ActiveGoal { id, goal, executed, ends, system, .. } = active;
         ends.into_iter().for_each(|ends| self.state.queue.cancel(ends));
         self.run_system(system, |system, state| system.halt_goal(state, robot, &executed));
         Some(self.state.record(robot, id, goal, status))

@@ -57,6 +57,7 @@ pub mod actions;
 mod backend;
 mod build;
 mod components;
+mod declared_moves;
 mod drive_progress;
 mod event;
 mod event_queue;

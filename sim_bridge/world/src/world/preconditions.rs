@@ -2,7 +2,7 @@
 
 use super::components::{CoPresence, DepartureCount, DrawerOpen, SampleLabel, SimRobot};
 use super::location::MapPosition;
-use super::samples::HolderEntity;
+use super::samples::{HolderEntity, PayloadData};
 use super::sim_state::SimState;
 use crate::map::PlaceIndex;
 use crate::suggest::did_you_mean;
@@ -40,6 +40,35 @@ impl SimState {
         let labels: Vec<String> = held.into_iter().map(|sample| self.label(sample)).collect();
         let message = format!("the drawer of {} is full: it holds {}", self.robot_id(robot), labels.join(", "));
         Err(action_error(ErrorCode::ContainerState, message))
+    }
+
+    /// Returns the object in a robot's arm, if any.
+    pub(crate) fn in_arm(&self, robot: Entity) -> Result<Option<Entity>, ActionError> {
+        if !self.get::<SimRobot>(robot).0.has_arm {
+            return Err(action_error(ErrorCode::OutOfReach, format!("{} has no arm", self.robot_id(robot))));
+        }
+        Ok(self.held(HolderEntity::Arm(robot)).first().copied())
+    }
+
+    pub(crate) fn check_reach(&self, robot: Entity, object: Entity) -> Result<(), ActionError> {
+        let (distance_m, reach_m) = (self.get::<PayloadData>(object).distance_m, self.get::<SimRobot>(robot).0.reach_m);
+        if distance_m <= reach_m {
+            return Ok(());
+        }
+        let (name, robot) = (self.label(object), self.robot_id(robot));
+        let message = format!("{name} is {distance_m} m away, {robot} reaches {reach_m} m");
+        Err(action_error(ErrorCode::OutOfReach, message))
+    }
+
+    pub(crate) fn check_payload(&self, robot: Entity, object: Entity) -> Result<(), ActionError> {
+        let (weight_kg, payload_max_kg) =
+            (self.get::<PayloadData>(object).weight_kg, self.get::<SimRobot>(robot).0.payload_max_kg);
+        if weight_kg <= payload_max_kg {
+            return Ok(());
+        }
+        let message =
+            format!("{} weighs {weight_kg} kg, {} lifts {payload_max_kg} kg", self.label(object), self.robot_id(robot));
+        Err(action_error(ErrorCode::TooHeavy, message))
     }
 
     pub(crate) fn is_next_to(&self, robot: Entity, other: Entity) -> bool {

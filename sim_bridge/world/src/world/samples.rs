@@ -7,10 +7,12 @@ use super::components::{PersonInfo, SampleLabel, SimRobot};
 use super::event::{SampleHolder, WorldEvent};
 use super::location::RobotLocation;
 use super::names::SampleId;
+use super::preconditions::action_error;
 use super::sim_state::SimState;
 use crate::map::PlaceIndex;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::WorldTime;
+use consort_skills::actions::{ActionError, ErrorCode};
 use hecs::Entity;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -118,6 +120,26 @@ impl SimState {
         held.into_iter().map(|(_, sample)| sample).collect()
     }
 
+    /// Returns the sample of this name that a holder has, or without a name the one that it has had for the longest
+    /// time.
+    pub(crate) fn sample_of(&self, holder: HolderEntity, name: Option<&str>) -> Result<Entity, ActionError> {
+        let held = self.held(holder);
+        let is_wanted = |sample: &Entity| name.is_none_or(|name| self.label(*sample) == name);
+        if let Some(sample) = held.iter().copied().find(is_wanted) {
+            return Ok(sample);
+        }
+        let labels: Vec<String> = held.iter().map(|sample| self.label(*sample)).collect();
+        let objects_there = if labels.is_empty() { "nothing".to_owned() } else { labels.join(", ") };
+        let wanted = name.map_or("object".to_owned(), |name| format!("{name:?}"));
+        let (code, there) = match self.sample_holder(holder) {
+            SampleHolder::Table(place) => (ErrorCode::OutOfReach, format!("on the table at {place}")),
+            SampleHolder::Drawer(robot) => (ErrorCode::ContainerState, format!("in the drawer of {robot}")),
+            SampleHolder::Arm(robot) => (ErrorCode::ContainerState, format!("in the arm of {robot}")),
+            SampleHolder::Person(person) => (ErrorCode::OutOfReach, format!("in the hands of {person}")),
+        };
+        Err(action_error(code, format!("no {wanted} is {there}; objects there: {objects_there}")))
+    }
+
     /// Returns the first of these samples that lies on a table.
     pub(crate) fn first_on_a_table(&self, samples: &[Entity]) -> Option<Entity> {
         let on_a_table = |sample: &Entity| matches!(self.get::<Custody>(*sample).holder, HolderEntity::Table(_));
@@ -127,6 +149,12 @@ impl SimState {
     /// Returns the labels of a holder's samples.
     pub(crate) fn held_labels(&self, holder: HolderEntity) -> Vec<SampleId> {
         self.held(holder).into_iter().map(|sample| self.get::<SampleLabel>(sample).0.clone()).collect()
+    }
+
+    /// Transfers a sample to a holder that has it within reach.
+    pub(crate) fn place_sample(&mut self, sample: Entity, to: HolderEntity) {
+        self.get_mut::<PayloadData>(sample).distance_m = 0.0;
+        self.transfer_sample(sample, to);
     }
 
     pub(crate) fn transfer_sample(&mut self, sample: Entity, to: HolderEntity) {

@@ -26,7 +26,9 @@ pub(super) fn systems_of_actions(
         let name = form.simulate.system.as_deref().unwrap_or(DeclaredActions.name());
         let index = systems.iter().position(|system| system.name() == name)?;
         let kind = goal_kind(action, &form.simulate, systems[index]).ok()?;
-        Some((action.clone(), ActionSystem { index: SystemIndex(index), kind }))
+        let cancel = form.cancel.as_ref().filter(|_| form.simulate.system.is_none());
+        let cancel_s = cancel.map_or(0.0, |cancel| cancel.within_s);
+        Some((action.clone(), ActionSystem { index: SystemIndex(index), kind, cancel_s }))
     };
     actions.iter().filter_map(executed).collect()
 }

@@ -50,8 +50,7 @@ impl System for Arm {
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
         for (object, to) in state.transfers(robot, goal)? {
-            state.get_mut::<PayloadData>(object).distance_m = 0.0;
-            state.transfer_sample(object, to);
+            state.place_sample(object, to);
         }
         Ok(GoalResult::default())
     }
@@ -103,34 +102,10 @@ impl SimState {
             let message = format!("{} already holds {}", self.robot_id(robot), self.label(held));
             return Err(action_error(ErrorCode::Busy, message));
         }
-        let on_table = self.held(HolderEntity::Table(place));
-        let Some(object) = on_table.iter().copied().find(|object| self.label(*object) == name) else {
-            let labels: Vec<String> = on_table.iter().map(|object| self.label(*object)).collect();
-            let objects_here = if labels.is_empty() { "nothing".to_owned() } else { labels.join(", ") };
-            let message = format!(
-                "no {name:?} is on the table at {}; objects there: {objects_here}",
-                self.map.place_at(place).id
-            );
-            return Err(action_error(ErrorCode::OutOfReach, message));
-        };
-        let (distance_m, reach_m) = (self.get::<PayloadData>(object).distance_m, self.get::<SimRobot>(robot).0.reach_m);
-        if distance_m > reach_m {
-            let message = format!("{name} is {distance_m} m away, {} reaches {reach_m} m", self.robot_id(robot));
-            return Err(action_error(ErrorCode::OutOfReach, message));
-        }
+        let object = self.sample_of(HolderEntity::Table(place), Some(name))?;
+        self.check_reach(robot, object)?;
         self.check_payload(robot, object)?;
         Ok(vec![(object, HolderEntity::Arm(robot))])
-    }
-
-    fn check_payload(&self, robot: Entity, object: Entity) -> Result<(), ActionError> {
-        let (weight_kg, payload_max_kg) =
-            (self.get::<PayloadData>(object).weight_kg, self.get::<SimRobot>(robot).0.payload_max_kg);
-        if weight_kg <= payload_max_kg {
-            return Ok(());
-        }
-        let message =
-            format!("{} weighs {weight_kg} kg, {} lifts {payload_max_kg} kg", self.label(object), self.robot_id(robot));
-        Err(action_error(ErrorCode::TooHeavy, message))
     }
 
     fn deposit(&self, robot: Entity, into: Option<&RobotId>) -> Result<Transfers, ActionError> {
@@ -147,13 +122,5 @@ impl SimState {
             }
         };
         Ok(vec![(sample, to)])
-    }
-
-    /// Returns the object in a robot's arm, if any.
-    fn in_arm(&self, robot: Entity) -> Result<Option<Entity>, ActionError> {
-        if !self.get::<SimRobot>(robot).0.has_arm {
-            return Err(action_error(ErrorCode::OutOfReach, format!("{} has no arm", self.robot_id(robot))));
-        }
-        Ok(self.held(HolderEntity::Arm(robot)).first().copied())
     }
 }

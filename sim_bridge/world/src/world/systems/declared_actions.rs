@@ -1,9 +1,12 @@
 //! Actions and readings that domain files declare. An action takes a random time; at its end it fails, or
-//! returns random results and changes the readings of its robot. People do declared tasks in the same way.
+//! returns random results, changes the readings of its robot and moves an item. People do declared tasks in the same
+//! way, without changes of readings and items.
 
 use crate::component_types;
-use crate::world::components::SimRobot;
+use crate::world::components::{CoPresence, DepartureCount, DrawerOpen, PersonInfo, SampleLabel, SimRobot};
+use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
+use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
 use crate::world::setup::{RobotSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
@@ -51,11 +54,11 @@ impl System for DeclaredActions {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        component_types![SimRobot]
+        component_types![CoPresence, SimRobot, DepartureCount, DrawerOpen, SampleLabel, RobotLocation, PersonInfo]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        component_types![ActionModels, Readings]
+        component_types![ActionModels, Readings, Custody, HandoverCount, PayloadData]
     }
 
     fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
@@ -75,20 +78,41 @@ impl System for DeclaredActions {
         state.insert(robot, Readings(readings));
     }
 
-    fn begin_goal(&self, state: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let now = state.now;
         let mut models = state.resource_mut::<ActionModels>();
-        let (least, greatest) = declared_duration_s(models.actions.get(&goal.action)?)?;
+        let action = models.actions.get(&goal.action)?;
+        let (least, greatest) = declared_duration_s(action)?;
+        if let Err(error) = state.declared_move(robot, goal, action) {
+            return Some(Err(error));
+        }
         Some(Ok(now + models.chance.random_range(least..=greatest)))
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
-        let mut models = state.resource_mut::<ActionModels>();
+        let (results, moved) = state.end_declared_goal(robot, goal)?;
+        if let Some((item, to)) = moved {
+            state.place_sample(item, to);
+        }
+        Ok(results)
+    }
+}
+
+impl SimState {
+    /// Draws the end of a goal and changes the readings of its robot. Returns the results, and the item to move with its
+    /// new holder.
+    fn end_declared_goal(
+        &self,
+        robot: Entity,
+        goal: &Goal,
+    ) -> Result<(GoalResult, Option<(Entity, HolderEntity)>), ActionError> {
+        let mut models = self.resource_mut::<ActionModels>();
         let ActionModels { actions, readings, chance, .. } = &mut *models;
-        let Some(action) = actions.get(&goal.action) else { return Ok(GoalResult::default()) };
-        let results = draw_end(action, chance, || format!("{} failed at {}", state.robot_id(robot), goal.action))?;
+        let Some(action) = actions.get(&goal.action) else { return Ok((GoalResult::default(), None)) };
+        let moved = self.declared_move(robot, goal, action)?;
+        let results = draw_end(action, chance, || format!("{} failed at {}", self.robot_id(robot), goal.action))?;
         let results = GoalResult(results.into_iter().map(|(name, value)| (name, json!(value))).collect());
-        let current = &mut state.get_mut::<Readings>(robot).0;
+        let current = &mut self.get_mut::<Readings>(robot).0;
         for (name, effect) in &action.simulate.effects {
             let Some(form) = readings.get(name) else { continue };
             let value = match effect {
@@ -101,11 +125,9 @@ impl System for DeclaredActions {
                 current.insert(name.clone(), value);
             }
         }
-        Ok(results)
+        Ok((results, moved))
     }
-}
 
-impl SimState {
     /// Returns a reading of a robot, if a domain declares it. No declaration of components is necessary.
     pub fn reading(&self, robot: Entity, name: &str) -> Option<Scalar> {
         self.peek::<Readings>(robot)?.0.get(name).cloned()

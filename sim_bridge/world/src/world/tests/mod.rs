@@ -1,6 +1,7 @@
 //! Tests of the world, a subject per file.
 
 mod action_systems;
+mod declared_goals;
 mod docking;
 mod doors;
 mod driving;

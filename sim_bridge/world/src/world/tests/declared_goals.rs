@@ -1,0 +1,151 @@
+//! Goals of declared actions that move items, and their cancels.
+
+use super::*;
+use crate::world::actions::{ApproachRobot, OperateDrawer};
+use consort_protocol::cause::CauseClass;
+use consort_protocol::yaml;
+use consort_skills::domain_file::DomainFile;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+
+const LOADING: &str = r#"
+domain: loading
+actions:
+  load: { simulate: { duration_s: [2, 2], moves: { from: table, to: drawer } } }
+  load_thing:
+    parameters: { thing: { type: text } }
+    failures: { not_there: { class: task, moved_nothing: true } }
+    simulate: { duration_s: [2, 2], moves: { from: table, to: drawer, item: thing, otherwise: not_there } }
+  unload: { simulate: { duration_s: [2, 2], moves: { from: drawer, to: table } } }
+  lift: { parameters: { thing: { type: text } }, simulate: { moves: { from: table, to: arm, item: thing } } }
+  pass_on:
+    parameters: { to: { type: robot } }
+    simulate: { moves: { from: drawer, to: other_drawer, robot: to } }
+  spill: { simulate: { failure_rate: 1, moves: { from: table, to: drawer } } }
+  press: { cancel: { within_s: 3 }, simulate: { duration_s: [10, 10] } }
+"#;
+
+fn thing(name: &str, weight_kg: f64) -> ObjectSetup {
+    ObjectSetup { name: name.into(), place: place("Laboratory"), weight_kg, distance_m: 0.5 }
+}
+
+/// Two robots at a table with a tray, a cup and a crate. Only r1 has an arm.
+fn store(drawer_slots: usize) -> World {
+    let domain = DomainFile::check(yaml::parse(LOADING).unwrap(), &BTreeMap::new(), &[]).unwrap();
+    let setup = hospital(1).domain(&domain);
+    let porter = RobotSetup { has_arm: true, ..carrier("r1", "Laboratory") };
+    let mut setup = setup.robot(porter).robot(carrier("r2", "Laboratory"));
+    setup.objects = vec![thing("tray", 1.5), thing("cup", 0.5), thing("crate", 2.5)];
+    setup.limits.drawer_slots = drawer_slots;
+    World::new(setup).unwrap()
+}
+
+fn goal(action: &str, parameters: Value) -> Goal {
+    serde_json::from_value(json!({ "action": action, "parameters": parameters })).unwrap()
+}
+
+fn holder(world: &World, object: &str) -> SampleHolder {
+    world.sample(&object.into()).unwrap().holder
+}
+
+#[test]
+fn a_declared_goal_moves_an_item() {
+    let mut world = store(2);
+    let (table, drawer) = (SampleHolder::Table(place("Laboratory")), SampleHolder::Drawer(robot("r1")));
+    run_to_success(&mut world, "r1", 1, goal("load", json!({})));
+    assert_eq!(holder(&world, "tray"), drawer, "the first on the table");
+    run_to_success(&mut world, "r1", 2, goal("load_thing", json!({ "thing": "crate" })));
+    assert_eq!((holder(&world, "cup"), holder(&world, "crate")), (table.clone(), drawer), "the named item");
+    run_to_success(&mut world, "r1", 3, goal("unload", json!({})));
+    assert_eq!(holder(&world, "tray"), table, "the item that came first leaves first");
+    run_to_success(&mut world, "r1", 4, goal("lift", json!({ "thing": "tray" })));
+    assert_eq!(holder(&world, "tray"), SampleHolder::Arm(robot("r1")));
+}
+
+#[test]
+fn a_declared_goal_without_its_preconditions_is_rejected_with_a_class() {
+    let mut world = store(1);
+    let status = rejected_status(&mut world, "r1", 1, goal("load_thing", json!({ "thing": "jug" })));
+    let message = "not_there: no \"jug\" is on the table at Laboratory; objects there: tray, cup, crate";
+    let declared = ActionError { class: CauseClass::Task, ..ActionError::rejected(ErrorCode::Failed, message) };
+    assert_eq!(status, GoalStatus::Aborted(declared), "the declared failure");
+    for (id, name, action, parameters, code, message) in [
+        (2, "r1", "lift", json!({ "thing": "crate" }), ErrorCode::TooHeavy, "crate weighs 2.5 kg, r1 lifts 2 kg"),
+        (3, "r2", "lift", json!({ "thing": "cup" }), ErrorCode::OutOfReach, "r2 has no arm"),
+        (
+            4,
+            "r1",
+            "unload",
+            json!({}),
+            ErrorCode::ContainerState,
+            "no object is in the drawer of r1; objects there: nothing",
+        ),
+        (5, "r1", "pass_on", json!({ "to": "r3" }), ErrorCode::Unknown, "there is no robot r3 here"),
+    ] {
+        let ActionError { code: found, message: text, .. } =
+            match rejected_status(&mut world, name, id, goal(action, parameters)) {
+                GoalStatus::Aborted(error) => error,
+                other => panic!("{action}: {other:?}"),
+            };
+        assert!(found == code && text.starts_with(message), "{action}: {found}: {text}");
+    }
+    run_to_success(&mut world, "r1", 6, goal("load", json!({})));
+    let full = aborted(ErrorCode::ContainerState, "the drawer of r1 is full: it holds tray");
+    assert_eq!(rejected_status(&mut world, "r1", 7, goal("load", json!({}))), full);
+}
+
+#[test]
+fn an_item_goes_into_the_open_drawer_of_another_robot() {
+    let mut world = store(2);
+    let pass_on = || goal("pass_on", json!({ "to": "r2" }));
+    run_to_success(&mut world, "r1", 1, goal("load", json!({})));
+    let far = aborted(ErrorCode::OutOfReach, "neither of r1 and r2 has approached the other");
+    assert_eq!(rejected_status(&mut world, "r1", 2, pass_on()), far);
+    run_to_success(&mut world, "r1", 3, Goal::from(ApproachRobot { robot: robot("r2") }));
+    let closed = aborted(ErrorCode::ContainerState, "the drawer of r2 is closed");
+    assert_eq!(rejected_status(&mut world, "r1", 4, pass_on()), closed);
+    run_to_success(&mut world, "r2", 1, Goal::from(OperateDrawer { open: true }));
+    run_to_success(&mut world, "r1", 5, pass_on());
+    assert_eq!(holder(&world, "tray"), SampleHolder::Drawer(robot("r2")));
+}
+
+#[test]
+fn a_declared_goal_that_fails_moves_nothing() {
+    let mut world = store(2);
+    let table = SampleHolder::Table(place("Laboratory"));
+    assert!(matches!(run(&mut world, "r1", 1, goal("spill", json!({}))).0, GoalStatus::Aborted(_)));
+    world.start(&robot("r1"), GoalId(2), goal("load", json!({})));
+    world.cancel(&robot("r1"), GoalId(2));
+    world.advance(at(world.now().as_secs() + 9.0));
+    assert_eq!(world.status(&robot("r1"), GoalId(2)), Some(GoalStatus::Canceled));
+    assert_eq!(holder(&world, "tray"), table);
+    // Both robots want the first item. The later one finds the next item at its end.
+    world.start(&robot("r1"), GoalId(3), goal("load_thing", json!({ "thing": "tray" })));
+    world.start(&robot("r2"), GoalId(1), goal("load_thing", json!({ "thing": "tray" })));
+    world.advance(at(world.now().as_secs() + 9.0));
+    assert_eq!(world.status(&robot("r1"), GoalId(3)), Some(GoalStatus::succeeded()));
+    let Some(GoalStatus::Aborted(error)) = world.status(&robot("r2"), GoalId(1)) else {
+        panic!("it has the tray, too")
+    };
+    assert_eq!(error.class, CauseClass::Task, "the precondition is checked at the end, too");
+}
+
+#[test]
+fn a_canceled_goal_ends_after_the_declared_time() {
+    let mut world = store(2);
+    let press = |world: &mut World, id: u64, cancel_after_s: f64| {
+        let began = world.now().as_secs();
+        world.start(&robot("r1"), GoalId(id), goal("press", json!({})));
+        world.advance(at(began + cancel_after_s));
+        world.cancel(&robot("r1"), GoalId(id));
+        world.advance(at(began + cancel_after_s + 1.0));
+        world.cancel(&robot("r1"), GoalId(id));
+        let events = world.advance(at(began + 60.0));
+        let ends = logged(world, |event| matches!(event, WorldEvent::GoalEnded { .. }).then_some(()));
+        (events, ends[0].0 - began)
+    };
+    let canceled = vec![ended("r1", 1, GoalStatus::Canceled)];
+    assert_eq!(press(&mut world, 1, 2.0), (canceled, 5.0), "3 s after the first cancel");
+    let succeeded = vec![ended("r1", 2, GoalStatus::succeeded())];
+    assert_eq!(press(&mut world, 2, 8.0), (succeeded, 10.0), "it reaches its end before");
+}
