@@ -1,9 +1,13 @@
 //! Measurements of fleets by size (`consort-lab bench scale`).
 
+use consort_skills::domain_file::DomainFile;
+use consort_skills::extensions::Extensions;
 use consort_tests::scale::{ScaleFigures, ScaleSetup, measure};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
 
 fn figures(robots: usize, moving: bool) -> ScaleFigures {
-    measure(ScaleSetup { robots, moving, missions: 2, seed: 1 }, |_| ())
+    measure(ScaleSetup { robots, moving, missions: 2, seed: 1, extensions: Extensions::default() }, |_| ())
 }
 
 #[test]
@@ -23,4 +27,17 @@ fn the_figures_of_a_fleet_follow_from_its_size() {
     }
     assert_eq!(moving.trace, again.trace);
     assert_eq!(moving.takeover_ms, again.takeover_ms);
+}
+
+#[test]
+fn readings_of_a_domain_are_part_of_the_traffic() {
+    let reading = json!({ "type": "text", "simulate": { "value": "x".repeat(100) } });
+    let readings: Map<String, Value> = (0..20).map(|number| (format!("r{number}"), reading.clone())).collect();
+    let form = serde_json::from_value(json!({ "domain": "sensors", "readings": readings })).unwrap();
+    let domain = DomainFile::check(form, &BTreeMap::new(), &[]).unwrap();
+    let setup = ScaleSetup { robots: 2, moving: false, missions: 0, seed: 1, extensions: Extensions::default() };
+    let extensions = Extensions::default().with_domain("sensors.yaml", domain);
+    let (plain, with_readings) = (measure(setup, |_| ()), measure(ScaleSetup { extensions, ..setup }, |_| ()));
+    let received = |figures: &ScaleFigures| figures.robot_received_bytes_per_s;
+    assert!(received(&with_readings) > received(&plain) + 100.0, "{with_readings:?} {plain:?}");
 }

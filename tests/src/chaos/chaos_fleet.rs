@@ -101,23 +101,40 @@ impl ChaosFleet {
     pub(crate) fn participants(&self, workload: &Workload) -> (Vec<RobotSpec>, Vec<PersonSetup>) {
         let place = |name: &str| CARRIERS.iter().find(|(known, _)| *known == name).map_or("Dock", |(_, place)| place);
         let missions = user_missions(workload).expect("the missions of a workload are checked");
-        let of_arm = RobotSpec::arm(ARM, "Laboratory").skills.iter().map(|skill| slug(skill)).collect();
-        let of_roles =
-            missions.iter().flat_map(|mission| mission.managed_roles().map(|role| mission.task_types_of(role)));
-        let needed: BTreeSet<TaskType> = of_roles.filter(|skills| !skills.is_subset(&of_arm)).flatten().collect();
-        let people: BTreeSet<RoleId> = missions.iter().flat_map(Mission::unmanaged_roles).cloned().collect();
+        let UserParticipants { skills, people } = UserParticipants::of(&missions);
         let carrier = |name: &&str| {
             let carrier = RobotSpec::carrier(name, place(name)).with_skill("wait").with_charge(1.0);
             let known: BTreeSet<String> = carrier.skills.iter().cloned().collect();
-            let more = needed.iter().map(TaskType::as_str).filter(|skill| !known.contains(*skill));
+            let more = skills.iter().map(TaskType::as_str).filter(|skill| !known.contains(*skill));
             more.fold(carrier, RobotSpec::with_skill)
         };
-        let on_call = people.into_iter().map(|role| PersonSetup {
+        (self.carriers.iter().map(carrier).collect(), nurses_in(&ROOMS).into_iter().chain(people).collect())
+    }
+}
+
+/// Skills and people that missions of a user need.
+#[derive(Debug, Default)]
+pub struct UserParticipants {
+    /// Task types of the roles that an arm lacks the skills for.
+    pub skills: BTreeSet<TaskType>,
+    /// A person on call for each role of people.
+    pub people: Vec<PersonSetup>,
+}
+
+impl UserParticipants {
+    /// Returns the skills and people that these missions need.
+    pub fn of(missions: &[Mission]) -> UserParticipants {
+        let of_arm = RobotSpec::arm(ARM, "Laboratory").skills.iter().map(|skill| slug(skill)).collect();
+        let of_roles =
+            missions.iter().flat_map(|mission| mission.managed_roles().map(|role| mission.task_types_of(role)));
+        let skills = of_roles.filter(|skills| !skills.is_subset(&of_arm)).flatten().collect();
+        let roles: BTreeSet<RoleId> = missions.iter().flat_map(Mission::unmanaged_roles).cloned().collect();
+        let on_call = |role: RoleId| PersonSetup {
             endless_samples: true,
             on_call: true,
             ..PersonSetup::new(&format!("{role} on call"), role, slug("Dock"))
-        });
-        (self.carriers.iter().map(carrier).collect(), nurses_in(&ROOMS).into_iter().chain(on_call).collect())
+        };
+        UserParticipants { skills, people: roles.into_iter().map(on_call).collect() }
     }
 }
 

@@ -31,7 +31,7 @@ mod scripted;
 pub mod seed_sweep;
 pub mod shrink;
 
-pub use chaos_fleet::{ChaosFleet, user_missions};
+pub use chaos_fleet::{ChaosFleet, UserParticipants, user_missions};
 pub use fault_kind::{FaultKind, UnknownFaultKind};
 pub use generate::generate;
 pub use run::{RunConfig, RunOutcome, Violation, run};

@@ -31,6 +31,7 @@ use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
 use consort_protocol::keys::{ApiCall, KeyKind};
 use consort_skills::actions::{FollowWaypoints, Goal, GoalId, RobotBackend as _, Waypoint};
 use consort_skills::environment::TopologicalMap;
+use consort_skills::extensions::Extensions;
 use consort_world::map::shipped;
 use procfs_core::FromRead as _;
 use procfs_core::process::Status;
@@ -77,6 +78,8 @@ pub struct ScaleSetup {
     pub missions: usize,
     /// Seed of the random numbers.
     pub seed: u64,
+    /// Domains of the nodes and the simulator.
+    pub extensions: Extensions,
 }
 
 /// Measures a fleet. `progress` receives each step of the measurement.
@@ -192,7 +195,7 @@ fn robots(setup: ScaleSetup, topology: &TopologicalMap) -> impl Iterator<Item = 
 async fn start(setup: ScaleSetup, runtimes: BTreeMap<String, Handle>) -> (Fleet, NodeId) {
     let topology = shipped("hospital").expect("it is shipped").topology();
     let members = robots(setup, &topology).map(|(name, place)| RobotSpec::carrier(&name, place.as_str()));
-    let options = NodeOptions { runtimes, world_speed: 1.0, ..NodeOptions::default() };
+    let options = NodeOptions { runtimes, world_speed: 1.0, extensions: setup.extensions, ..NodeOptions::default() };
     let mut fleet = Fleet::hospital_with(setup.seed, members.collect(), &STATIONS, vec![], options).await;
     let coordinator = fleet.wait_for_coordinator().await;
     assert_eq!(coordinator.as_str(), STATIONS[0], "the first voter by name creates the cluster");

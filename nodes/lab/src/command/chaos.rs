@@ -1,7 +1,7 @@
 //! `consort-lab chaos`: runs whole fleets under generated faults, and checks invariants at every
 //! step.
 
-use super::workload_flags::WorkloadFlags;
+use super::workload_flags::{WorkloadFlags, missions_in_hospital};
 use clap::{ArgGroup, Args as ClapArgs};
 use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::exit::Failure;
@@ -13,7 +13,6 @@ use consort_tests::chaos::mutation_checks::{MUTANT_CHECKS, check_mutant};
 use consort_tests::chaos::scoreboard::{self, markdown};
 use consort_tests::chaos::{
     ChaosFleet, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate, shrink,
-    user_missions,
 };
 use consort_tests::percentiles::Percentiles;
 use consort_text::count;
@@ -156,8 +155,7 @@ fn nodes(text: &str) -> Result<usize, InvalidValue> {
 /// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if an invariant was violated.
 pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let workload = args.workload.workload(extensions)?;
-    user_missions(&workload)
-        .map_err(|(mission, errors)| Failure::Usage(format!("--mission: the mission {mission}: {errors}")))?;
+    missions_in_hospital(&workload)?;
     let chaos = Chaos { args, workload };
     match chaos.args.seed {
         _ if chaos.args.mutants => run_hunts(&chaos.args),
@@ -227,7 +225,10 @@ impl Args {
         if let Some(mutant) = self.mutant {
             flags.push_str(&format!(" --mutant {mutant}"));
         }
-        flags.push_str(&self.workload.as_given());
+        for flag in self.workload.as_given() {
+            flags.push(' ');
+            flags.push_str(&flag);
+        }
         flags
     }
 }

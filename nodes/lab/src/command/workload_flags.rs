@@ -1,10 +1,13 @@
 //! Flags of domains and missions of a user.
 
 use consort_nodes::diagnostic::{Diagnostic, Diagnostics};
+use consort_nodes::exit::Failure;
 use consort_nodes::{domains, inputs};
 use consort_protocol::ids::RoleId;
+use consort_protocol::mission::Mission;
 use consort_skills::extensions::Extensions;
 use consort_skills::workload::{UserMission, Workload};
+use consort_tests::chaos::user_missions;
 use std::path::PathBuf;
 
 /// Flag of domain files.
@@ -58,10 +61,20 @@ impl WorkloadFlags {
         Ok(Workload::new(self.domains.extend(extensions)?, missions))
     }
 
-    /// Returns the flags as they were given, each with a space before it.
-    pub(crate) fn as_given(&self) -> String {
-        let domains = self.domains.domains.iter().map(|file| format!(" --domain {}", file.display()));
-        let missions = self.missions.iter().map(|file| format!(" --mission {file}"));
-        domains.chain(missions).chain(self.people.iter().map(|name| format!(" --person {name}"))).collect()
+    /// Returns the flags as they were given.
+    pub(crate) fn as_given(&self) -> Vec<String> {
+        let domains = self.domains.domains.iter().map(|file| ("--domain", file.display().to_string()));
+        let missions = self.missions.iter().map(|file| ("--mission", file.clone()));
+        let people = self.people.iter().map(|name| ("--person", name.to_string()));
+        domains.chain(missions).chain(people).flat_map(|(flag, value)| [flag.to_owned(), value]).collect()
     }
+}
+
+/// Returns the missions of the user in the hospital.
+///
+/// # Errors
+/// [`Failure::Usage`] with the problems of the first wrong mission.
+pub(crate) fn missions_in_hospital(workload: &Workload) -> Result<Vec<Mission>, Failure> {
+    user_missions(workload)
+        .map_err(|(mission, errors)| Failure::Usage(format!("--mission: the mission {mission}: {errors}")))
 }

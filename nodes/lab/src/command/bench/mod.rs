@@ -7,6 +7,7 @@ mod swarm;
 
 use clap::{Args as ClapArgs, Subcommand};
 use consort_nodes::exit::Failure;
+use consort_skills::extensions::Extensions;
 
 /// Measures the simulator and fleets on this machine.
 #[derive(Debug, ClapArgs)]
@@ -34,10 +35,10 @@ enum Benchmark {
 ///
 /// # Errors
 /// As those of the benchmark.
-pub(crate) fn run(args: Args) -> Result<(), Failure> {
+pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     match args.what {
         Benchmark::Swarm(args) => swarm::run(args),
-        Benchmark::Scale(args) => scale::run(args),
+        Benchmark::Scale(args) => scale::run(args, extensions),
         Benchmark::Relays(args) => relays::run(&args),
         Benchmark::RelayHost(args) => relays::run_host(args),
     }

@@ -1,9 +1,11 @@
 //! `consort-lab bench scale`: measures fleets by size.
 
 use super::scale_plot::draw;
+use crate::command::workload_flags::DomainFlags;
 use clap::Args as ClapArgs;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
+use consort_skills::extensions::Extensions;
 use consort_tests::percentiles::Percentiles;
 use consort_tests::scale::{ScaleFigures, ScaleSetup, measure};
 use std::path::PathBuf;
@@ -17,7 +19,8 @@ use std::time::Instant;
 /// tenth of the robots is killed at once; and the coordinator is killed ten times.
 ///
 /// Traffic counts keys, payloads and 18 bytes for each message as Zenoh frames it, once for each receiver. Computing time
-/// is that of the node itself, without the network. Links have a latency of 0.2 to 3 ms.
+/// is that of the node itself, without the network. Links have a latency of 0.2 to 3 ms. With `--domain` all robots have
+/// the readings of the domain.
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
@@ -47,6 +50,8 @@ pub(super) struct Args {
     /// Seed of the random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    domains: DomainFlags,
     /// Draw traffic, computing time and latencies by size into an SVG file
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
@@ -58,16 +63,17 @@ pub(super) struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Unsuccessful`] if the plot cannot be written.
-pub(super) fn run(args: Args) -> Result<(), Failure> {
-    let Args { robots, moving, missions, seed, plot, json } = args;
+/// [`Failure::Usage`] for wrong domains; [`Failure::Unsuccessful`] if the plot cannot be written.
+pub(super) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
+    let Args { robots, moving, missions, seed, domains, plot, json } = args;
+    let extensions = domains.extend(extensions)?;
     if !json {
         output::line(HEADER)?;
     }
     let mut all = vec![];
     for robots in robots {
         let (began, progress) = (Instant::now(), std::cell::RefCell::new(Progress::on_terminal()));
-        let figures = measure(ScaleSetup { robots, moving, missions, seed }, |step| {
+        let figures = measure(ScaleSetup { robots, moving, missions, seed, extensions }, |step| {
             let elapsed = began.elapsed().as_secs();
             progress.borrow_mut().show(format_args!("{robots} robots, after {elapsed} s: {step}"));
         });

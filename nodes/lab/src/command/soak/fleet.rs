@@ -5,6 +5,8 @@ use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_nodes::exit::Failure;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::{Key, Keys};
+use consort_skills::extensions::LoadedDomain;
+use consort_tests::chaos::UserParticipants;
 use consort_tests::example_files::example;
 use consort_tests::host_network::{HostNetwork, run, within};
 use std::collections::BTreeMap;
@@ -59,6 +61,7 @@ pub(super) struct ProcessFleet {
     pub(super) failures_of_zenoh: u32,
     program: PathBuf,
     folder: PathBuf,
+    domains: &'static [LoadedDomain],
 }
 
 fn unsuccessful(problem: impl std::fmt::Display) -> Failure {
@@ -66,11 +69,16 @@ fn unsuccessful(problem: impl std::fmt::Display) -> Failure {
 }
 
 impl ProcessFleet {
-    /// Starts all nodes, and waits until the robots are members of the ensemble.
+    /// Starts all nodes with these domains, and waits until the robots are members of the ensemble. The carriers and
+    /// the people are also those of the missions of the user.
     ///
     /// # Errors
     /// [`Failure`]: a process cannot be started, or the fleet is not complete in time.
-    pub(super) async fn start(folder: &Path) -> Result<ProcessFleet, Failure> {
+    pub(super) async fn start(
+        folder: &Path,
+        domains: &'static [LoadedDomain],
+        participants: &UserParticipants,
+    ) -> Result<ProcessFleet, Failure> {
         let program = std::env::current_exe().map_err(unsuccessful)?.with_file_name("consort");
         if !program.is_file() {
             return Err(Failure::Usage(format!(
@@ -90,8 +98,9 @@ impl ProcessFleet {
             failures_of_zenoh: 0,
             program,
             folder: folder.to_owned(),
+            domains,
         };
-        fleet.write_files()?;
+        fleet.write_files(participants)?;
         for node in STATIONS.into_iter().chain([WORLD]).chain(ROBOTS) {
             fleet.start_node(node)?;
         }
@@ -99,7 +108,7 @@ impl ProcessFleet {
         Ok(fleet)
     }
 
-    fn write_files(&self) -> Result<(), Failure> {
+    fn write_files(&self, participants: &UserParticipants) -> Result<(), Failure> {
         let mut fleet = example("fleet");
         fleet.insert("name".to_owned(), FLEET.into());
         fleet.insert("bootstrap_expect".to_owned(), (STATIONS.len() as i64).into());
@@ -123,10 +132,19 @@ impl ProcessFleet {
         if let Some(limits) = world.get_mut("limits").and_then(toml::Value::as_table_mut) {
             limits.insert("drawer_slots".to_owned(), DRAWER_SLOTS.into());
         }
-        world.insert("person".to_owned(), toml::Value::Array(ROOMS.iter().map(|room| nurse(room).into()).collect()));
+        let on_call = participants.people.iter().map(toml::Value::try_from).collect::<Result<Vec<_>, _>>();
+        let nurses = ROOMS.iter().map(|room| toml::Value::from(nurse(room)));
+        let people = nurses.chain(on_call.map_err(unsuccessful)?).collect();
+        world.insert("person".to_owned(), toml::Value::Array(people));
         self.write_node(WORLD, world, &STATIONS)?;
         for robot in ROBOTS {
-            let mut node = example(if robot == "lab-arm" { "arm" } else { "robot" });
+            let is_arm = robot == "lab-arm";
+            let mut node = example(if is_arm { "arm" } else { "robot" });
+            if !is_arm && let Some(skills) = node.get_mut("skills").and_then(toml::Value::as_array_mut) {
+                let more = participants.skills.iter().map(|skill| toml::Value::from(skill.as_str()));
+                let more: Vec<_> = more.filter(|skill| !skills.contains(skill)).collect();
+                skills.extend(more);
+            }
             node.insert("may_vote".to_owned(), false.into());
             node.insert("discharge_share_per_s".to_owned(), 0.0.into());
             self.write_node(robot, node, &[&STATIONS[..], &[WORLD]].concat())?;
@@ -167,6 +185,7 @@ impl ProcessFleet {
         let [program, prefix @ ..] = within(name);
         let mut command = Command::new(program);
         command.args(prefix).arg(&self.program).args([kind, "--config"]).arg(file).arg("--until-stdin-closes");
+        command.args(self.domains.iter().flat_map(|loaded| ["--domain".as_ref(), loaded.path.as_os_str()]));
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(log.map_err(unsuccessful)?);
         for (variable, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("CONSORT_")) {
             command.env_remove(variable);

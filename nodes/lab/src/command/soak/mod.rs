@@ -5,11 +5,15 @@ mod fleet;
 mod verdict;
 mod workload;
 
+use super::workload_flags::{WorkloadFlags, missions_in_hospital};
 use clap::Args as ClapArgs;
 use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::exit::Failure;
 use consort_nodes::output;
 use consort_protocol::ledger::HistoryLimits;
+use consort_skills::extensions::Extensions;
+use consort_skills::workload::Workload as UserWorkload;
+use consort_tests::chaos::UserParticipants;
 use consort_tests::history::History;
 use consort_tests::host_network::{INSIDE, is_inside, run_inside};
 use fleet::ProcessFleet;
@@ -28,6 +32,9 @@ const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
 /// partitioned. Meanwhile clients submit, cancel and read missions over Zenoh. Then all faults end,
 /// and every mission must end.
 ///
+/// With `--mission` about half of the submitted missions are those of the user. The carriers have the skills
+/// for them, and there is a person on call for each role of people.
+///
 /// The verdict depends only on what is visible from outside: all calls of the clients must be
 /// linearizable, no acknowledged mission may be lost or executed as two missions, no term may have
 /// two coordinators, and no process may end by itself.
@@ -40,6 +47,7 @@ const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
 Examples:
   consort-lab soak --minutes 30
   consort-lab soak --minutes 5 --seed 7        # the same order of faults again; their effects vary
+  consort-lab soak --domain domain.yaml --mission mission.yaml
 
 Exit codes: 0 everything held; 1 something did not, and the logs are kept; 2 the flags are wrong or there can be no
 namespaces here.")]
@@ -50,6 +58,8 @@ pub(crate) struct Args {
     /// Source of the order of faults and requests [default: random]
     #[arg(long)]
     seed: Option<u64>,
+    #[command(flatten)]
+    workload: WorkloadFlags,
     /// Print the verdict as JSON
     #[arg(long)]
     json: bool,
@@ -64,17 +74,22 @@ fn minutes(text: &str) -> Result<f64, InvalidValue> {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] if there can be no namespaces here; [`Failure::Unsuccessful`] if something did
-/// not hold.
+/// [`Failure::Usage`] for wrong files, or if there can be no namespaces here; [`Failure::Unsuccessful`] if
+/// something did not hold.
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let seed = args.seed.unwrap_or_else(|| u64::from(std::process::id()));
+    // The nodes are processes of `consort`, without the extensions of this program.
+    let own = args.workload.workload(Extensions::default())?;
+    let participants = UserParticipants::of(&missions_in_hospital(&own)?);
     if is_inside() {
-        return soak(args, seed);
+        return soak(args, seed, own, &participants);
     }
     let hindrance = |reason: String| Failure::Usage(format!("there can be no namespaces here: {reason}"));
     let (minutes, seed_text) = (args.minutes.to_string(), seed.to_string());
     let mut arguments = vec!["soak", "--minutes", &minutes, "--seed", &seed_text];
     arguments.extend(args.json.then_some("--json"));
+    let files = args.workload.as_given();
+    arguments.extend(files.iter().map(String::as_str));
     let status = run_inside(&arguments, &TOOLS, &std::process::id().to_string()).map_err(hindrance)?;
     if status.success() {
         return Ok(());
@@ -83,16 +98,16 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
 }
 
 /// Runs the soak inside the namespaces.
-fn soak(args: &Args, seed: u64) -> Result<(), Failure> {
+fn soak(args: &Args, seed: u64, own: UserWorkload, participants: &UserParticipants) -> Result<(), Failure> {
     let folder = folder();
     std::fs::create_dir_all(&folder)
         .map_err(|problem| Failure::Usage(format!("{} cannot be created: {problem}", folder.display())))?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
     let verdict = runtime.block_on(async {
-        let mut fleet = ProcessFleet::start(&folder).await?;
+        let mut fleet = ProcessFleet::start(&folder, own.extensions.domains, participants).await?;
         let history = History::new(HistoryLimits::default().missions_max as usize);
-        let workload = Workload::start(&fleet, &history, seed).await?;
+        let workload = Workload::start(&fleet, &history, own, seed).await?;
         output::note(format_args!("seed {seed}: the fleet works; faults for {} minutes", args.minutes));
         let faults = faults::inject(&mut fleet, seed, Duration::from_secs_f64(args.minutes * 60.0)).await;
         output::note("all faults are over; waiting for the end of all missions");

@@ -2,7 +2,7 @@
 
 use super::faults::FaultCounts;
 use super::fleet::ProcessFleet;
-use super::workload::Workload;
+use super::workload::{OWN_REQUEST, Workload};
 use consort_protocol::view::MissionsView;
 use consort_tests::history::History;
 use consort_text::count;
@@ -23,6 +23,8 @@ const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 pub(super) struct Verdict {
     /// Acknowledged missions.
     pub(super) acknowledged: usize,
+    /// Acknowledged missions of the user.
+    pub(super) own: usize,
     /// Missions by their state at the end.
     pub(super) states: BTreeMap<&'static str, usize>,
     /// Calls of clients with a definite reply.
@@ -49,6 +51,7 @@ pub(super) async fn reach(
     if let Err(violation) = end_submissions(fleet, &mut workload).await {
         violations.push(violation);
     }
+    let own = workload.acknowledged.borrow().keys().filter(|request| request.starts_with(OWN_REQUEST)).count();
     let acknowledged: BTreeSet<String> = workload.acknowledged.borrow().values().cloned().collect();
     let mut missions = MissionsView::default();
     loop {
@@ -85,6 +88,7 @@ pub(super) async fn reach(
     let terms = terms.len();
     Verdict {
         acknowledged: acknowledged.len(),
+        own,
         states,
         replies: history.replies(),
         terms,

@@ -4,6 +4,7 @@ use super::fleet::{ProcessFleet, ROOMS, STATIONS};
 use consort_bus::{SharedBus, Stream};
 use consort_nodes::exit::Failure;
 use consort_protocol::ids::NodeId;
+use consort_skills::workload::Workload as UserWorkload;
 use consort_tests::history::{Acknowledged, History, Reader, RecordingClient};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -17,6 +18,12 @@ const SUBMIT_INTERVAL_MS: std::ops::Range<u64> = 5_000..20_000;
 
 /// Share of the missions that are canceled.
 const CANCELED_SHARE: f64 = 0.2;
+
+/// Share of the missions of the user.
+const OWN_SHARE: f64 = 0.5;
+
+/// Beginning of the names of requests for missions of the user.
+pub(super) const OWN_REQUEST: &str = "soak-own-";
 
 /// Interval at which a person resolves missions that need intervention.
 const RESOLVE_INTERVAL: Duration = Duration::from_secs(5);
@@ -39,7 +46,12 @@ impl Workload {
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if a client cannot be opened.
-    pub(super) async fn start(fleet: &ProcessFleet, history: &History, seed: u64) -> Result<Workload, Failure> {
+    pub(super) async fn start(
+        fleet: &ProcessFleet,
+        history: &History,
+        own: UserWorkload,
+        seed: u64,
+    ) -> Result<Workload, Failure> {
         let client = |bus: SharedBus| RecordingClient { bus, keys: fleet.keys.clone(), history: history.clone() };
         let acknowledged = Acknowledged::default();
         let mut readers = JoinSet::new();
@@ -61,7 +73,7 @@ impl Workload {
         let (end_elected, end) = tokio::sync::oneshot::channel();
         let elected = tokio::spawn(record_elected(events, end));
         let (end_submitter, end) = tokio::sync::watch::channel(false);
-        let submitter = tokio::spawn(submit(client.clone(), acknowledged.clone(), seed, end));
+        let submitter = tokio::spawn(submit(client.clone(), acknowledged.clone(), own, seed, end));
         Ok(Workload { acknowledged, client, elected, end_elected, submitter, end_submitter, readers })
     }
 
@@ -81,22 +93,28 @@ impl Workload {
     }
 }
 
-/// Submits missions, and cancels some of them, until the end. Returns the requests under way.
+/// Submits missions, and cancels some of them, until the end. About half of them are `own` missions of the user, if
+/// there are any. Returns the requests under way.
 async fn submit(
     client: RecordingClient,
     acknowledged: Acknowledged,
+    own: UserWorkload,
     seed: u64,
     mut end: tokio::sync::watch::Receiver<bool>,
 ) -> JoinSet<()> {
     let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x50a7);
+    let names: Vec<&str> = own.own_missions().collect();
     let mut requests = JoinSet::new();
     for number in 1_u64.. {
         let (room, canceled) = (ROOMS[chance.random_range(0..ROOMS.len())], chance.random_bool(CANCELED_SHARE));
         let cancel_after = canceled.then(|| Duration::from_millis(chance.random_range(0..10_000)));
+        let is_own = !names.is_empty() && chance.random_bool(OWN_SHARE);
+        let name = if is_own { names[chance.random_range(0..names.len())] } else { "lab-samples" };
+        let request = format!("{}{number}", if is_own { OWN_REQUEST } else { "soak-" });
+        let mut body = json!(own.request(name, own.parameters_in(name, room)));
+        body["request"] = json!(request);
         let (client, acknowledged) = (client.clone(), acknowledged.clone());
         requests.spawn(async move {
-            let request = format!("soak-{number}");
-            let body = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
             let mission = client.submit(&body).await;
             acknowledged.send_modify(|known| drop(known.insert(request, mission.to_string())));
             if let Some(after) = cancel_after {
