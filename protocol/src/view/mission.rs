@@ -258,6 +258,17 @@ pub enum TaskView {
     },
 }
 
+impl TaskView {
+    /// Returns the results of the tasks of the tree that have any, by task and name.
+    pub fn task_results(&self) -> BTreeMap<TaskId, BTreeMap<String, Scalar>> {
+        match self {
+            TaskView::Abstract { children, .. } => children.iter().flat_map(TaskView::task_results).collect(),
+            TaskView::Elementary { results, .. } if results.is_empty() => BTreeMap::new(),
+            TaskView::Elementary { task, results, .. } => BTreeMap::from([(task.clone(), results.clone())]),
+        }
+    }
+}
+
 /// Role that executes a task, with its holder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TaskParticipant {
@@ -284,6 +295,16 @@ pub enum TaskProgress {
 }
 
 impl TaskProgress {
+    /// Returns the name.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            TaskProgress::Waiting => "waiting",
+            TaskProgress::UnderWay => "under_way",
+            TaskProgress::Done => "done",
+            TaskProgress::Skipped => "skipped",
+        }
+    }
+
     /// Checks whether the task has ended.
     pub fn has_ended(self) -> bool {
         matches!(self, TaskProgress::Done | TaskProgress::Skipped)

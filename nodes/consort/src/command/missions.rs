@@ -1,14 +1,16 @@
-//! `consort missions`: lists missions and their progress.
+//! `consort missions`: lists missions, or shows one with its tasks.
 
 use crate::client::{Client, ClientFlags, read_answer};
 use crate::exit::Failure;
 use crate::output;
-use consort_protocol::api::ReadOptions;
-use consort_protocol::ids::MissionId;
+use consort_protocol::api::{MissionQuery, ReadOptions};
+use consort_protocol::ids::{MissionId, TaskId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{HeldItem, MissionState};
 use consort_protocol::units::{Energy, EnergyLimit};
-use consort_protocol::view::{MissionBrief, MissionProgress, MissionSummary, MissionsView};
+use consort_protocol::view::{
+    MissionBrief, MissionProgress, MissionSummary, MissionView, MissionsView, TaskParticipant, TaskProgress, TaskView,
+};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -18,20 +20,25 @@ use std::time::Duration;
 ///
 /// In the order of submission: state, finished steps, the estimated energy of all its robots together in
 /// per cent of a full battery, role holders, the reason why a mission is
-/// still pending, and for a mission that needs intervention, the items in each robot's hands and
-/// their places. With --watch a line is added for every change, until Ctrl-C.
+/// still pending, its results as far as they are known, and for a mission that needs intervention, the
+/// items in each robot's hands and their places. With --watch a line is added for every change, until
+/// Ctrl-C. With the name of a mission: also its tasks, with their results.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
   consort missions
+  consort missions lab-samples-1
   consort missions --watch
   consort missions --linearizable
   consort missions --json | head -c 2000")]
 pub(crate) struct Args {
+    /// Only this mission, with its tasks and their results
+    #[arg(conflicts_with = "watch")]
+    mission: Option<MissionId>,
     /// Keep running, and add a line for every change
     #[arg(long)]
     watch: bool,
-    /// Print JSON: the whole list; with --watch a line for every change
+    /// Print JSON: the whole list, or the mission; with --watch a line for every change
     #[arg(long)]
     json: bool,
     /// Show everything acknowledged before now, confirmed by a majority of the voters
@@ -53,7 +60,11 @@ const LOOK: Duration = Duration::from_millis(500);
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
     args.client.with_client(async |client| {
         let options = ReadOptions { linearizable: args.linearizable };
-        if args.watch { watch(client, options, args.json).await } else { once(client, options, args.json).await }
+        match args.mission {
+            Some(mission) => single(client, mission, options, args.json).await,
+            None if args.watch => watch(client, options, args.json).await,
+            None => once(client, options, args.json).await,
+        }
     })
 }
 
@@ -70,9 +81,33 @@ async fn once(client: &mut Client, options: ReadOptions, in_json: bool) -> Resul
     if missions.is_empty() {
         return output::line("no missions yet; `consort submit lab-samples` submits a mission");
     }
+    output::line(mission_table(missions.iter().map(|mission| row(&mission.brief, mission.pending_reason.as_deref()))))
+}
+
+async fn single(
+    client: &mut Client,
+    mission: MissionId,
+    ReadOptions { linearizable }: ReadOptions,
+    in_json: bool,
+) -> Result<(), Failure> {
+    let answer: Value = client.api(ApiCall::Get, &MissionQuery { mission, linearizable }).await?;
+    if in_json {
+        return output::line(&answer);
+    }
+    let MissionView { brief, tree, auction, .. } = read_answer(&answer)?;
+    let pending_reason = auction.and_then(|auction| auction.failure);
+    output::line(mission_table([row(&brief, pending_reason.as_deref())]))?;
+    let Some(tree) = tree else {
+        return output::line("\nits tasks are no longer stored: it ended long ago");
+    };
+    let mut rows = vec![["TASK", "TYPE", "STATE", "ROLES", "RESULTS"].map(str::to_owned).to_vec()];
+    add_task_rows(&tree, 0, &mut rows);
+    output::line(format_args!("\n{}", output::table(&rows)))
+}
+
+fn mission_table(rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let heads = ["MISSION", "STATE", "STEPS", "ENERGY", "PARAMETERS", "ROLES", ""].map(str::to_owned).to_vec();
-    let rows: Vec<Vec<String>> = std::iter::once(heads).chain(missions.iter().map(row)).collect();
-    output::line(output::table(&rows))
+    output::table(&std::iter::once(heads).chain(rows).collect::<Vec<_>>())
 }
 
 async fn watch(client: &mut Client, options: ReadOptions, in_json: bool) -> Result<(), Failure> {
@@ -85,7 +120,8 @@ async fn watch(client: &mut Client, options: ReadOptions, in_json: bool) -> Resu
                 if in_json {
                     output::json(&mission)?;
                 } else {
-                    output::line(row(&mission).join("  ").trim_end())?;
+                    let row = row(&mission.brief, mission.pending_reason.as_deref());
+                    output::line(row.join("  ").trim_end())?;
                 }
                 shown.insert(mission.brief.mission.clone(), mission);
             }
@@ -94,10 +130,11 @@ async fn watch(client: &mut Client, options: ReadOptions, in_json: bool) -> Resu
     }
 }
 
-fn row(mission: &MissionSummary) -> Vec<String> {
-    let MissionSummary { brief: MissionBrief { mission, status, terms, progress, result, .. }, pending_reason } =
-        mission;
-    let why = pending_reason.clone().filter(|_| status.detail == MissionState::Pending);
+fn row(brief: &MissionBrief, pending_reason: Option<&str>) -> Vec<String> {
+    let MissionBrief { mission, status, terms, progress, result, .. } = brief;
+    let why = pending_reason.filter(|_| status.detail == MissionState::Pending);
+    let why = why.map_or_else(|| detail(&status.detail).trim_start_matches(": ").to_owned(), str::to_owned);
+    let result = (!result.is_empty()).then(|| pairs(result));
     vec![
         mission.to_string(),
         status.detail.as_str().replace('_', " "),
@@ -105,12 +142,31 @@ fn row(mission: &MissionSummary) -> Vec<String> {
         energy(progress.energy, terms.energy_max),
         pairs(&terms.parameters),
         roles(progress),
-        match why {
-            Some(why) => why,
-            None if status.detail == MissionState::Completed && !result.is_empty() => pairs(result),
-            None => detail(&status.detail).trim_start_matches(": ").to_owned(),
-        },
+        [why].into_iter().filter(|why| !why.is_empty()).chain(result).collect::<Vec<_>>().join("; "),
     ]
+}
+
+/// Adds a row for a task and for each task below it, indented by their depth in the tree.
+fn add_task_rows(task: &TaskView, depth: usize, rows: &mut Vec<Vec<String>>) {
+    let name = |task: &TaskId| format!("{:indent$}{task}", "", indent = 2 * depth);
+    let word = |state: &TaskProgress| state.as_str().replace('_', " ");
+    match task {
+        TaskView::Abstract { task, state, children, .. } => {
+            rows.push(vec![name(task), "-".to_owned(), word(state)]);
+            for child in children {
+                add_task_rows(child, depth + 1, rows);
+            }
+        }
+        TaskView::Elementary { task, task_type, state, roles, results, .. } => {
+            let roles: Vec<String> = roles.iter().map(participant).collect();
+            rows.push(vec![name(task), task_type.to_string(), word(state), roles.join(", "), pairs(results)]);
+        }
+    }
+}
+
+/// Formats a role of a task with its robot: `r1=amber`, or `r1` without a robot.
+fn participant(TaskParticipant { role, holder, .. }: &TaskParticipant) -> String {
+    holder.as_ref().map_or_else(|| role.to_string(), |robot| format!("{role}={robot}"))
 }
 
 /// Formats the robots of a mission: `r1=amber, lab_arm=lab-arm later`.
@@ -148,5 +204,47 @@ pub(super) fn detail(state: &MissionState) -> String {
         MissionState::Failed { cause } => format!(": {cause}"),
         MissionState::Canceled { by } => format!(": by {by}"),
         MissionState::NeedsIntervention { cause, items } => format!(": {cause}, {}", last_known_places(items)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_tasks_of_a_mission_are_indented_and_have_their_results() {
+        let task = |name: &str, state: &str, holder: Option<&str>, results: Value| {
+            json!({ "kind": "elementary", "task": name, "type": "measure_vital_signs", "parameters": {}, "state": state,
+                "roles": [{ "role": "r1", "holder": holder }], "results": results })
+        };
+        let inner = json!({ "kind": "abstract", "task": "again", "order": "sequential", "state": "under_way",
+            "children": [task("second", "under_way", None, json!({}))] });
+        let first = task("first", "done", Some("ada"), json!({ "fever": false, "pulse_bpm": 72 }));
+        let all = json!({ "kind": "abstract", "task": "all", "order": "sequential", "state": "under_way",
+            "children": [first, inner] });
+        let mut rows = vec![];
+        add_task_rows(&serde_json::from_value(all).unwrap(), 0, &mut rows);
+        let expected: [&[&str]; 4] = [
+            &["all", "-", "under way"],
+            &["  first", "measure_vital_signs", "done", "r1=ada", "fever=false, pulse_bpm=72"],
+            &["  again", "-", "under way"],
+            &["    second", "measure_vital_signs", "under way", "r1", "-"],
+        ];
+        assert_eq!(rows, expected);
+    }
+
+    #[test]
+    fn a_mission_shows_its_known_results_in_every_state() {
+        let shown = |detail: Value, result: Value, pending_reason: Option<&str>| {
+            let mission = json!({ "mission": "watch-1", "detail": detail, "result": result });
+            row(&serde_json::from_value(mission).unwrap(), pending_reason).pop().unwrap()
+        };
+        let fever = json!({ "fever": true });
+        assert_eq!(shown(json!("completed"), fever.clone(), None), "fever=true");
+        assert_eq!(shown(json!("running"), fever.clone(), Some("no viable bid")), "fever=true");
+        assert_eq!(shown(json!("pending"), fever.clone(), Some("no viable bid")), "no viable bid; fever=true");
+        assert_eq!(shown(json!({ "failed": { "cause": "no cuff" } }), fever, None), "no cuff; fever=true");
+        assert_eq!(shown(json!("running"), json!({}), None), "");
     }
 }

@@ -50,6 +50,15 @@ fn a_mission_keeps_its_priority_and_start_and_fails_after_its_deadline() {
     assert_eq!(mission["priority"], -7, "{mission}");
     let (submitted_at, deadline_at) = (mission["submitted_at_ms"].as_u64(), mission["deadline_at_ms"].as_u64());
     assert_eq!(deadline_at, submitted_at.map(|submitted_at| submitted_at + 900_000), "{mission}");
+    let ran = command(&["missions", "lab-samples-1"]);
+    assert!(ran.code == Some(0) && ran.out.starts_with("MISSION "), "{}{}", ran.out, ran.err);
+    let task = ran.out.lines().find(|line| line.trim_start().starts_with("navto_room ")).expect("its task");
+    assert_eq!(task.split_whitespace().collect::<Vec<_>>(), ["navto_room", "navigation", "waiting", "r1", "-"]);
+    let ran = command(&["missions", "lab-samples-1", "--json"]);
+    let mission: Value = serde_json::from_str(&ran.out).unwrap_or_else(|problem| panic!("{problem}: {}", ran.out));
+    assert_eq!(mission["tree"]["state"], "waiting", "{mission}");
+    let ran = command(&["missions", "lab-samples-9"]);
+    assert!(ran.code == Some(1) && ran.err.contains("no mission lab-samples-9"), "{}", ran.err);
 
     let ran = command(&["submit", "lab-samples", "--deadline", "0.5", "--wait"]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(1), "lab-samples-2\nlab-samples-2 failed\n"), "{}", ran.err);

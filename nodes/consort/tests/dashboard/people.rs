@@ -149,6 +149,9 @@ fn people_answer_requests_whichever_node_dies() {
     let first = if by == "Nia" { 60 } else { 66 };
     assert_eq!(missions["missions"][0]["result"], json!({ "first": first, "second": 88 }), "{answer}");
     assert_eq!(missions["missions"][0]["by"], "Nia", "{answer}");
+    let shown = fleet.run(&["missions", "by-hand-1"], "station-2").expect(0).stdout;
+    let task = shown.lines().find(|line| line.trim_start().starts_with("measure_again ")).expect("its task");
+    assert!(task.contains("done") && task.contains("pulse_bpm=88"), "{shown}");
     assert_eq!(requests(&mut fleet, &[]), [] as [Value; 0], "nothing is open");
 
     // A call for a robot, with the keyboard alone.
@@ -170,6 +173,18 @@ fn people_answer_requests_whichever_node_dies() {
     assert_eq!(fleet.run(&words, "station-2").expect(0).stdout, format!("{id} answered by Ria: cannot\n"));
     let refused = fleet.run(&["answer", &id, "--declined", "--by", "Nia"], "station-2").expect(1).stderr;
     assert!(refused.contains(&format!("request {id} is closed; it was answered by Ria: cannot")), "{refused}");
+
+    // The dashboard shows the results of the tasks, also that of the last.
+    browser.open(&pages[1]);
+    let button =
+        "[...document.querySelectorAll('#missions .rowbutton')].find((one) => one.textContent === 'by-hand-1')";
+    browser.wait_until("the mission", &format!("{button} !== undefined"));
+    browser.value(&format!("({button}.click(), true)"));
+    let results =
+        |pulse: u32| format!("/pulse bpm: {pulse}/.test(document.querySelector('#mission .tree')?.textContent)");
+    for pulse in [first, 88] {
+        browser.wait_until("the results of the tasks", &results(pulse));
+    }
     fleet.stop();
 }
 

@@ -7,11 +7,10 @@ use consort_protocol::view::{MissionBrief, MissionSummary, MissionView, Missions
 use std::collections::BTreeMap;
 
 impl FleetModel {
-    /// Returns the missions to query individually: first running missions, then missions without a
-    /// known plan; the latest first.
+    /// Returns the missions to query individually: first running missions, then ended missions that
+    /// were not received whole since; the latest first.
     pub(crate) fn missions_to_query(&self) -> Vec<String> {
-        let incomplete = |mission: &MissionModel| !mission.ended || mission.tasks.is_none();
-        let mut wanted: Vec<_> = self.missions.iter().filter(|(_, mission)| incomplete(mission)).collect();
+        let mut wanted: Vec<_> = self.missions.iter().filter(|(_, mission)| !mission.is_complete).collect();
         wanted.sort_by_key(|(_, mission)| (mission.ended, std::cmp::Reverse(mission.number)));
         wanted.into_iter().map(|(id, _)| id.clone()).collect()
     }
@@ -34,16 +33,20 @@ impl FleetModel {
     }
 
     pub(super) fn apply_mission(&mut self, view: MissionView, now_ms: u64) {
-        let MissionView { brief, tasks, roles, auction, .. } = view;
-        let (id, number) = (brief.mission.to_string(), brief.number);
+        let MissionView { brief, tasks, tree, roles, auction, .. } = view;
+        let (id, number, is_final) = (brief.mission.to_string(), brief.number, brief.status.detail.is_final());
         let mission = self.missions.get_or_insert_with(id, MissionModel::default);
         mission.apply_brief(brief, None, now_ms);
         if number > 0 {
             mission.number = number;
         }
+        mission.is_complete |= is_final;
         if !tasks.is_empty() {
             mission.tasks = Some(tasks);
         }
+        // Results never change. A view from a node that lags behind lacks the latest.
+        let results = tree.map(|tree| tree.task_results()).unwrap_or_default();
+        mission.task_results.extend(results.into_iter().map(|(task, results)| (task.to_string(), results)));
         let roles: BTreeMap<String, RoleModel> =
             roles.into_iter().map(|role| (role.role.to_string(), role_model(role))).collect();
         if !roles.is_empty() {
@@ -136,5 +139,32 @@ fn role_model(role: RoleView) -> RoleModel {
         holder: role.holder.map(|robot| robot.to_string()),
         epoch: role.epoch,
         steps: role.steps.map(|steps| steps.into_iter().map(step).collect()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::FloorPlan;
+    use super::*;
+    use consort_protocol::keys::Key;
+    use serde_json::json;
+
+    /// The last results of a mission are in its view only after its end.
+    #[test]
+    fn a_mission_is_queried_until_it_was_received_after_its_end() {
+        let mut model = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
+        let key = Key::ViewMission("m-1".parse().unwrap());
+        let view = |state: &str| json!({ "mission": "m-1", "detail": state, "roles": [] });
+        let list = |state: &str| json!({ "missions": [{ "mission": "m-1", "number": 1, "detail": state }] });
+        model.apply_view(&Key::ViewMissions, &list("running"), 10);
+        model.apply_view(&key, &view("running"), 20);
+        assert_eq!(model.missions_to_query(), ["m-1"]);
+        model.apply_view(&Key::ViewMissions, &list("completed"), 30);
+        assert_eq!(model.missions_to_query(), ["m-1"]);
+        // A node that lags behind replies.
+        model.apply_view(&key, &view("running"), 40);
+        assert_eq!(model.missions_to_query(), ["m-1"]);
+        model.apply_view(&key, &view("completed"), 50);
+        assert_eq!(model.missions_to_query(), [] as [&str; 0]);
     }
 }

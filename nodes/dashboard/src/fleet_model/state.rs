@@ -174,6 +174,9 @@ pub struct MissionModel {
     /// Results that are known.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub result: BTreeMap<String, Scalar>,
+    /// Results of its tasks, by task and name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub task_results: BTreeMap<String, BTreeMap<String, Scalar>>,
     /// Robot of each role.
     pub holders: BTreeMap<String, String>,
     /// Finished steps.
@@ -196,6 +199,9 @@ pub struct MissionModel {
     pub roles: BTreeMap<String, RoleModel>,
     /// The tree: a list of tasks; the first is the root, children are indices.
     pub tasks: Option<Vec<TaskNode>>,
+    /// True if the whole mission was received after its end.
+    #[serde(skip)]
+    pub(super) is_complete: bool,
     /// Task bars of the chart, as far as received.
     pub bars: Vec<TaskBar>,
     /// Role assignments over time, as far as received.

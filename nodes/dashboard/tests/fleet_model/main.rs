@@ -448,3 +448,27 @@ fn a_robot_has_the_latest_readings_of_its_driver() {
     model.apply_telemetry("ada", &with(json!({ "lid": false })), NOW + 200);
     assert_eq!(model.to_json()["robots"]["ada"]["readings"], json!({ "lid": false }));
 }
+
+#[test]
+fn a_mission_has_the_results_of_its_tasks() {
+    let mut model = model();
+    let key = Key::ViewMission("m-1".parse().unwrap());
+    let view = |results: Value| {
+        let task = |name: &str, results: &Value| {
+            json!({ "kind": "elementary", "task": name, "type": "measure_vital_signs", "parameters": {}, "state": "done",
+                "roles": [], "results": results })
+        };
+        let children = [task("first", &results), task("second", &json!({}))];
+        let tree =
+            json!({ "kind": "abstract", "task": "all", "order": "sequential", "state": "done", "children": children });
+        json!({ "mission": "m-1", "detail": "running", "tree": tree })
+    };
+    let shown = |model: &FleetModel| model.to_json()["missions"]["m-1"]["task_results"].clone();
+    model.apply_view(&key, &view(json!({})), NOW);
+    assert_eq!(shown(&model), Value::Null);
+    model.apply_view(&key, &view(json!({ "pulse_bpm": 72, "fever": false })), NOW + 10);
+    assert_eq!(shown(&model), json!({ "first": { "pulse_bpm": 72, "fever": false } }));
+    // A node that lags behind has fewer results.
+    model.apply_view(&key, &view(json!({})), NOW + 20);
+    assert_eq!(shown(&model), json!({ "first": { "pulse_bpm": 72, "fever": false } }));
+}

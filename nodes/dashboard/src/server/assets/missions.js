@@ -109,7 +109,9 @@ function tree(mission, index) {
   const { type, roles = [], parameters = {} } = body.Elementary;
   const to = type === 'navigation' && parameters.to ? ` → ${parameters.to}` : '';
   const who = roles.map((role) => make('span', { className: 'role' }, mission.holders?.[role] ? `${role}: ${mission.holders[role]}` : role));
-  return make('li', {}, sign(mission, markOf(mission, index)), readable(id), make('span', { className: 'how' }, to), who);
+  const results = Object.entries(mission.task_results?.[id] ?? {}).map(([name, value]) => `${readable(name)}: ${value}`);
+  const found = results.length ? make('span', { className: 'how results' }, ` ${results.join(', ')}`) : null;
+  return make('li', {}, sign(mission, markOf(mission, index)), readable(id), make('span', { className: 'how' }, to), who, found);
 }
 
 function sign(mission, found) {
