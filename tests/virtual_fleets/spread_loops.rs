@@ -120,3 +120,21 @@ fn missions_with_spread_loops_share_robots() {
         assert_eq!(released, 0, "seed {seed}:\n{}", fleet.event_log_text());
     });
 }
+
+/// The head takes part in the visit of each room, so the visits follow the order of the list. The only other robot
+/// starts with the first room, also if the second is nearer.
+#[test]
+fn a_single_robot_visits_rooms_in_the_order_of_a_role_outside_the_loop() {
+    for_each_seed(SEEDS, async |seed| {
+        for rooms in [["PC Room 1", "IC Room 6"], ["IC Room 6", "PC Room 1"]] {
+            let mut fleet = fleet(seed, &["amber", "birch"], &["aba"]).await;
+            let mut request = visit_rooms("a", &rooms);
+            let look = "/mission/root/tasks/0/do/tasks/1/roles";
+            *request.pointer_mut(look).expect("a task") = json!(["visitor", "head"]);
+            let answer = fleet.request_answered(ApiCall::Submit, &request).await;
+            let mission: MissionId = slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")));
+            fleet.assert_completes(&mission).await;
+            fleet.assert_exclusive_roles();
+        }
+    });
+}

@@ -227,30 +227,6 @@ impl MissionEntry {
         self.roles.iter().filter(open).map(|(id, _)| id.clone()).collect()
     }
 
-    /// Checks whether the role belongs to a spread loop. It may stay open while other roles are held.
-    pub fn is_spread(&self, role: &RoleId) -> bool {
-        self.mission().roles.get(role).is_some_and(|role| role.spread)
-    }
-
-    /// Returns the open roles to be auctioned now: all, unless some belong to a spread loop. Then roles that wait
-    /// for others are left out, because the robots are needed for the loop.
-    pub fn roles_to_auction(&self) -> BTreeSet<RoleId> {
-        let mut roles = self.open_roles();
-        if roles.iter().any(|role| self.is_spread(role)) {
-            roles.retain(|role| self.can_proceed(role));
-        }
-        roles
-    }
-
-    /// Checks whether robots can be assigned to these roles together.
-    pub(super) fn may_be_awarded(&self, roles: &BTreeSet<RoleId>) -> bool {
-        let open = self.open_roles();
-        match open.iter().any(|role| self.is_spread(role)) {
-            true => !roles.is_empty() && roles.is_subset(&open),
-            false => !roles.is_empty() && *roles == open,
-        }
-    }
-
     /// Returns the state of an active mission.
     pub(super) fn active_state(&self) -> MissionState {
         let is_under_way = self.assigned_roles().next().is_some();

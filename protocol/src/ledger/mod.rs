@@ -18,6 +18,8 @@
 //! A role whose robot is busy, or that cannot start yet, may be promised instead of awarded; its award follows (the
 //! module `promises`).
 //!
+//! Roles of spread loops are awarded one by one, while the mission runs (the module `spread`).
+//!
 //! A schedule adds its mission at certain times (the module `schedules`).
 //!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
@@ -42,6 +44,7 @@ mod person_request;
 mod promises;
 mod schedule;
 mod schedules;
+mod spread;
 mod submission;
 
 pub use apply::Ledger;

@@ -356,6 +356,28 @@ proptest! {
     }
 }
 
+/// A role outside the loop takes part in every iteration, so the iterations follow the order of the file. A robot
+/// for the loop is enough, whichever of the iterations to be auctioned it gets.
+#[test]
+fn a_single_robot_takes_iterations_that_a_role_outside_orders() {
+    let task = |name: &str, roles: &[&str]| json!({ "task": name, "type": "work", "roles": roles });
+    let visit = json!({ "task": "visit", "method": "sequential",
+        "tasks": [task("go", &["escort"]), task("meet", &["escort", "host"]), task("leave", &["escort"])] });
+    let visits = json!({ "task": "visits", "for": "number", "in": ["1", "2", "3", "4"], "spread": true, "do": visit });
+    let root = json!({ "task": "all", "method": "sequential",
+        "tasks": [visits, task("note", &["host"]), task("report", &["head"])] });
+    // The head waits for the visits by way of the host. A host that is a robot needs one more.
+    for (host, robots) in [("unmanaged", 1), ("managed", 2)] {
+        let roles = json!({ "escort": { "kind": "managed" }, "host": { "kind": host }, "head": { "kind": "managed" } });
+        let file = json!({ "mission": "reception", "roles": roles, "root": root });
+        let branches = divided(&file).unwrap();
+        for seed in 0..20 {
+            let ending = run(&file, &branches, robots, 0, seed).unwrap();
+            assert_eq!(ending.state, MissionState::Completed, "{host} host, seed {seed}");
+        }
+    }
+}
+
 /// The properties above would hold without a task that is executed, or without one that is skipped.
 #[test]
 fn most_random_missions_complete_and_many_skip_tasks() {

@@ -17,7 +17,7 @@ use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase};
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
-use crate::plan::{Signal, Step, StepAction, StepIndex};
+use crate::plan::{LocalPlan, Signal, Step, StepAction, StepIndex};
 use crate::units::Seconds;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -81,28 +81,63 @@ impl MissionEntry {
         promised.map(|(id, _, robot)| (id, robot))
     }
 
-    /// Checks whether the holder of a role could perform a step of it now, according to the ended steps. Signals
-    /// of people count as sent: a task of a person may wait for the holder of the role.
+    /// Checks whether the holder of a role could perform a step of it now, according to the ended steps. A signal of
+    /// a person counts as sent if no robot has to do something first: the person may do the task later.
     pub fn can_proceed(&self, role: &RoleId) -> bool {
         let (Some(plan), Some(entry)) = (self.plan(role), self.roles.get(role)) else { return true };
         let sent = self.signals_to(role);
-        let is_of_person = |role: &RoleId| self.roles.get(role).is_some_and(|entry| entry.kind == RoleKind::Unmanaged);
-        let has_arrived = |signal: &Signal| sent.contains(signal) || is_of_person(&signal.from);
-        let mut passed = vec![false; plan.steps.len()];
-        let is_enabled = |step: &Step, passed: &[bool]| {
-            step.after.iter().all(|before| passed.get(*before as usize).copied().unwrap_or(false))
+        let is_awaited = |step: &Step| matches!(&step.action, StepAction::Wait(signal) if self.is_person(&signal.from));
+        let by_people = if plan.steps.iter().any(is_awaited) { self.signals_of_people() } else { BTreeSet::new() };
+        let passed = passed_steps(plan, &entry.ended, |step| match &step.action {
+            StepAction::Wait(signal) => sent.contains(signal) || by_people.contains(signal),
+            StepAction::Task { .. } | StepAction::Send(_) => false,
+        });
+        let is_enabled = |(step, has_passed): (&Step, &bool)| {
+            let is_action = !matches!(step.action, StepAction::Wait(_));
+            !has_passed && is_action && step.after.iter().all(|before| passed.get(*before as usize) == Some(&true))
         };
-        // Steps follow the steps that they depend on, so a single pass is enough.
-        for (index, step) in plan.steps.iter().enumerate() {
-            match &step.action {
-                _ if entry.ended.contains(&(index as StepIndex)) => passed[index] = true,
-                StepAction::Wait(signal) => passed[index] = has_arrived(signal) && is_enabled(step, &passed),
-                StepAction::Task { .. } | StepAction::Send(_) if is_enabled(step, &passed) => return true,
-                StepAction::Task { .. } | StepAction::Send(_) => {}
+        passed.iter().all(|passed| *passed) || plan.steps.iter().zip(&passed).any(is_enabled)
+    }
+
+    fn is_person(&self, role: &RoleId) -> bool {
+        self.roles.get(role).is_some_and(|entry| entry.kind == RoleKind::Unmanaged)
+    }
+
+    /// Returns the signals that people have sent, or can send before robots perform further steps.
+    fn signals_of_people(&self) -> BTreeSet<&Signal> {
+        let people = self.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged);
+        let people: Vec<_> =
+            people.filter_map(|(id, role)| Some((self.plan(id)?, &role.ended, self.signals_to(id)))).collect();
+        let mut signals: BTreeSet<&Signal> = BTreeSet::new();
+        // People wait for each other, too.
+        loop {
+            let known = signals.len();
+            for (plan, ended, sent) in &people {
+                let passed = passed_steps(plan, ended, |step| match &step.action {
+                    StepAction::Wait(signal) => sent.contains(signal) || signals.contains(signal),
+                    StepAction::Task { .. } | StepAction::Send(_) => true,
+                });
+                signals.extend(plan.steps.iter().zip(passed).filter_map(|(step, passed)| match &step.action {
+                    StepAction::Send(signal) if passed => Some(signal),
+                    _ => None,
+                }));
+            }
+            if signals.len() == known {
+                return signals;
             }
         }
-        passed.into_iter().all(|passed| passed)
     }
+}
+
+/// Returns for each step of a plan whether it has ended, or passes once the steps before it have passed.
+fn passed_steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>, passes: impl Fn(&Step) -> bool) -> Vec<bool> {
+    let mut passed: Vec<bool> = Vec::with_capacity(plan.steps.len());
+    // Steps follow the steps that they depend on, so a single pass is enough.
+    for (index, step) in (0..).zip(&plan.steps) {
+        let is_enabled = step.after.iter().all(|before| passed.get(*before as usize) == Some(&true));
+        passed.push(ended.contains(&index) || (is_enabled && passes(step)));
+    }
+    passed
 }
 
 impl Ledger {

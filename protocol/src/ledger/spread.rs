@@ -1,0 +1,228 @@
+//! Roles of spread loops: robots get them one by one, while the mission runs.
+//!
+//! The iterations of a spread loop are unordered, but a role outside the loop may order them: joint tasks that
+//! share a role follow the order of the file. A robot in a later iteration waits for the earlier iteration. If it
+//! is the only free robot, the earlier iteration must have a robot before it, or both wait for ever. So an iteration
+//! is auctioned after the iterations that it waits for.
+
+use super::entry::MissionEntry;
+use crate::ids::RoleId;
+use crate::plan::{LocalPlan, Signal, StepAction, StepIndex};
+use std::collections::{BTreeMap, BTreeSet};
+
+impl MissionEntry {
+    /// Checks whether the role belongs to a spread loop. It may stay open while other roles are held.
+    pub fn is_spread(&self, role: &RoleId) -> bool {
+        self.mission().roles.get(role).is_some_and(|role| role.spread)
+    }
+
+    /// Returns the open roles to be auctioned now: all, unless some belong to a spread loop. Then roles that wait
+    /// for others are left out, because the robots are needed for the loop, and so are iterations that cannot end
+    /// before an open iteration.
+    pub fn roles_to_auction(&self) -> BTreeSet<RoleId> {
+        let mut roles = self.open_roles();
+        let spread: BTreeSet<RoleId> = roles.iter().filter(|role| self.is_spread(role)).cloned().collect();
+        if spread.is_empty() {
+            return roles;
+        }
+        roles.retain(|role| self.can_proceed(role));
+        let later = self.later_iterations(&spread);
+        // Iterations that wait for each other in a circle have no first.
+        if roles.iter().any(|role| spread.contains(role) && !later.contains(role)) {
+            roles.retain(|role| !later.contains(role));
+        }
+        roles
+    }
+
+    /// Checks whether robots can be assigned to these roles together.
+    pub(super) fn may_be_awarded(&self, roles: &BTreeSet<RoleId>) -> bool {
+        let open = self.open_roles();
+        match open.iter().any(|role| self.is_spread(role)) {
+            true => !roles.is_empty() && roles.is_subset(&open),
+            false => !roles.is_empty() && *roles == open,
+        }
+    }
+
+    /// Returns those of these roles that wait for another of them, which does not wait for them.
+    fn later_iterations(&self, roles: &BTreeSet<RoleId>) -> BTreeSet<RoleId> {
+        let waits = StepWaits::of(self);
+        let awaited: BTreeMap<&RoleId, BTreeSet<&RoleId>> =
+            roles.iter().map(|role| (role, waits.roles_before(role))).collect();
+        let is_later = |role: &&RoleId| {
+            let earlier = awaited[*role].iter().filter(|earlier| *earlier != role);
+            earlier.filter_map(|earlier| awaited.get(*earlier)).any(|before| !before.contains(*role))
+        };
+        roles.iter().filter(is_later).cloned().collect()
+    }
+}
+
+/// Steps of a mission that have not ended, and the steps that they wait for.
+struct StepWaits<'m> {
+    plans: BTreeMap<&'m RoleId, (&'m LocalPlan, &'m BTreeSet<StepIndex>)>,
+    /// Step that sends each signal.
+    sends: BTreeMap<&'m Signal, (&'m RoleId, StepIndex)>,
+}
+
+impl<'m> StepWaits<'m> {
+    fn of(entry: &'m MissionEntry) -> StepWaits<'m> {
+        let plans = entry.roles.iter().filter_map(|(id, role)| Some((id, (entry.plan(id)?, &role.ended))));
+        let plans: BTreeMap<_, _> = plans.collect();
+        let sends = plans.iter().flat_map(|(role, (plan, _))| {
+            (0..).zip(&plan.steps).filter_map(move |(index, step)| match &step.action {
+                StepAction::Send(signal) => Some((signal, (*role, index))),
+                StepAction::Task { .. } | StepAction::Wait(_) => None,
+            })
+        });
+        StepWaits { sends: sends.collect(), plans }
+    }
+
+    /// Returns the roles with steps that must end before the role ends.
+    fn roles_before(&self, role: &RoleId) -> BTreeSet<&'m RoleId> {
+        let own = self.plans.get_key_value(role).into_iter();
+        let own = own.flat_map(|(id, (plan, _))| (0..).zip(&plan.steps).map(move |(index, _)| (*id, index)));
+        let mut open: Vec<(&RoleId, StepIndex)> = own.collect();
+        let mut seen = BTreeSet::new();
+        while let Some((id, index)) = open.pop() {
+            let Some((plan, ended)) = self.plans.get(id) else { continue };
+            let Some(step) = plan.steps.get(index as usize).filter(|_| !ended.contains(&index)) else { continue };
+            if !seen.insert((id, index)) {
+                continue;
+            }
+            open.extend(step.after.iter().map(|before| (id, *before)));
+            if let StepAction::Wait(signal) = &step.action {
+                open.extend(self.sends.get(signal).copied());
+            }
+        }
+        seen.into_iter().map(|(id, _)| id).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::command::{Command, CommandOutcome};
+    use super::super::{Branch, Ledger, Submission};
+    use super::*;
+    use crate::auction::{AuctionId, AuctionRecord};
+    use crate::lease::Epoch;
+    use crate::mission::test_data::domain;
+    use crate::mission::{Format, MissionTemplate};
+    use crate::plan::divide_and_check;
+
+    /// Each escort takes a visitor to the clerk, who receives them in the order of the file.
+    const VISITS: &str = r#"
+mission: reception
+roles: { escort: { kind: managed }, clerk: { kind: unmanaged }, head: { kind: managed } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - task: rounds
+      for: number
+      in: [a, b, c]
+      spread: true
+      do:
+        task: visit
+        method: sequential
+        tasks:
+          - { task: go, type: wait, roles: [escort], parameters: { seconds: "5" } }
+          - { task: meet, type: wait, roles: [escort, clerk], parameters: { seconds: "5" } }
+    - { task: file, type: wait, roles: [clerk], parameters: { seconds: "5" } }
+    - { task: report, type: wait, roles: [head], parameters: { seconds: "5" } }
+"#;
+
+    struct Log(Ledger, u64);
+
+    impl Log {
+        fn of(text: &str) -> Log {
+            let mission = MissionTemplate::parse(text, Format::Yaml).unwrap();
+            let mission = mission.instantiate(&BTreeMap::new(), &domain()).unwrap();
+            let division = divide_and_check(&mission).unwrap();
+            let mut log = Log(Ledger::default(), 0);
+            log.apply(Command::Submit(Box::new(Submission::of("a".parse().unwrap(), mission, division))));
+            log
+        }
+
+        fn apply(&mut self, command: Command) -> CommandOutcome {
+            self.1 += 1;
+            self.0.apply(Epoch { term: 1, index: self.1 }, command)
+        }
+
+        fn entry(&self) -> &MissionEntry {
+            self.0.missions().next().unwrap()
+        }
+
+        fn to_auction(&self) -> Vec<String> {
+            self.entry().roles_to_auction().iter().map(ToString::to_string).collect()
+        }
+
+        fn award(&mut self, roles: &[&str]) {
+            let mission = self.entry().id.clone();
+            let holders = roles.iter().map(|role| (role.parse().unwrap(), format!("robot-{role}").replace('_', "-")));
+            let holders = holders.map(|(role, robot)| (role, robot.parse().unwrap())).collect();
+            let auction = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
+            let outcome = self.apply(Command::Award { mission, branch: Branch::Main, holders, auction });
+            assert!(matches!(outcome, CommandOutcome::Awarded { .. }), "{outcome:?}");
+        }
+
+        /// Ends a held role, or lets it be lost.
+        fn leave(&mut self, role: &str, ends: bool) {
+            let (entry, role): (_, RoleId) = (self.entry(), role.parse().unwrap());
+            let (mission, epoch) = (entry.id.clone(), entry.role_robots()[&role].epoch);
+            let steps = entry.plan(&role).unwrap().steps.len();
+            let (branch, outcomes, ended) = (Branch::Main, BTreeMap::new(), (0..steps as StepIndex).collect());
+            let (incarnation, from_checkpoint) = (1, false);
+            self.apply(Command::Accept {
+                mission: mission.clone(),
+                role: role.clone(),
+                epoch,
+                incarnation,
+                from_checkpoint,
+            });
+            let (cause, class, moved_nothing, place) = ("lost".to_owned(), None, false, None);
+            let outcome = self.apply(match ends {
+                true => Command::Progress { mission, role, epoch, branch, ended, outcomes },
+                false => Command::Release { mission, role, epoch, cause, class, moved_nothing, place },
+            });
+            assert_eq!(outcome, CommandOutcome::Done);
+        }
+    }
+
+    #[test]
+    fn iterations_are_auctioned_in_the_order_of_a_role_outside() {
+        let mut log = Log::of(VISITS);
+        assert_eq!(log.to_auction(), ["escort_1"]);
+        log.award(&["escort_1"]);
+        assert_eq!(log.to_auction(), ["escort_2"]);
+        log.award(&["escort_2"]);
+        assert_eq!(log.to_auction(), ["escort_3"]);
+        log.leave("escort_1", false);
+        assert_eq!(log.to_auction(), ["escort_1"], "the others wait for it");
+        log.award(&["escort_1"]);
+        log.leave("escort_1", true);
+        assert_eq!(log.to_auction(), ["escort_3"]);
+    }
+
+    #[test]
+    fn iterations_without_an_order_are_auctioned_together() {
+        let mut log = Log::of(&VISITS.replace("[escort, clerk]", "[escort]"));
+        assert_eq!(log.to_auction(), ["escort_1", "escort_2", "escort_3"]);
+        log.award(&["escort_2"]);
+        assert_eq!(log.to_auction(), ["escort_1", "escort_3"]);
+    }
+
+    /// The role after the loop waits for a person, who waits for the loop.
+    #[test]
+    fn a_role_that_waits_for_the_loop_by_way_of_a_person_is_auctioned_after_it() {
+        let mut log = Log::of(&VISITS.replace("[escort, clerk]", "[escort]"));
+        let head: RoleId = "head".parse().unwrap();
+        let escorts = ["escort_1", "escort_2", "escort_3"];
+        assert!(!log.entry().can_proceed(&head));
+        log.award(&escorts);
+        for escort in escorts {
+            assert!(!log.entry().can_proceed(&head), "{escort} has not ended");
+            log.leave(escort, true);
+        }
+        assert!(log.entry().can_proceed(&head), "the clerk waits for nobody");
+        assert_eq!(log.to_auction(), ["head"]);
+    }
+}
