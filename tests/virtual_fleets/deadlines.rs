@@ -101,6 +101,42 @@ fn a_mission_past_its_deadline_fails_with_its_progress() {
     });
 }
 
+/// A mission file has a bound on time. The earlier of it and the deadline of the request counts.
+#[test]
+fn a_mission_past_its_time_limit_fails_and_frees_its_robot() {
+    let rest = |seconds: u32, limit_s: u32| {
+        let parameters = json!({ "seconds": seconds.to_string() });
+        json!({ "mission": { "mission": "rest", "time_limit_s": limit_s, "roles": { "r1": { "kind": "managed" } },
+            "root": { "task": "rest", "type": "wait", "roles": ["r1"], "parameters": parameters } }, "parameters": {} })
+    };
+    let and = |mut request: Value, name: &str, value: Value| {
+        request[name] = value;
+        request
+    };
+    for_each_seed([663, 664], async |seed| {
+        let mut fleet =
+            Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "Dock").with_skill("wait")], &["aba"], &[]).await;
+        fleet.wait_for_coordinator().await;
+        let late = submit(&fleet, "a", "", rest(3_600, 5)).await;
+        let MissionState::Failed { cause } = fleet.wait_for_end(&late).await else {
+            panic!("seed {seed}: it ended in another state")
+        };
+        assert_eq!(cause, "its deadline passed after 0 of 1 steps", "seed {seed}");
+        let timely = submit(&fleet, "b", "", rest(1, 600)).await;
+        fleet.assert_completes(&timely).await;
+        for (name, request, more, after_ms) in [
+            ("c", rest(1, 600), "deadline_s", 30_000),
+            ("d", rest(1, 20), "deadline_s", 20_000),
+            ("e", rest(1, 20), "not_before", 50_000),
+        ] {
+            let mission = submit(&fleet, name, "", and(request, more, json!(30))).await;
+            let view = fleet.request_answered(ApiCall::Get, &json!({ "mission": mission })).await;
+            let at = |name: &str| view[name].as_u64().unwrap_or_else(|| panic!("seed {seed}: {name}: {view}"));
+            assert_eq!(at("deadline_at_ms") - at("submitted_at_ms"), after_ms, "seed {seed}: {more}");
+        }
+    });
+}
+
 #[test]
 fn a_wrong_clock_of_one_voter_fails_no_mission() {
     for (seed, wrong) in [(671, "aba"), (672, "abb"), (673, "abc")] {

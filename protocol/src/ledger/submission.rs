@@ -34,8 +34,9 @@ pub struct Submission {
     /// Time before which no robot gets a role and no person is asked: milliseconds since 1970, by the
     /// clocks of a majority of the voters.
     pub not_before_ms: Option<u64>,
-    /// Deadline: milliseconds since 1970 on the accepting coordinator's wall clock. Deadlines rely
-    /// on the wall clocks of coordinators; leases never do.
+    /// Deadline: the earlier of the request's and the end of the mission's bound on time, in milliseconds since
+    /// 1970 on the accepting coordinator's wall clock. Deadlines rely on the wall clocks of coordinators;
+    /// leases never do.
     pub deadline_ms: Option<u64>,
     /// Time of submission: milliseconds on the accepting coordinator's wall clock. For display; it
     /// affects no decision.

@@ -9,6 +9,7 @@ use super::model::Mission;
 use crate::ids::{RoleId, TaskId};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// Mission as a user gives it.
 #[derive(Debug, Clone)]
@@ -99,6 +100,14 @@ impl MissionDocument {
         match self {
             MissionDocument::Template(template) => template.parameters(),
             MissionDocument::Ihtn { .. } => &NO_PARAMETERS,
+        }
+    }
+
+    /// Returns the bound on the time of the mission. A flat iHTN has none.
+    pub fn time_limit(&self) -> Option<Duration> {
+        match self {
+            MissionDocument::Template(template) => template.time_limit(),
+            MissionDocument::Ihtn { .. } => None,
         }
     }
 

@@ -18,5 +18,7 @@ pub(crate) const CONDITIONS_MAX: usize = 16;
 pub(crate) const ENTRIES_MAX: usize = 32;
 /// Maximum length of a name or value of a parameter or of a reached state, in characters.
 pub(crate) const VALUE_CHARS_MAX: usize = 256;
+/// Maximum bound on the time of a mission, in seconds: ten years, as for the deadline of a request.
+pub(crate) const TIME_LIMIT_MAX_S: u32 = 10 * 365 * 24 * 3600;
 /// Maximum size of a mission file, in bytes. 500 tasks with long comments take a third of it.
 pub const FILE_BYTES_MAX: usize = 256 * 1024;

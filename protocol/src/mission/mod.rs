@@ -47,7 +47,7 @@ pub use file::{Format, MissionFileError, MissionTemplate, TemplateKind, Template
 pub use ihtn::{ActionUse, IhtnOptions, UndeclaredActions, import_ihtn, is_flat_ihtn, undeclared_actions};
 pub use ihtn_names::IhtnNames;
 pub use limits::FILE_BYTES_MAX;
-pub(crate) use limits::{ENSEMBLES_MAX, ROLES_MAX};
+pub(crate) use limits::{ENSEMBLES_MAX, ROLES_MAX, TIME_LIMIT_MAX_S};
 pub(crate) use lost_item::LostItem;
 pub use model::{
     AlternativeMethod, Escalation, Method, Mission, OnLoss, ResultReference, Role, RoleKind, TaskBody, TaskIndex,

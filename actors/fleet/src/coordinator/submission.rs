@@ -201,20 +201,23 @@ pub(super) fn prepare(
     };
     let priority = Priority::new(request_fields.priority)?;
     let not_before_ms = request_fields.not_before.as_ref().map(|start| start_ms(start, at_ms)).transpose()?;
-    let deadline_ms = match request_fields.deadline_s {
+    let requested_ms = match request_fields.deadline_s {
         None => None,
         Some(seconds) => {
             let time = time_until_deadline(seconds).map_err(|error| SubmitError::Deadline { seconds, error })?;
-            Some(at_ms.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
+            Some(later_ms(at_ms, time))
         }
     };
-    if let (Some(start_ms), Some(deadline_ms), Some(deadline_s)) =
-        (not_before_ms, deadline_ms, request_fields.deadline_s)
-        && deadline_ms <= start_ms
+    if let (Some(start_ms), Some(requested_ms), Some(deadline_s)) =
+        (not_before_ms, requested_ms, request_fields.deadline_s)
+        && requested_ms <= start_ms
     {
         let starts_s = Duration::from_millis(start_ms.saturating_sub(at_ms)).as_secs_f64();
         return Err(SubmitError::DeadlineBeforeStart { deadline_s, starts_s });
     }
+    let starts_ms = not_before_ms.unwrap_or_default().max(at_ms);
+    let limit_ms = document.time_limit().map(|limit| later_ms(starts_ms, limit));
+    let deadline_ms = [requested_ms, limit_ms].into_iter().flatten().min();
     let request = match request_fields.request {
         Some(request) => request,
         None => RequestId::new(default_id)?,
@@ -241,13 +244,17 @@ pub(super) fn prepare(
     Ok(submission)
 }
 
+fn later_ms(at_ms: u64, time: Duration) -> u64 {
+    at_ms.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX))
+}
+
 const NOT_BEFORE_ALLOWED: &str = "allowed is a date and time in the next ten years, as 2026-11-27T08:00:00+01:00, or a number \
      of seconds from now, 0 or more";
 
 /// Returns the earliest start in milliseconds since 1970, for a request at `at_ms`. A time that has passed
 /// is allowed: the mission may start at once.
 fn start_ms(start: &StartTime, at_ms: u64) -> Result<u64, SubmitError> {
-    let latest_ms = at_ms.saturating_add(u64::try_from(TIME_AHEAD_MAX.as_millis()).unwrap_or(u64::MAX));
+    let latest_ms = later_ms(at_ms, TIME_AHEAD_MAX);
     let (ms, given) = match start {
         StartTime::At(text) => (rfc3339_ms(text), format!("{text:?}")),
         StartTime::In(seconds) => {

@@ -1,6 +1,7 @@
 //! Parsed form of a mission file, before it is checked.
 
 use crate::ids::{EnsembleId, RoleId, TaskId, TaskType};
+use crate::mission::TIME_LIMIT_MAX_S;
 use crate::mission::domain::{NumberRange, ValueKind};
 use crate::mission::model::{ATTEMPTS_MAX, Escalation, OnLoss, PATIENCE_MAX_S, RoleKind, TaskOrder};
 use crate::units::EnergyLimit;
@@ -101,6 +102,12 @@ pub(super) struct MissionFile {
     /// would exceed the bound, the mission fails at once. Default: no bound.
     #[serde(default)]
     pub(super) energy_max: Option<EnergyLimit>,
+    /// Bound on its time, in seconds from the request, or from its earliest start. It has the effect of a
+    /// deadline: the mission fails, and its robots are free again. If the request has a deadline, too, the
+    /// earlier of the two counts. Default: no bound.
+    #[serde(default, deserialize_with = "time_limit")]
+    #[schemars(range(min = 1, max = TIME_LIMIT_MAX_S))]
+    pub(super) time_limit_s: Option<u32>,
     /// Tasks of the mission.
     pub(super) root: TaskFile,
     /// Branch executed instead if a robot is lost that has, or may have, an item. Its tasks have
@@ -334,6 +341,16 @@ where
         }
     }
     reader.deserialize_map(UniqueKeys(PhantomData))
+}
+
+/// Deserializes a bound on the time of a mission.
+fn time_limit<'de, D: Deserializer<'de>>(reader: D) -> Result<Option<u32>, D::Error> {
+    match Option::<u32>::deserialize(reader)? {
+        Some(seconds) if !(1..=TIME_LIMIT_MAX_S).contains(&seconds) => {
+            Err(D::Error::custom(format!("time_limit_s is {seconds}; allowed are 1 to {TIME_LIMIT_MAX_S} seconds")))
+        }
+        limit => Ok(limit),
+    }
 }
 
 /// Deserializes a number of attempts. The allowed range is checked later, together with the task.

@@ -36,6 +36,9 @@
 //! `energy_max: 0.4` is a bound on the energy of all its robots together, in full batteries. The estimates
 //! of the bids count, and those of earlier awards of the mission.
 //!
+//! `time_limit_s: 900` is a bound on its time, in seconds from the request or from its earliest start. The mission
+//! fails after it, as after the deadline of a request.
+//!
 //! A role may set `on_loss: restart`: if its holder is lost after other roles have acted on its
 //! work, and has no item, another robot restarts the role from its first step. Without it such a
 //! mission fails.
@@ -114,6 +117,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::iter;
 use std::path::Path;
+use std::time::Duration;
 
 /// Format of a mission file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -259,6 +263,11 @@ impl MissionTemplate {
         &self.file.parameters
     }
 
+    /// Returns the bound on the time of the mission.
+    pub fn time_limit(&self) -> Option<Duration> {
+        self.file.time_limit_s.map(|seconds| Duration::from_secs(seconds.into()))
+    }
+
     /// Creates the mission with the given parameters and checks it against the domain. The recovery
     /// branch is checked, too.
     ///
@@ -346,7 +355,7 @@ impl MissionTemplate {
 }
 
 /// Keys with numbers and truth values.
-const TYPED: [&str; 6] = ["attempts", "energy_max", "repeat", "spread", "patience_s", "after_s"];
+const TYPED: [&str; 7] = ["attempts", "energy_max", "time_limit_s", "repeat", "spread", "patience_s", "after_s"];
 
 /// Keys with maps whose keys and values are free texts.
 const TEXTS: [&str; 4] = ["parameters", "reaches", "acquires", "result"];

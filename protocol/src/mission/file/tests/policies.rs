@@ -110,6 +110,28 @@ fn a_bound_on_energy_is_a_number_above_0() {
 }
 
 #[test]
+fn a_bound_on_time_is_a_whole_number_of_seconds() {
+    let with = |bound: &str| {
+        let text = VISIT.replace("energy_max: 0.4", bound);
+        let template = MissionTemplate::parse(&text, Format::Yaml).map_err(|problem| problem.to_string())?;
+        let request = MissionTemplate::request(&text, Format::Yaml).unwrap().to_string();
+        let requested = MissionTemplate::parse(&request, Format::Json).unwrap();
+        assert_eq!(requested.time_limit(), template.time_limit(), "as a request");
+        Ok::<_, String>(template.time_limit().map(|limit| limit.as_secs()))
+    };
+    assert_eq!(with(""), Ok(None));
+    for seconds in [1, 900, 315_360_000] {
+        assert_eq!(with(&format!("time_limit_s: {seconds}")), Ok(Some(seconds)));
+    }
+    for bound in ["0", "-1", "1.5", "315360001", "long", "[60]"] {
+        let found = with(&format!("time_limit_s: {bound}"));
+        assert!(found.as_ref().is_err_and(|problem| problem.contains("time_limit_s")), "{bound}: {found:?}");
+    }
+    let zero = with("time_limit_s: 0").unwrap_err();
+    assert!(zero.contains("time_limit_s is 0; allowed are 1 to 315360000 seconds"), "{zero}");
+}
+
+#[test]
 fn problems_of_policies_are_reported_once_with_their_place() {
     for (from, to, expected) in [
         (
