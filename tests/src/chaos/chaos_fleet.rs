@@ -28,6 +28,9 @@ pub(crate) const ROOMS: [&str; 12] = [
 /// Rooms without a nurse. A mission that fetches a sample from one of them cannot be completed.
 pub(crate) const ROOMS_WITHOUT_NURSE: [&str; 2] = ["PC Room 4", "PC Room 8"];
 
+/// Role of a person who never answers.
+pub(super) const ABSENT: &str = "visitor";
+
 /// Missions of the clients: without and with a recovery branch for the loss of the sample.
 pub(crate) const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
 
@@ -97,11 +100,13 @@ impl ChaosFleet {
     }
 
     /// Returns the setups of its carriers, and the people. The carriers have the skills that the missions of the
-    /// workload need and the arm lacks, and there is a person on call for each role of people in these missions.
+    /// workload need and the arm lacks, and there is a person on call for each role of people in these missions, except
+    /// for the role that never answers.
     pub(crate) fn participants(&self, workload: &Workload) -> (Vec<RobotSpec>, Vec<PersonSetup>) {
         let place = |name: &str| CARRIERS.iter().find(|(known, _)| *known == name).map_or("Dock", |(_, place)| place);
         let missions = user_missions(workload).expect("the missions of a workload are checked");
-        let UserParticipants { skills, people } = UserParticipants::of(&missions);
+        let UserParticipants { skills, mut people } = UserParticipants::of(&missions);
+        people.retain(|person| person.role.as_str() != ABSENT);
         let carrier = |name: &&str| {
             let carrier = RobotSpec::carrier(name, place(name)).with_skill("wait").with_charge(1.0);
             let known: BTreeSet<String> = carrier.skills.iter().cloned().collect();

@@ -1,10 +1,7 @@
 //! Missions with conditions, repetitions and loops, which some runs request in place of lab samples.
 
 use super::fault_kind::FaultKind;
-use super::schedule::{ChaosAction, Schedule, ScheduledAction, WAITING};
-use consort_protocol::api::SubmitRequest;
-use consort_protocol::mission::{Format, IhtnFields, MissionDocument};
-use consort_skills::workload::{UserMission, Workload};
+use super::schedule::{ChaosAction, ScheduledAction, WAITING};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 /// The missions.
 pub(super) const CONTROL_FLOW_MISSIONS: [&str; 2] = ["measured-visit", "shared-rounds"];
 
-const FILES: [&str; CONTROL_FLOW_MISSIONS.len()] =
+pub(super) const CONTROL_FLOW_FILES: [&str; CONTROL_FLOW_MISSIONS.len()] =
     [include_str!("missions/measured-visit.yaml"), include_str!("missions/shared-rounds.yaml")];
 
 /// First seed with such missions. The seeds of mutation checks and of the scoreboard are smaller: their
@@ -40,29 +37,14 @@ pub(super) fn replace_missions(seed: u64, kinds: &[FaultKind], steps: &mut [Sche
     }
 }
 
-/// Returns the workload with those of these missions that the schedule requests.
-pub(super) fn workload_with(workload: &Workload, schedule: &Schedule) -> Workload {
-    let is_requested = |name: &str| {
-        let mut actions = schedule.steps.iter().map(|step| &step.action);
-        actions.any(|action| matches!(action, ChaosAction::Submit { mission, .. } if mission == name))
-    };
-    let requested = CONTROL_FLOW_MISSIONS.into_iter().zip(FILES).filter(|(name, _)| is_requested(name));
-    workload.clone().with(requested.map(|(_, text)| read(text)))
-}
-
-fn read(text: &str) -> UserMission {
-    let request = MissionDocument::request(text, Format::Yaml, IhtnFields::default());
-    let source = request.map(|file| serde_json::from_value(file).expect("a mission file is an object"));
-    let document = MissionDocument::parse(text, Format::Yaml, IhtnFields::default());
-    let valid = "the missions of chaos are tested";
-    UserMission { document: document.expect(valid), request: SubmitRequest::of(source.expect(valid)) }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::chaos_fleet::{ChaosFleet, user_missions};
     use super::super::generate::generate;
+    use super::super::requested_missions::workload_with;
+    use super::super::schedule::Schedule;
     use super::*;
+    use consort_skills::workload::Workload;
 
     fn requested(schedule: &Schedule) -> Vec<&str> {
         let of = |step: &'_ ScheduledAction| match &step.action {

@@ -6,12 +6,12 @@
 //! ```
 
 use super::chaos_fleet::{ChaosFleet, DATE_MS};
-use super::control_flow::workload_with;
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::LIFTED;
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
+use super::requested_missions::workload_with;
 use super::run_counters::{RunCounters, millis};
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
 use crate::credentials::Signatures;

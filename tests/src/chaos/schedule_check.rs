@@ -1,7 +1,8 @@
 //! Check of a schedule against its fleet.
 
-use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
+use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE};
 use super::control_flow::CONTROL_FLOW_MISSIONS;
+use super::poison::POISON_MISSIONS;
 use super::schedule::{CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
 use consort_skills::workload::Workload;
 
@@ -23,8 +24,9 @@ impl Schedule {
         for step in &self.steps {
             match &step.action {
                 ChaosAction::Submit { room, mission, .. } => {
-                    check_known(step, room, &ROOMS, &[])?;
-                    let own: Vec<&str> = CONTROL_FLOW_MISSIONS.into_iter().chain(workload.own_missions()).collect();
+                    check_known(step, room, &ROOMS, &ROOMS_WITHOUT_NURSE)?;
+                    let own = CONTROL_FLOW_MISSIONS.into_iter().chain(POISON_MISSIONS);
+                    let own: Vec<&str> = own.chain(workload.own_missions()).collect();
                     check_known(step, mission, &MISSIONS, &own)?;
                 }
                 ChaosAction::Cancel { .. }
