@@ -88,7 +88,7 @@ pub enum EventKind {
         schedule: ScheduleId,
         /// The change.
         change: ScheduleChange,
-        /// The responsible person; in a closed fleet with the signer.
+        /// The person; in a closed fleet the signer.
         by: String,
     },
     /// An occurrence of a schedule was submitted.

@@ -117,7 +117,7 @@ fn a_mission_past_its_time_limit_fails_and_frees_its_robot() {
         let mut fleet =
             Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "Dock").with_skill("wait")], &["aba"], &[]).await;
         fleet.wait_for_coordinator().await;
-        let late = submit(&fleet, "a", "", rest(3_600, 5)).await;
+        let late = submit(&fleet, "a", "", rest(120, 5)).await;
         let MissionState::Failed { cause } = fleet.wait_for_end(&late).await else {
             panic!("seed {seed}: it ended in another state")
         };

@@ -56,7 +56,7 @@ fn a_demo_that_keeps_running_ends_cleanly_at_sigterm() {
     let stdout = demo.stdout();
     let address = stdout.split_once("--connect ").and_then(|(_, rest)| rest.split('"').next()).expect("an address");
     let submitted = run("submit", &["submit", mission, "--fleet", "demo", "--connect", address, "--wait"]);
-    assert!(submitted.contains("serve-meal-1 completed"), "{submitted}");
+    assert!(submitted.contains("serve-meal-2 completed"), "{submitted}");
     demo.signal("TERM");
     demo.end(LONG).expect(0);
     folder.await_no_process();

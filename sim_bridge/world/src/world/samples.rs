@@ -7,7 +7,6 @@ use super::components::{PersonInfo, SampleLabel, SimRobot};
 use super::event::{SampleHolder, WorldEvent};
 use super::location::RobotLocation;
 use super::names::SampleId;
-use super::preconditions::action_error;
 use super::sim_state::SimState;
 use crate::map::PlaceIndex;
 use consort_protocol::ids::PlaceId;
@@ -137,7 +136,7 @@ impl SimState {
             SampleHolder::Arm(robot) => (ErrorCode::ContainerState, format!("in the arm of {robot}")),
             SampleHolder::Person(person) => (ErrorCode::OutOfReach, format!("in the hands of {person}")),
         };
-        Err(action_error(code, format!("no {wanted} is {there}; objects there: {objects_there}")))
+        Err(ActionError::rejected(code, format!("no {wanted} is {there}; objects there: {objects_there}")))
     }
 
     /// Returns the first of these samples that lies on a table.
