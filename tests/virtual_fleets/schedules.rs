@@ -1,6 +1,8 @@
 //! Schedules: missions that are submitted at certain times.
 
 use crate::support::with_wrong_clock;
+use consort_bus::clock::Clock;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::event::{EventKind, ScheduleChange};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -164,6 +166,37 @@ fn a_closed_fleet_publishes_the_signer_of_a_change() {
         assert_eq!(changes.len(), 2, "{changes:?}");
         assert!(changes.iter().all(|(_, by)| by.starts_with("Nia, according to ")), "{changes:?}");
     });
+}
+
+/// All nodes but the world are down while two occurrences are due.
+#[test]
+fn occurrences_of_an_outage_are_skipped_or_submitted_late() {
+    for (missed, submitted_late) in [("skip", &[][..]), ("last", &[6]), ("all", &[3, 6])] {
+        for_each_seed([SEEDS[0]], async |seed| {
+            // The clock of a node that restarts goes on.
+            let clock = Clock::virtual_at(0);
+            let adjust = move |settings: &mut NodeSettings| settings.clock = clock;
+            let robots = vec![RobotSpec::carrier("amber", "Dock").with_skill("wait")];
+            let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aba", "bab"], &[], Box::new(adjust)).await;
+            fleet.wait_for_coordinator().await;
+            let mut schedule = every_minute(missed);
+            schedule["cron"] = json!("*/3 * * * *");
+            request(&fleet, &schedule).await;
+            wait_for_missions(&mut fleet, 1).await;
+            let first = minutes(&fleet)[0];
+            for node in ["amber", "aba", "bab"] {
+                fleet.kill(node).await;
+            }
+            tokio::time::sleep(8 * MINUTE).await; // virtual time
+            for node in ["amber", "aba", "bab"] {
+                fleet.restart(node).await;
+            }
+            let expected = [&[0][..], submitted_late, &[9]].concat().into_iter().map(|after| first + after);
+            let expected: Vec<u64> = expected.collect();
+            fleet.wait_until("the next occurrence", 4 * MINUTE, |fleet| minutes(fleet).last() == expected.last()).await;
+            assert_eq!(minutes(&fleet), expected, "seed {seed}: {missed}");
+        });
+    }
 }
 
 /// The clock of one voter is a day ahead.
