@@ -1,6 +1,6 @@
 //! Outgoing messages of an actor that must not wait for the bus. A task of their own sends them, in order.
 
-use crate::bus::{BusError, Delivery, Encoding, Query, SharedBus};
+use crate::bus::{BusError, Delivery, Encoding, Query, Replier, SharedBus};
 use bytes::Bytes;
 use tokio::sync::mpsc;
 use tracing::debug;
@@ -10,7 +10,7 @@ pub struct Outbox(mpsc::Sender<Outgoing>);
 
 enum Outgoing {
     Publish(String, Bytes),
-    Reply(Query, String, Bytes),
+    Reply(Box<dyn Replier>, String, Bytes),
 }
 
 impl Outbox {
@@ -32,7 +32,7 @@ impl Outbox {
 
     /// Replies to a query with a wire message on `key`. Returns false if it was dropped.
     pub fn reply(&self, query: Query, key: String, payload: Bytes) -> bool {
-        self.0.try_send(Outgoing::Reply(query, key, payload)).is_ok()
+        self.0.try_send(Outgoing::Reply(query.replier, key, payload)).is_ok()
     }
 }
 
@@ -40,7 +40,7 @@ async fn send(bus: SharedBus, mut outgoing: mpsc::Receiver<Outgoing>, on_failure
     while let Some(message) = outgoing.recv().await {
         let sent: Result<(), BusError> = match message {
             Outgoing::Publish(key, payload) => bus.publish(&key, payload, Encoding::Wire, Delivery::Drop).await,
-            Outgoing::Reply(query, key, payload) => query.replier.reply(&key, payload, Encoding::Wire).await,
+            Outgoing::Reply(replier, key, payload) => replier.reply(&key, payload, Encoding::Wire).await,
         };
         if let Err(problem) = sent {
             debug!(%problem, "failed to send a message");
