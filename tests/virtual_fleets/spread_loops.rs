@@ -129,8 +129,8 @@ fn a_single_robot_visits_rooms_in_the_order_of_a_role_outside_the_loop() {
         for rooms in [["PC Room 1", "IC Room 6"], ["IC Room 6", "PC Room 1"]] {
             let mut fleet = fleet(seed, &["amber", "birch"], &["aba"]).await;
             let mut request = visit_rooms("a", &rooms);
-            let look = "/mission/root/tasks/0/do/tasks/1/roles";
-            *request.pointer_mut(look).expect("a task") = json!(["visitor", "head"]);
+            let rounds = &mut request["mission"]["root"]["tasks"][0];
+            rounds["do"]["tasks"][1]["roles"] = json!(["visitor", "head"]);
             let answer = fleet.request_answered(ApiCall::Submit, &request).await;
             let mission: MissionId = slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")));
             fleet.assert_completes(&mission).await;

@@ -28,10 +28,6 @@ const ROBOTS: usize = 12;
 const MISSIONS: usize = 100;
 const POISON: usize = 10;
 
-/// Missions in whose place a mission that no robot can do may occupy the robots, which are busy all the time: its
-/// task is tried twice.
-const POISON_COST: usize = 2;
-
 /// World seconds per second of random missions. The batteries last until the end.
 const SPEED: f64 = 1.0;
 
@@ -167,7 +163,7 @@ fn run_to_end(seed: u64, speed: f64, submissions: Vec<Submission>) -> BTreeMap<S
     runtime.block_on(run(seed, speed, submissions))
 }
 
-/// All of them share one arm.
+/// The missions share one arm.
 #[test]
 fn sixty_lab_samples_over_five_minutes_are_completed() {
     let seed = 1;
@@ -177,24 +173,25 @@ fn sixty_lab_samples_over_five_minutes_are_completed() {
     assert_eq!(completed(seed, SAMPLES, &states), SAMPLES, "seed {seed}: {states:#?}");
 }
 
-/// Runs two demos at once, with and without missions that no robot can do among the others.
+/// Runs two demos at once, with and without missions that no robot can do among the others. A single pair differs by
+/// a few missions either way, because each change of a time changes all later assignments.
 #[test]
 fn missions_that_no_robot_can_do_cost_the_others_nothing() {
-    let seed = 1;
-    let mut chance = ChaCha8Rng::seed_from_u64(seed);
-    let mix = mix(|_| true, (MISSIONS, SUBMITTED_S), &places(), &mut chance);
-    let poisoned: Vec<Submission> = mix.iter().cloned().chain(poison(&mut chance)).collect();
-    let [alone, among] =
-        [mix, poisoned].map(|submissions| std::thread::spawn(move || run_to_end(seed, SPEED, submissions)));
-    let (alone, among) = (alone.join().unwrap(), among.join().unwrap());
-    let unexpected = among
-        .iter()
-        .filter(|(request, state)| request.starts_with("poison-") && !matches!(state, MissionState::Failed { .. }));
-    assert_eq!(unexpected.collect::<Vec<_>>(), [], "seed {seed}");
-    let (alone, among) = (completed(seed, MISSIONS, &alone), completed(seed, MISSIONS, &among));
-    assert!(alone >= 30, "seed {seed}: {alone} missions were completed");
-    assert!(
-        among * (MISSIONS + POISON_COST * POISON) >= alone * MISSIONS,
-        "seed {seed}: {alone} missions were completed, and {among} beside the others"
-    );
+    let pairs = [1, 2].map(|seed| {
+        let mut chance = ChaCha8Rng::seed_from_u64(seed);
+        let mix = mix(|_| true, (MISSIONS, SUBMITTED_S), &places(), &mut chance);
+        let poisoned: Vec<Submission> = mix.iter().cloned().chain(poison(&mut chance)).collect();
+        let [alone, among] =
+            [mix, poisoned].map(|submissions| std::thread::spawn(move || run_to_end(seed, SPEED, submissions)));
+        let (alone, among) = (alone.join().unwrap(), among.join().unwrap());
+        let unexpected = among
+            .iter()
+            .filter(|(request, state)| request.starts_with("poison-") && !matches!(state, MissionState::Failed { .. }));
+        assert_eq!(unexpected.collect::<Vec<_>>(), [], "seed {seed}");
+        let (alone, among) = (completed(seed, MISSIONS, &alone), completed(seed, MISSIONS, &among));
+        assert!(alone >= 30, "seed {seed}: {alone} missions were completed");
+        (alone, among)
+    });
+    let (alone, among) = pairs.iter().fold((0, 0), |(alone, among), pair| (alone + pair.0, among + pair.1));
+    assert!(among * 10 >= alone * 9, "completed alone and beside the others: {pairs:?}");
 }
