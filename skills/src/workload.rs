@@ -1,7 +1,7 @@
 //! Missions of a user for fault injection and evaluations, with the domains that they need.
 
 use crate::extensions::Extensions;
-use crate::missions::shipped;
+use crate::missions::{NamedMissions, shipped};
 use consort_protocol::api::{MissionSource, SubmitRequest};
 use consort_protocol::mission::{Domain, IhtnFields, Mission, MissionDocument, MissionErrors, TemplateKind};
 use std::collections::BTreeMap;
@@ -49,7 +49,7 @@ impl Workload {
     /// Returns a mission of the user, or else a shipped mission.
     pub fn mission(&self, name: &str) -> Option<MissionDocument> {
         let own = self.missions.get(name).map(|mission| mission.document.clone());
-        own.or_else(|| MissionDocument::of_template(shipped().get(name)?.clone(), &IhtnFields::default()).ok())
+        own.or_else(|| NamedMissions::default().document(name, &IhtnFields::default()).ok())
     }
 
     /// Returns the names of all missions.
@@ -60,7 +60,7 @@ impl Workload {
     /// Returns the request for a mission of the user, or else for a shipped mission, with these parameters.
     pub fn request(&self, name: &str, parameters: BTreeMap<String, String>) -> SubmitRequest {
         let own = self.missions.get(name).map(|mission| mission.request.clone());
-        let request = own.unwrap_or_else(|| SubmitRequest::of(MissionSource::Shipped(name.to_owned())));
+        let request = own.unwrap_or_else(|| SubmitRequest::of(MissionSource::Named(name.to_owned())));
         SubmitRequest { parameters, ..request }
     }
 

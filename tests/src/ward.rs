@@ -28,6 +28,7 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
     FleetSettings {
         fleet: slug("ward"),
         domain: Arc::new(hospital().with_ensembles(ensembles.names().cloned())),
+        missions: Arc::default(),
         ensembles: Arc::new(ensembles),
         limits: BidLimits::default(),
         promises_max: PROMISES_MAX,

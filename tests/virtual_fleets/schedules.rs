@@ -225,7 +225,11 @@ fn wrong_schedules_are_rejected_with_the_reason() {
             ("zone", json!("Europe/Atlantis"), "zone is \"Europe/Atlantis\"; allowed are UTC and"),
             ("until", json!("soon"), "until is \"soon\"; allowed is a date and time in RFC 3339"),
             ("missed", json!("some"), "expected one of `skip`, `last`, `all`"),
-            ("submit", json!({ "mission": "no-such" }), "no mission \"no-such\" is shipped"),
+            (
+                "submit",
+                json!({ "mission": "no-such" }),
+                "the fleet has no mission \"no-such\"; allowed: bed-transfer, ",
+            ),
             ("submit", json!({ "mission": "vital-signs", "request": "a" }), "`request` of `submit` is not allowed"),
             ("submit", Value::Null, "`submit` is missing"),
             ("cron", Value::Null, "`cron` is missing"),

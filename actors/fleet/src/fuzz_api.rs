@@ -12,6 +12,7 @@ use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
 use consort_protocol::mission::MissionDocument;
 use consort_raft::{StateMachine, fuzz_api};
+use consort_skills::missions::NamedMissions;
 use std::io;
 
 /// Decodes a Raft request and encodes it again.
@@ -63,7 +64,7 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
     match call {
         ApiCall::Submit => {
             let request: SubmitRequest = parse_request(call, payload)?;
-            return Ok::<_, SubmitError>(ApiRequest::Submit(Box::new(document(&request)?)));
+            return Ok::<_, SubmitError>(ApiRequest::Submit(Box::new(document(&request, &NamedMissions::default())?)));
         }
         ApiCall::Cancel | ApiCall::Resolve => drop(parse_request::<MissionChangeRequest>(call, payload)?),
         ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),

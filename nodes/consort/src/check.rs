@@ -2,13 +2,10 @@
 
 use crate::config::{self, FleetConfig, NodeFile, RobotConfig, StationConfig, WorldConfig, load_unchecked};
 use crate::diagnostic::{Diagnostic, Diagnostics};
-use crate::{domains, inputs, map_loader, wiring};
+use crate::{domains, inputs, map_loader, mission_files, wiring};
 use consort_map_import::MapFormat;
 use consort_protocol::ids::RoleId;
-use consort_protocol::mission::{
-    Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn, is_flat_ihtn,
-};
-use consort_protocol::plan::divide_and_check;
+use consort_protocol::mission::{Domain, Format, IhtnOptions, MissionDocument, MissionTemplate, is_flat_ihtn};
 use consort_skills::bt::xml::read_xml;
 use consort_skills::bt::{NodeOrigin, TreeError, report_nodes};
 use consort_skills::descriptor::Calibration;
@@ -19,7 +16,6 @@ use consort_skills::extensions::Extensions;
 use consort_text::count;
 use consort_world::world::{SetupErrors, check_simulated_actions};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
@@ -130,6 +126,7 @@ fn check_kind(
         }
         FileKind::Robot => {
             let (robot, fleet, extensions): (RobotConfig, _, _) = node_file(path, extensions)?;
+            wiring::fleet_settings(&fleet, extensions)?;
             let equipment = wiring::fleet_skill_resources(&fleet, extensions)?;
             wiring::worker(&robot, &equipment.places)?;
             Ok(robot.name.to_string())
@@ -141,6 +138,7 @@ fn check_kind(
         }
         FileKind::World => {
             let (world, fleet, extensions): (WorldConfig, _, _) = node_file(path, extensions)?;
+            wiring::fleet_settings(&fleet, extensions)?;
             wiring::build_world(&world, &fleet, extensions)?;
             let robots = count(world.robot.len(), "robot", "robots");
             Ok(format!("{robots}, {}", count(world.person.len(), "person", "people")))
@@ -224,41 +222,21 @@ fn tree(text: &str, file: &str, extensions: Extensions) -> Result<String, Diagno
     Ok(format!("{}, {}", spec.main, count(nodes.len(), "node", "nodes")))
 }
 
-/// Checks a mission with its defaults. A parameter without a default gets a value of its kind.
+/// Checks a mission file.
 fn mission(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnostics> {
     let file = &*path.display().to_string();
     let template = MissionTemplate::parse(text, Format::of(Some(path), text))
         .map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
-    let open = template.parameters().iter().filter(|(_, parameter)| parameter.default.is_none());
-    let sample = |kind: TemplateKind| match kind {
-        TemplateKind::Place | TemplateKind::Places => "Some Place",
-        TemplateKind::Seconds | TemplateKind::Number => "1",
-        TemplateKind::Text | TemplateKind::Texts => "some text",
-    };
-    let given: BTreeMap<String, String> =
-        open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();
-    let (mission, recovery) = template
-        .instantiate_with_recovery(&given, domain)
-        .map_err(|errors| inputs::mission_diagnostics(file, &errors))?;
-    let recovery = recovery.map(|recovery| size(&recovery, file)).transpose()?;
-    let of_recovery = recovery.map(|size| format!(", recovery with {size}"));
-    Ok(format!("{}, {}{}", template.name(), size(&mission, file)?, of_recovery.unwrap_or_default()))
+    let document = MissionDocument::Template(Box::new(template));
+    let description = mission_files::describe(&document, file, domain)?;
+    Ok(format!("{}, {description}", document.name()))
 }
 
 /// Checks a flat iHTN with these people and those of the domain.
 fn ihtn(text: &str, path: &Path, people: &[RoleId], domain: &Domain) -> Result<String, Diagnostics> {
-    let file = &*path.display().to_string();
     let options = IhtnOptions { name: inputs::ihtn_name(path), people: people.iter().cloned().collect() };
-    let mission = import_ihtn(text, &options, domain).map_err(|errors| inputs::mission_diagnostics(file, &errors))?;
-    size(&mission, file)
-}
-
-/// Describes the size of a mission, after checking that it can be carried out.
-fn size(mission: &Mission, file: &str) -> Result<String, Diagnostics> {
-    let division = divide_and_check(mission).map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
-    let steps = division.plans.values().map(|plan| plan.steps.len()).sum();
-    let roles = count(mission.roles.len(), "role", "roles");
-    Ok(format!("{roles}, {}", count::<usize>(steps, "step", "steps")))
+    let document = MissionDocument::Ihtn { text: text.to_owned(), options };
+    mission_files::describe(&document, &path.display().to_string(), domain)
 }
 
 /// Detects the kind of a text.
@@ -331,6 +309,9 @@ fn detect_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
                 "dead_after_ms",
                 "link_lease_ms",
                 "stall_after_s",
+                "domains",
+                "missions",
+                "dashboards",
                 "limits",
                 "requests",
                 "lease",

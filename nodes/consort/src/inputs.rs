@@ -9,7 +9,7 @@ use consort_protocol::mission::{Format, IhtnFields, MissionDocument, MissionErro
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::ESTIMATOR_VERSION;
-use consort_skills::missions::shipped;
+use consort_skills::missions::NamedMissions;
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -25,38 +25,57 @@ pub fn read_text(path: &Path) -> Result<String, Diagnostics> {
     file::read_text(path, BYTES_MAX).map_err(|problem| Diagnostic::for_file(path.display(), problem).into())
 }
 
-/// Loads a bundled mission by name, or else from a file. `people` are agents of a flat iHTN.
+/// Loads a mission by name, or else from a file. `people` are agents of a flat iHTN.
 ///
 /// # Errors
-/// [`Diagnostics`] of the file; if it does not exist, with the bundled missions.
-pub fn mission(name: &str, people: &[RoleId]) -> Result<MissionDocument, Diagnostics> {
-    let fields = ihtn_fields(people);
-    if let Some(template) = shipped().get(name) {
-        return MissionDocument::of_template(template.clone(), &fields).map_err(|error| in_mission(name, error));
+/// [`Diagnostics`] of the file; if it does not exist, with the names of `missions`.
+pub fn mission(word: &str, people: &[RoleId], missions: &NamedMissions) -> Result<MissionDocument, Diagnostics> {
+    if missions.contains(word) {
+        return missions.document(word, &ihtn_fields(people)).map_err(|error| Diagnostic::for_file(word, error).into());
     }
-    let text = mission_text(name)?;
-    let document = MissionDocument::parse(&text, Format::of(Some(Path::new(name)), &text), fields)
-        .map_err(|error| in_mission(name, error))?;
-    Ok(document.named(ihtn_name(Path::new(name))))
+    mission_file(existing_file(word, missions)?, people)
 }
 
-/// Returns a request to the coordinator for a mission: the name of a bundled mission, or a whole
-/// file as JSON, with the people of a flat iHTN.
+/// Loads a mission from a file. A flat iHTN gets the name of its file; `people` are agents of it.
+///
+/// # Errors
+/// [`Diagnostics`] of the file.
+pub(crate) fn mission_file(path: &Path, people: &[RoleId]) -> Result<MissionDocument, Diagnostics> {
+    let text = read_text(path)?;
+    let document = MissionDocument::parse(&text, Format::of(Some(path), &text), ihtn_fields(people))
+        .map_err(|error| in_mission(&path.display().to_string(), error))?;
+    Ok(document.named(ihtn_name(path)))
+}
+
+/// Returns a request to the coordinator for a mission: its name, or a whole file as JSON, with the people of a flat
+/// iHTN. A word that is no file is the name of a mission of the fleet, which only its nodes know.
 ///
 /// # Errors
 /// See [`mission`].
-pub fn mission_request(name: &str, people: &[RoleId]) -> Result<SubmitRequest, Diagnostics> {
-    if shipped().contains_key(name) {
-        mission(name, people)?;
-        return Ok(SubmitRequest::of(MissionSource::Shipped(name.to_owned())));
+pub fn mission_request(word: &str, people: &[RoleId]) -> Result<SubmitRequest, Diagnostics> {
+    let (shipped, fields) = (NamedMissions::default(), ihtn_fields(people));
+    let is_shipped = shipped.contains(word);
+    if is_shipped {
+        mission(word, people, &shipped)?;
     }
-    let text = mission_text(name)?;
-    let (path, fields) = (Path::new(name), ihtn_fields(people));
+    if is_shipped || is_name_of_fleet(word) {
+        return Ok(SubmitRequest { people: fields.people, ..SubmitRequest::of(MissionSource::Named(word.to_owned())) });
+    }
+    let path = existing_file(word, &shipped)?;
+    let text = read_text(path)?;
     let file = MissionDocument::request(&text, Format::of(Some(path), &text), fields.clone())
-        .map_err(|error| in_mission(name, error))?;
+        .map_err(|error| in_mission(word, error))?;
     let own_name = is_flat_ihtn(&file).then(|| ihtn_name(path));
-    let source = serde_json::from_value(file).map_err(|error| Diagnostic::for_file(name, error))?;
+    let source = serde_json::from_value(file).map_err(|error| Diagnostic::for_file(word, error))?;
     Ok(SubmitRequest { name: own_name, people: fields.people, ..SubmitRequest::of(source) })
+}
+
+/// Checks whether a word that names no shipped mission can only name a mission of the fleet: there is no such file,
+/// and the word has no extension of mission files.
+fn is_name_of_fleet(word: &str) -> bool {
+    let path = Path::new(word);
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    TaskId::new(word).is_ok() && !matches!(extension, Some("json" | "yaml" | "yml")) && !path.exists()
 }
 
 fn ihtn_fields(people: &[RoleId]) -> IhtnFields {
@@ -82,14 +101,15 @@ pub(crate) fn mission_diagnostics(file: &str, errors: &MissionErrors) -> Diagnos
     Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
 }
 
-fn mission_text(name: &str) -> Result<String, Diagnostics> {
-    let path = Path::new(name);
-    if !path.exists() {
-        let known = shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-        let what = format!("there is no such file, and no bundled mission of this name; bundled missions: {known}");
-        return Err(Diagnostic::for_file(name, what).into());
+/// Returns the path of a mission file.
+fn existing_file<'a>(word: &'a str, missions: &NamedMissions) -> Result<&'a Path, Diagnostics> {
+    let path = Path::new(word);
+    if path.exists() {
+        return Ok(path);
     }
-    read_text(path)
+    let known = missions.offered().map(|offered| offered.mission.as_str()).collect::<Vec<_>>().join(", ");
+    let what = format!("there is no such file, and no mission of this name; missions: {known}");
+    Err(Diagnostic::for_file(word, what).into())
 }
 
 /// Parses TOML, JSON or YAML, detected by the file's extension, or by the first character.

@@ -21,6 +21,7 @@ pub mod inputs;
 mod lab_program;
 pub mod map_loader;
 pub(crate) mod metrics;
+mod mission_files;
 pub mod node_runtime;
 pub mod output;
 pub(crate) mod rendering;

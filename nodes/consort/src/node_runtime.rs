@@ -16,7 +16,7 @@ use consort_bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus, suspended};
 use consort_dashboard::address::BoundAddress;
 use consort_dashboard::admission::Admission;
 use consort_dashboard::fleet_model::FloorPlan;
-use consort_dashboard::server::Dashboard;
+use consort_dashboard::server::{Dashboard, FleetContents};
 use consort_fleet::autopilot::DecommissionReport;
 use consort_fleet::node::{NodeEnded, NodeHandle, NodeSettings};
 use consort_fleet::observe::SharedObserver;
@@ -138,21 +138,14 @@ async fn run_until_end(
     let bus = metrics.metered(Arc::new(zenoh.clone()));
     let signing = trust.signing_bus(Arc::clone(&bus), &mut settings).await?;
     let bus = signing.clone().map_or(bus, |signing| -> SharedBus { signing });
-    let on_page = Arc::clone(&bus);
+    let (on_page, missions) = (Arc::clone(&bus), Arc::clone(&settings.fleet.missions));
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
     let _dashboard = match page {
         Some((address, plan)) => {
-            let dashboard = Dashboard::open(
-                address,
-                admission.clone(),
-                on_page,
-                &fleet.name,
-                name.as_str(),
-                plan,
-                fleet.dashboards.clone(),
-            );
+            let contents = FleetContents { plan, dashboards: fleet.dashboards.clone(), missions };
+            let dashboard = Dashboard::open(address, admission.clone(), on_page, &fleet.name, name.as_str(), contents);
             output::line(format_args!("dashboard: {}", dashboard.url()))?;
             Some(dashboard)
         }

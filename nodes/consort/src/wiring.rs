@@ -5,6 +5,7 @@ use crate::config::{self, BusConfig, FleetConfig, RobotConfig, StationConfig, Wo
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
 use crate::map_loader;
+use crate::mission_files;
 use consort_bus::ZenohSettings;
 use consort_bus::clock::Clock;
 use consort_bus::zenoh_bus::LinkTrust;
@@ -115,20 +116,22 @@ pub(crate) struct SkillResources {
 }
 
 /// Builds the settings common to all nodes of the fleet. Reads the fleet's map, since the
-/// coordinator accepts missions to its places only.
+/// coordinator accepts missions to its places only, and the fleet's missions.
 ///
 /// # Errors
-/// [`Diagnostics`] of the ensembles, or of the map.
+/// [`Diagnostics`] of the ensembles, of the map, or of the missions.
 pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
     let places = map_loader::load(&config.map)?.topology.places;
     let domain = extensions.domain();
     let ensembles =
         Ensembles::compile(config.ensembles(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
     let domain = domain.with_places(places.into_keys()).with_ensembles(ensembles.names().cloned());
+    let missions = mission_files::of_fleet(&config.missions, &domain)?;
     Ok(FleetSettings {
         fleet: config.name.clone(),
         ensembles: Arc::new(ensembles),
         domain: Arc::new(domain),
+        missions: Arc::new(missions),
         limits: limits(config),
         promises_max: config.auction.promises,
         request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },

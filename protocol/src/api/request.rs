@@ -14,7 +14,8 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SubmitRequest {
-    /// The name of a shipped mission; or a whole mission file, or a mission in the flat iHTN form, as an object.
+    /// The name of a mission, shipped or of the fleet file; or a whole mission file, or a mission in the flat iHTN
+    /// form, as an object.
     pub mission: MissionSource,
     /// For a mission in the flat iHTN form: the agents that are people, in addition to those of the domain.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
@@ -97,8 +98,8 @@ impl JsonSchema for StartTime {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum MissionSource {
-    /// Name of a shipped mission.
-    Shipped(String),
+    /// Name of a mission, shipped or of the fleet file.
+    Named(String),
     /// A whole mission file, or a flat iHTN.
     File(Map<String, Value>),
 }

@@ -34,6 +34,16 @@ pub struct IhtnFields {
     pub people: BTreeSet<RoleId>,
 }
 
+impl IhtnFields {
+    /// Returns the name of the first field that is given.
+    pub fn first_given(&self) -> Option<&'static str> {
+        match self {
+            IhtnFields { name: Some(_), .. } => Some("name"),
+            IhtnFields { people, .. } => (!people.is_empty()).then_some("people"),
+        }
+    }
+}
+
 impl MissionDocument {
     /// Parses a mission file or, in JSON, a flat iHTN.
     ///
@@ -44,25 +54,17 @@ impl MissionDocument {
             return Err(MissionFileError::TooLarge { bytes: text.len() });
         }
         if !is_ihtn_text(text, format) {
-            return MissionDocument::of_template(MissionTemplate::parse(text, format)?, &fields);
+            let template = MissionTemplate::parse(text, format)?;
+            return match fields.first_given() {
+                Some(field) => Err(MissionFileError::OnlyIhtn { field }),
+                None => Ok(MissionDocument::Template(Box::new(template))),
+            };
         }
         let text = text.trim_start_matches('\u{feff}').to_owned();
         let default_name = TaskId::new("mission").expect("a slug");
         let nodes = parse_nodes(&text, fields.name.as_ref().unwrap_or(&default_name))?;
         let name = fields.name.or_else(|| root_name(&nodes)).unwrap_or(default_name);
         Ok(MissionDocument::Ihtn { text, options: IhtnOptions { name, people: fields.people } })
-    }
-
-    /// Wraps a mission file.
-    ///
-    /// # Errors
-    /// [`MissionFileError::OnlyIhtn`]: a mission file does not take these fields.
-    pub fn of_template(template: MissionTemplate, fields: &IhtnFields) -> Result<Self, MissionFileError> {
-        match fields {
-            IhtnFields { name: Some(_), .. } => Err(MissionFileError::OnlyIhtn { field: "name" }),
-            IhtnFields { people, .. } if !people.is_empty() => Err(MissionFileError::OnlyIhtn { field: "people" }),
-            IhtnFields { .. } => Ok(MissionDocument::Template(Box::new(template))),
-        }
     }
 
     /// Checks a text and converts it for a request to the coordinator: the whole file, as JSON.
@@ -91,6 +93,14 @@ impl MissionDocument {
         match self {
             MissionDocument::Template(template) => template.name(),
             MissionDocument::Ihtn { options, .. } => &options.name,
+        }
+    }
+
+    /// Returns the title for people; may be empty.
+    pub fn title(&self) -> &str {
+        match self {
+            MissionDocument::Template(template) => template.title(),
+            MissionDocument::Ihtn { .. } => "a mission in the flat iHTN form",
         }
     }
 

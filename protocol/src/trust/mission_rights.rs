@@ -11,10 +11,11 @@ const NAMES_MAX: usize = 16;
 /// Missions that a person with the scope `submit` may submit or schedule. By default all.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum MissionRights {
-    /// Shipped missions and mission files.
+    /// Missions by name, and mission files.
     #[default]
     All,
-    /// Shipped missions with these names. The name in a mission file proves nothing, so files are not among them.
+    /// Missions with these names, as the coordinator defines them. The name in a mission file proves nothing, so
+    /// files are not among them.
     Named(BTreeSet<TaskId>),
 }
 
@@ -42,7 +43,7 @@ pub struct MissionNotPermitted {
 }
 
 impl MissionRights {
-    /// Checks whether the shipped mission with this name may be submitted.
+    /// Checks whether the mission with this name may be submitted.
     pub fn permits(&self, name: &str) -> bool {
         match self {
             MissionRights::All => true,
@@ -50,8 +51,8 @@ impl MissionRights {
         }
     }
 
-    /// Checks whether `person`, who has these rights, may submit a mission: the shipped mission with this name,
-    /// or a mission file without one.
+    /// Checks whether `person`, who has these rights, may submit a mission: the mission that the request
+    /// names, or a mission file without a name.
     ///
     /// # Errors
     /// [`MissionNotPermitted`].

@@ -137,6 +137,7 @@ impl<'s> TrialRun<'s> {
             fleet: crate::slug("trial"),
             ensembles: Arc::clone(&setup.ensembles),
             domain: Arc::clone(&setup.domain),
+            missions: Arc::default(),
             limits: BidLimits::default(),
             promises_max: PROMISES_MAX,
             request_limits: RequestLimits::default(),

@@ -3,7 +3,7 @@
 
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
-use super::submission::{self, ScheduleError, SubmitError};
+use super::submission::{self, Definitions, ScheduleError, SubmitError};
 use crate::events::EventPublisher;
 use crate::recurrence::schedule_view;
 use consort_bus::{MESSAGE_MAX, Requester};
@@ -24,6 +24,7 @@ use consort_protocol::trust::MissionNotPermitted;
 use consort_protocol::versions::{UpgradeStatus, VersionRange};
 use consort_raft::store::Backup;
 use consort_raft::{ProposeError, Replica};
+use consort_skills::missions::NamedMissions;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -46,6 +47,8 @@ pub(super) struct ApiHandler {
     pub(super) knowledge: SharedKnowledge,
     pub(super) supported_versions: VersionRange,
     pub(super) domain: Arc<Domain>,
+    /// The missions that a request may name.
+    pub(super) missions: Arc<NamedMissions>,
     /// Prefix of generated request ids, different from the prefixes of other coordinators.
     pub(super) request_prefix: String,
     /// Time of day in milliseconds since 1970, if it is known.
@@ -132,7 +135,7 @@ impl ApiHandler {
             Some(requester) => requester.request.clone(),
             None => format!("{}-{}", self.request_prefix, self.request_number),
         };
-        let submission = submission::prepare(request_fields, &self.domain, self.time_ms()?, default_id, by)?;
+        let submission = submission::prepare(request_fields, self.definitions(), self.time_ms()?, default_id, by)?;
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
         }
@@ -150,11 +153,16 @@ impl ApiHandler {
         }
     }
 
-    /// Checks whether the signer may submit a mission, in a closed fleet.
+    fn definitions(&self) -> Definitions<'_> {
+        Definitions { missions: &self.missions, domain: &self.domain }
+    }
+
+    /// Checks whether the signer may submit a mission, in a closed fleet. A request that names the mission contains
+    /// nothing else of it: the mission is executed as this node defines it.
     fn check_mission_right(&self, mission: &MissionSource) -> Result<(), ApiError> {
         let Some(Requester { author, .. }) = &self.requester else { return Ok(()) };
         let name = match mission {
-            MissionSource::Shipped(name) => Some(name.as_str()),
+            MissionSource::Named(name) => Some(name.as_str()),
             MissionSource::File(_) => None,
         };
         Ok(author.missions.check(&author.name, name)?)
@@ -242,7 +250,7 @@ impl ApiHandler {
             (request.schedule.clone(), request.action, self.responsible(request.by.take()), self.time_ms()?);
         let command = match action {
             ScheduleAction::Add => {
-                let schedule = Box::new(submission::prepare_schedule(request, &self.domain, by.clone())?);
+                let schedule = Box::new(submission::prepare_schedule(request, self.definitions(), by.clone())?);
                 Command::AddSchedule { schedule, from_ms: at_ms }
             }
             _ if request.has_content() => {

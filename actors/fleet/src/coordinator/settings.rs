@@ -15,6 +15,7 @@ use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{HistoryLimits, Ledger};
 use consort_protocol::mission::Domain;
 use consort_raft::Replica;
+use consort_skills::missions::NamedMissions;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -27,6 +28,8 @@ pub(crate) struct CoordinatorSettings {
     pub(crate) autopilot: AutopilotSettings,
     /// The task types that missions may use.
     pub(crate) domain: Arc<Domain>,
+    /// The missions that a request may name.
+    pub(crate) missions: Arc<NamedMissions>,
     /// Limits of accepted requests and missions.
     pub(crate) request_limits: RequestLimits,
     /// Limits of the ledger's history of ended missions.

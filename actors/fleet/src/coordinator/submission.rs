@@ -12,7 +12,7 @@ use consort_protocol::mission::{
     Domain, Format, Mission, MissionDocument, MissionErrors, MissionFileError, RoleKind, ValueKind,
 };
 use consort_protocol::plan::{DivisionError, divide_and_check};
-use consort_skills::missions::shipped;
+use consort_skills::missions::{NamedMissionError, NamedMissions};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use time::OffsetDateTime;
@@ -24,9 +24,9 @@ pub(crate) enum SubmitError {
     /// The payload is not a request.
     #[error(transparent)]
     Request(#[from] RequestError),
-    /// No mission of this name is shipped.
-    #[error("no mission {0:?} is shipped; there are {known}", known = shipped_names())]
-    UnknownMission(String),
+    /// The name of the mission is unknown, or a field would change the mission.
+    #[error(transparent)]
+    Named(#[from] NamedMissionError),
     /// The file of the mission is invalid.
     #[error(transparent)]
     File(#[from] MissionFileError),
@@ -121,13 +121,22 @@ pub(crate) enum ScheduleError {
     Id(#[from] NameError),
 }
 
+/// Definitions that a request refers to.
+#[derive(Clone, Copy)]
+pub(super) struct Definitions<'a> {
+    /// The missions, by name.
+    pub(super) missions: &'a NamedMissions,
+    /// The task types.
+    pub(super) domain: &'a Domain,
+}
+
 /// Checks a request for a schedule, with its mission. `by` is the person that asks.
 ///
 /// # Errors
 /// The request is invalid in itself, or its mission does not match the domain.
 pub(super) fn prepare_schedule(
     request: ScheduleRequest,
-    domain: &Domain,
+    definitions: Definitions<'_>,
     by: String,
 ) -> Result<Schedule, ScheduleError> {
     let ScheduleRequest { schedule: id, cron, zone, until, missed, submit, .. } = request;
@@ -153,26 +162,19 @@ pub(super) fn prepare_schedule(
     }
     let by = format!("{by}, schedule {id}");
     // Times count from 0, which stands for the time of the occurrence.
-    let mut submission = prepare(submit, domain, 0, id.to_string(), by)?;
+    let mut submission = prepare(submit, definitions, 0, id.to_string(), by)?;
     let deadline_after_ms = submission.deadline_ms.take();
     Ok(Schedule { id, rule, submission, deadline_after_ms })
 }
 
-fn shipped_names() -> String {
-    shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ")
-}
-
-/// Returns the requested mission as given.
+/// Returns the requested mission: as defined here if the request names it, or else as given.
 ///
 /// # Errors
 /// The mission is unknown, or its file is invalid.
-pub(crate) fn document(request: &SubmitRequest) -> Result<MissionDocument, SubmitError> {
+pub(crate) fn document(request: &SubmitRequest, missions: &NamedMissions) -> Result<MissionDocument, SubmitError> {
     let fields = request.ihtn_fields();
     match &request.mission {
-        MissionSource::Shipped(name) => {
-            let template = shipped().get(name).ok_or_else(|| SubmitError::UnknownMission(name.clone()))?;
-            Ok(MissionDocument::of_template(template.clone(), &fields)?)
-        }
+        MissionSource::Named(name) => Ok(missions.document(name, &fields)?),
         MissionSource::File(file) => Ok(MissionDocument::parse(&serde_json::to_string(file)?, Format::Json, fields)?),
     }
 }
@@ -184,12 +186,12 @@ pub(crate) fn document(request: &SubmitRequest) -> Result<MissionDocument, Submi
 /// The request is invalid in itself or does not match the domain.
 pub(super) fn prepare(
     request_fields: SubmitRequest,
-    domain: &Domain,
+    Definitions { missions, domain }: Definitions<'_>,
     at_ms: u64,
     default_id: String,
     by: String,
 ) -> Result<Submission, SubmitError> {
-    let document = document(&request_fields)?;
+    let document = document(&request_fields, missions)?;
     let (mission, recovery) = document.instantiate_with_recovery(&request_fields.parameters, domain)?;
     let division = divide_and_check(&mission)?;
     let recovery = match recovery {

@@ -286,6 +286,7 @@ impl Assembly {
                 contact_max: self.times.election_max,
             },
             domain: Arc::clone(&self.fleet.domain),
+            missions: Arc::clone(&self.fleet.missions),
             request_limits: self.fleet.request_limits,
             history_limits: self.fleet.history_limits,
             lease_terms: self.fleet.lease_terms,

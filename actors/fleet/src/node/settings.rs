@@ -19,6 +19,7 @@ use consort_raft::store::NodeStore;
 use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::Estimator;
 use consort_skills::library::SkillLibrary;
+use consort_skills::missions::NamedMissions;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -31,6 +32,8 @@ pub struct FleetSettings {
     pub ensembles: Arc<Ensembles>,
     /// The task types that missions may use.
     pub domain: Arc<Domain>,
+    /// The missions that a request may name.
+    pub missions: Arc<NamedMissions>,
     /// Limits that bids must meet.
     pub limits: BidLimits,
     /// Maximum number of roles that are promised to a robot while it holds another; 0 for none.

@@ -80,8 +80,8 @@ enum CertCommand {
         /// nodes). Each includes the former
         #[arg(long, value_name = "SCOPE", default_value = "read")]
         scope: AccessScope,
-        /// Missions that the person may submit or schedule: names of shipped missions, or `*` for all missions and
-        /// mission files
+        /// Missions that the person may submit or schedule: names of shipped missions and of missions of the fleet file,
+        /// or `*` for all missions and mission files
         #[arg(long, value_name = "NAMES", default_value = "*")]
         missions: MissionRights,
         #[command(flatten)]

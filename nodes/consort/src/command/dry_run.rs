@@ -15,9 +15,11 @@ use consort_protocol::mission::{Domain, Mission, MissionDocument};
 use consort_protocol::plan::{Division, divide_and_check};
 use consort_protocol::units::{BatteryShare, Seconds};
 use consort_skills::extensions::Extensions;
+use consort_skills::missions::NamedMissions;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Show the result of a mission's auction, offline
 ///
@@ -43,12 +45,12 @@ A workers file, in TOML (in JSON and YAML: a list of the same):
   discharge_share_per_s = 0.0004   # default 0
   useful_charge = 0.08             # the default")]
 pub(crate) struct Args {
-    /// The mission: the name of a bundled mission (lab-samples, …), a mission file, or a file in the flat
-    /// iHTN form (JSON)
+    /// The mission: the name of a bundled mission (lab-samples, …) or of a mission of the fleet file, a mission file,
+    /// or a file in the flat iHTN form (JSON)
     mission: String,
     #[command(flatten)]
     people: PeopleFlags,
-    /// The fleet file, with the ensembles, limits, map and domains; the coordinator is assumed to be a station
+    /// The fleet file, with the ensembles, limits, map, domains and missions; the coordinator is assumed to be a station
     /// on mains power. Without it, every worker is a member of every ensemble
     #[arg(long, env = "CONSORT_FLEET", value_name = "FILE")]
     fleet: Option<PathBuf>,
@@ -118,8 +120,8 @@ struct BidLine<'a> {
 /// [`Failure::Usage`] for wrong files; [`Failure::Unsuccessful`] if a role of the mission is not
 /// assigned (an unassigned scenario is a normal result).
 pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
-    let template = inputs::mission(&args.mission, &args.people.people)?;
-    let fleet = assumed_fleet(&args, extensions)?;
+    let (fleet, missions) = assumed_fleet(&args, extensions)?;
+    let template = inputs::mission(&args.mission, &args.people.people, &missions)?;
     let given: BTreeMap<String, String> = args.parameters.iter().cloned().collect();
     match (&args.scenarios, &args.workers) {
         (Some(path), _) => scenarios(&args, path, &template, &fleet, &given),
@@ -128,9 +130,9 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     }
 }
 
-/// Returns the fleet of the fleet file, with the values of the flags; without a file, a fleet of all defaults
-/// and without ensembles.
-fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<AssumedFleet, Diagnostics> {
+/// Returns the fleet of the fleet file and its missions, with the values of the flags; without a file, a fleet of all
+/// defaults and without ensembles.
+fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<(AssumedFleet, Arc<NamedMissions>), Diagnostics> {
     let (mut config, extensions) = match &args.fleet {
         Some(path) => fleet_file(path, extensions)?,
         None => (FleetConfig::default(), extensions),
@@ -139,15 +141,15 @@ fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<AssumedFleet, Di
     config.limits.time_s = args.time_limit_s.or(config.limits.time_s);
     set(&mut config.limits.charge_min, args.charge_min);
     let (mut equipment, limits) = (fleet_skill_resources(&config, extensions)?, limits(&config));
-    let ensembles = match &args.fleet {
+    let (ensembles, missions) = match &args.fleet {
         Some(_) => {
             let settings = fleet_settings(&config, extensions)?;
             equipment.domain = settings.domain;
-            Some(settings.ensembles)
+            (Some(settings.ensembles), settings.missions)
         }
-        None => None,
+        None => (None, Arc::default()),
     };
-    Ok(AssumedFleet { equipment, limits, ensembles })
+    Ok((AssumedFleet { equipment, limits, ensembles }, missions))
 }
 
 fn mission(

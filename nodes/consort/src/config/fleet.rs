@@ -71,6 +71,10 @@ pub struct FleetConfig {
     /// Domain files with the fleet's own actions and task types, in addition to those of `--domain`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub domains: Vec<PathBuf>,
+    /// Mission files of the fleet, also in the flat iHTN form (JSON). Requests, schedules and the certificates of people
+    /// name them as they name the shipped missions. No two have the same name, and none that of a shipped mission.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub missions: Vec<PathBuf>,
     /// Addresses of the fleet's dashboards, as `http://ward-1:8088`. The page for people names them when
     /// its own node does not reply.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -166,6 +170,7 @@ impl Default for FleetConfig {
             link_lease_ms: None,
             stall_after_s: 900,
             domains: vec![],
+            missions: vec![],
             dashboards: vec![],
             limits: LimitsConfig::default(),
             requests: RequestsConfig::default(),
@@ -267,7 +272,7 @@ impl ConfigFile for FleetConfig {
             self.map = join_normalized(folder, Path::new(&self.map)).display().to_string();
         }
         resolve_path(&mut self.calibration, folder);
-        for path in &mut self.domains {
+        for path in self.domains.iter_mut().chain(&mut self.missions) {
             *path = join_normalized(folder, path);
         }
     }

@@ -32,12 +32,13 @@ use crate::{map_loader, output};
 use consort_dashboard::address::BoundAddress;
 use consort_dashboard::admission::Admission;
 use consort_dashboard::fleet_model::FloorPlan;
-use consort_dashboard::server::Dashboard;
+use consort_dashboard::server::{Dashboard, FleetContents};
 use consort_driver::{DriverEndpoint, DriverSetting};
 use consort_skills::extensions::Extensions;
 use reporter::DemoReporter;
 use runner::{DemoOptions, DemoRunner};
 use std::net::SocketAddr;
+use std::sync::Arc;
 use virtual_fleet::VirtualFleet;
 
 /// Run the main use case: a fleet delivers lab samples and survives the failure of its coordinator
@@ -166,17 +167,14 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
                 program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
             let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
             let address = BoundAddress::bind("--dashboard", address).await?;
-            let floor_plan = FloorPlan::new(&map_loader::load(&scenario.fleet.map)?);
+            let contents = FleetContents {
+                plan: FloorPlan::new(&map_loader::load(&scenario.fleet.map)?),
+                dashboards: vec![],
+                missions: Arc::default(),
+            };
             let fleet = ProcessFleet::start(&scenario, &program, extensions.domains, args.port).await?;
-            let dashboard = Dashboard::open(
-                address,
-                Admission::open(),
-                fleet.bus(),
-                &scenario.fleet.name,
-                "demo",
-                floor_plan,
-                vec![],
-            );
+            let dashboard =
+                Dashboard::open(address, Admission::open(), fleet.bus(), &scenario.fleet.name, "demo", contents);
             DemoRunner::new(options, scenario, fleet, reporter, Some(dashboard)).run().await
         })
     }

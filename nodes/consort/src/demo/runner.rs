@@ -17,6 +17,7 @@ use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::mission::{Domain, Mission};
 use consort_protocol::view::{CoordinatorView, MissionsView};
+use consort_skills::missions::NamedMissions;
 use consort_text::count;
 use consort_world::world::WorldReport;
 use serde::Deserialize;
@@ -90,7 +91,8 @@ pub(super) struct RequestedMission {
 /// # Errors
 /// [`Failure::Usage`] with the problem, or with the bundled missions.
 pub(super) fn request_mission(text: &str, people: &[RoleId], domain: &Domain) -> Result<RequestedMission, Failure> {
-    let document = inputs::mission(text, people).map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
+    let document = inputs::mission(text, people, &NamedMissions::default())
+        .map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
     let has_room = document.parameters().contains_key("room");
     let room = has_room.then(|| ("room".to_owned(), "IC Room 6".to_owned())).into_iter().collect();
     let mission = document

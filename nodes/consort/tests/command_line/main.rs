@@ -7,6 +7,7 @@ mod domains;
 mod drivers;
 mod dry_run;
 mod files;
+mod fleet_missions;
 #[path = "../../../../tests/support/free_port.rs"]
 mod free_port;
 mod help;

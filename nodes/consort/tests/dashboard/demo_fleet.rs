@@ -270,7 +270,7 @@ fn submit_and_cancel_by_keyboard(browser: &Browser) {
         "fetch('/api/missions', { method: 'POST', headers: { 'content-type': 'application/json' }, body: '{\"mission\": \"dance\"}' }).then(async (answer) => [answer.status, (await answer.json()).error])",
     );
     assert_eq!(refused[0], 400);
-    assert!(refused[1].as_str().expect("words").contains("no mission \"dance\" is shipped"), "{refused}");
+    assert!(refused[1].as_str().expect("words").contains("the fleet has no mission \"dance\""), "{refused}");
     // The console of the browser reports the same rejection.
     let output = browser.console();
     assert!(output.iter().all(|line| line.contains("/api/missions") && line.contains("400")), "{output:#?}");

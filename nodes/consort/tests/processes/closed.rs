@@ -548,11 +548,11 @@ fn an_http_token_determines_identity_and_permissions() {
     // A person who may submit some missions is offered these alone, and no other is executed.
     closed.cert(&["person", "lee", "--scope", "submit", "--missions", "vital-signs"]);
     let lee = closed.token("lee", &[]);
-    let offered = with(&lee, "GET /api/shipped", "").json();
+    let offered = with(&lee, "GET /api/named-missions", "").json();
     let names: Vec<&Value> =
         offered["missions"].as_array().expect("a list").iter().map(|one| &one["mission"]).collect();
     assert_eq!(names, [&json!("vital-signs")]);
-    let all = with(&submits, "GET /api/shipped", "").json();
+    let all = with(&submits, "GET /api/named-missions", "").json();
     assert!(all["missions"].as_array().is_some_and(|missions| missions.len() > 1), "{all}");
     let allowed = "the right `missions` of the certificate allows vital-signs, by name";
     let refused = with(&lee, "POST /api/missions", &order);

@@ -41,22 +41,19 @@ pub(super) async fn read(headers: HeaderMap, body: Bytes) -> Result<Response, Re
         .and_then(|document| Ok((document, MissionDocument::request(&text, format, IhtnFields::default())?)));
     let (document, mission) =
         read.map_err(|problem| rejection(StatusCode::BAD_REQUEST, &format!("{name}: {problem}")))?;
-    let (document, title, agents) = match document {
-        MissionDocument::Template(template) => {
-            let title = template.title().to_owned();
-            (MissionDocument::Template(template), title, BTreeSet::new())
-        }
-        ihtn => {
+    let (document, agents) = match document {
+        template @ MissionDocument::Template(_) => (template, BTreeSet::new()),
+        ihtn @ MissionDocument::Ihtn { .. } => {
             let stem = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| TaskId::new(stem).ok());
             let named = match stem {
                 Some(stem) => ihtn.named(stem),
                 None => ihtn,
             };
-            (named, "a mission in the flat iHTN form".to_owned(), agents(&mission))
+            (named, agents(&mission))
         }
     };
-    let (name, parameters) = (document.name(), document.parameters());
-    Ok(json_reply(StatusCode::OK, &ReadMission { mission, name, title: &title, parameters, agents }))
+    let (name, title, parameters) = (document.name(), document.title(), document.parameters());
+    Ok(json_reply(StatusCode::OK, &ReadMission { mission, name, title, parameters, agents }))
 }
 
 /// Returns the agents of a flat iHTN.

@@ -44,6 +44,7 @@ use consort_bus::SharedBus;
 use consort_bus::clock::Clock;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
+use consort_skills::missions::NamedMissions;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::task::JoinSet;
@@ -59,6 +60,16 @@ enum DashboardSource {
     ViewOnly,
 }
 
+/// Contents of a fleet's pages that come from its files.
+pub struct FleetContents {
+    /// The floor plan.
+    pub plan: FloorPlan,
+    /// Addresses of the fleet's dashboards, for the page for people.
+    pub dashboards: Vec<String>,
+    /// The missions that a request may name.
+    pub missions: Arc<NamedMissions>,
+}
+
 /// A dashboard that is being served. Dropping it ends it.
 pub struct Dashboard {
     address: SocketAddr,
@@ -66,23 +77,22 @@ pub struct Dashboard {
 }
 
 impl Dashboard {
-    /// Serves a fleet to admitted clients, as seen over `bus` at `node`. The page for people names the
-    /// fleet's `dashboards`. Called within a tokio runtime.
+    /// Serves a fleet to admitted clients, as seen over `bus` at `node`. Called within a tokio runtime.
     pub fn open(
         address: BoundAddress,
         admission: Admission,
         bus: SharedBus,
         fleet: &FleetId,
         node: &str,
-        plan: FloorPlan,
-        dashboards: Vec<String>,
+        contents: FleetContents,
     ) -> Dashboard {
+        let FleetContents { plan, dashboards, missions } = contents;
         let clock = Clock::real();
         let model = FleetModel::new(fleet.to_string(), node, plan, clock.wall_ms());
         let publisher = Arc::new(FramePublisher::new(model, clock));
         let forwarder = forwarder::RequestForwarder::new(Arc::clone(&bus), Keys::new(fleet), node, dashboards);
-        let mut dashboard =
-            Dashboard::serve(address, Arc::clone(&publisher), DashboardSource::Fleet(Arc::new(forwarder)), admission);
+        let source = DashboardSource::Fleet(Arc::new(forwarder));
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&publisher), source, admission, missions);
         dashboard.draw(Arc::clone(&publisher));
         subscriber::subscribe_fleet(&mut dashboard.tasks, bus, Keys::new(fleet), publisher);
         dashboard
@@ -93,7 +103,7 @@ impl Dashboard {
         let publisher = Arc::new(FramePublisher::new(reader.initial_model(), Clock::real()));
         let server = Arc::new(replay_server::ReplayServer::new(reader, player, Arc::clone(&publisher)));
         let source = DashboardSource::Recording(Arc::clone(&server));
-        let mut dashboard = Dashboard::serve(address, publisher, source, Admission::open());
+        let mut dashboard = Dashboard::serve(address, publisher, source, Admission::open(), Arc::default());
         dashboard.tasks.spawn(async move { server.play_forever().await });
         dashboard
     }
@@ -101,8 +111,9 @@ impl Dashboard {
     /// Serves a model that other code fills; requests are not possible. Called within a tokio
     /// runtime.
     pub fn serve_view_only(address: BoundAddress, publisher: Arc<FramePublisher>) -> Dashboard {
+        let source = DashboardSource::ViewOnly;
         let mut dashboard =
-            Dashboard::serve(address, Arc::clone(&publisher), DashboardSource::ViewOnly, Admission::open());
+            Dashboard::serve(address, Arc::clone(&publisher), source, Admission::open(), Arc::default());
         dashboard.draw(publisher);
         dashboard
     }
@@ -112,9 +123,10 @@ impl Dashboard {
         publisher: Arc<FramePublisher>,
         source: DashboardSource,
         admission: Admission,
+        missions: Arc<NamedMissions>,
     ) -> Dashboard {
         let (address, listener) = (bound.local_addr(), bound.with_connection_limit());
-        let router = routes::router(publisher, source, admission, address);
+        let router = routes::router(publisher, source, admission, missions, address);
         let mut tasks = JoinSet::new();
         tasks.spawn(async move {
             if let Err(problem) = axum::serve(listener, router).await {

@@ -18,12 +18,11 @@ use axum::{Extension, Router};
 use consort_protocol::access::required_scope;
 use consort_protocol::ids::{MissionId, TaskId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::mission::{FILE_BYTES_MAX, TemplateParameter};
+use consort_protocol::mission::FILE_BYTES_MAX;
 use consort_protocol::trust::AccessScope;
-use consort_skills::missions::shipped;
+use consort_skills::missions::{NamedMissions, OfferedMission};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
-use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::sync::Semaphore;
@@ -36,6 +35,7 @@ pub(super) fn router(
     publisher: Arc<FramePublisher>,
     served: DashboardSource,
     admission: Admission,
+    missions: Arc<NamedMissions>,
     address: SocketAddr,
 ) -> Router {
     let pages = assets::ALL
@@ -48,7 +48,7 @@ pub(super) fn router(
         .route("/ws", guarded(AccessScope::Read, get(open_websocket)))
         .route("/api/fleet", guarded(AccessScope::Read, get(model)))
         .route("/api/events", guarded(AccessScope::Read, get(events)))
-        .route("/api/shipped", guarded(AccessScope::Read, get(shipped_missions)))
+        .route("/api/named-missions", guarded(AccessScope::Read, get(named_missions)))
         .route("/api/mission-file", guarded(AccessScope::Read, post(mission_file::read)))
         .route("/api/history.csv", guarded(AccessScope::Read, get(history)))
         .route("/api/missions", guarded(required_scope(ApiCall::Submit), post(submit)))
@@ -66,6 +66,7 @@ pub(super) fn router(
             publisher,
             served,
             admission,
+            missions,
             client_permits: Arc::new(Semaphore::new(CLIENTS_MAX)),
         })
 }
@@ -117,29 +118,19 @@ async fn events(State(shared): State<DashboardState>, Query(filter): Query<Event
     json_reply(StatusCode::OK, &EventsReply { events: found })
 }
 
-/// Reply with the shipped missions that the visitor may submit.
+/// Reply with the missions that the visitor may submit by name.
 #[derive(Serialize)]
-struct ShippedReply<'a> {
-    missions: Vec<ShippedMission<'a>>,
+struct NamedMissionsReply<'a> {
+    missions: Vec<OfferedMission<'a>>,
 }
 
-/// A shipped mission, for the form of a request.
-#[derive(Serialize)]
-struct ShippedMission<'a> {
-    mission: &'a TaskId,
-    title: &'a str,
-    parameters: &'a BTreeMap<String, TemplateParameter>,
-}
-
-async fn shipped_missions(Extension(client): Extension<Option<AuthenticatedClient>>) -> Response {
+async fn named_missions(
+    State(shared): State<DashboardState>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
+) -> Response {
     let may_submit = |name: &TaskId| client.as_ref().is_none_or(|client| client.claims.missions.permits(name.as_str()));
-    let permitted = shipped().values().filter(|template| may_submit(template.name()));
-    let missions = permitted.map(|template| ShippedMission {
-        mission: template.name(),
-        title: template.title(),
-        parameters: template.parameters(),
-    });
-    json_reply(StatusCode::OK, &ShippedReply { missions: missions.collect() })
+    let missions = shared.missions.offered().filter(|offered| may_submit(offered.mission)).collect();
+    json_reply(StatusCode::OK, &NamedMissionsReply { missions })
 }
 
 async fn history(State(shared): State<DashboardState>) -> Response {

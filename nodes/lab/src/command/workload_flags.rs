@@ -6,6 +6,7 @@ use consort_nodes::{domains, inputs};
 use consort_protocol::ids::RoleId;
 use consort_protocol::mission::Mission;
 use consort_skills::extensions::Extensions;
+use consort_skills::missions::NamedMissions;
 use consort_skills::workload::{UserMission, Workload};
 use consort_tests::chaos::user_missions;
 use std::path::PathBuf;
@@ -49,7 +50,7 @@ impl WorkloadFlags {
     /// [`Diagnostics`] of the files.
     pub(crate) fn workload(&self, extensions: Extensions) -> Result<Workload, Diagnostics> {
         let read = |file: &String| {
-            let document = inputs::mission(file, &self.people)?;
+            let document = inputs::mission(file, &self.people, &NamedMissions::default())?;
             Ok(UserMission { document, request: inputs::mission_request(file, &self.people)? })
         };
         let missions = self.missions.iter().map(read).collect::<Result<Vec<_>, Diagnostics>>()?;

@@ -2,7 +2,7 @@
 
 import { confirmAndSend } from './action.js';
 import { byId, cells, make, redraw, rows, setText, state } from './dom.js';
-import { fillMissions, givenParameters, parameterFields, placesOf, shippedMissions } from './mission_form.js';
+import { fillMissions, givenParameters, namedMissions, parameterFields, placesOf } from './mission_form.js';
 import { send } from './request.js';
 import { announce } from './status.js';
 
@@ -102,7 +102,7 @@ const date = (ms, zone) => format(ms, zone, { weekday: 'short', day: 'numeric', 
 async function open() {
   showProblem('');
   try {
-    missions = await shippedMissions();
+    missions = await namedMissions();
     fillMissions(byId('add-schedule-mission'), missions);
     parameters();
   } catch (problem) {

@@ -18,7 +18,7 @@ let state = { requests: [], missions: [], dashboards: store.get('dashboards').sp
 const answered = new Set();
 let known;
 let repliedAt = performance.now();
-let shipped = [];
+let offered = [];
 let places = [];
 
 const name = () => byId('name').value.trim();
@@ -288,18 +288,18 @@ async function startCalls() {
 
 /** Offers the missions that this person may submit. */
 async function loadCalls() {
-  shipped = (await send('GET', '/api/shipped')).missions;
+  offered = (await send('GET', '/api/named-missions')).missions;
   places = placesOf(await send('GET', '/api/fleet'));
-  byId('call').hidden = shipped.length === 0;
-  byId('no-calls').hidden = shipped.length > 0;
-  byId('call-mission').replaceChildren(...shipped.map(({ mission, title }) => make('option', { value: mission, title }, readable(mission))));
+  byId('call').hidden = offered.length === 0;
+  byId('no-calls').hidden = offered.length > 0;
+  byId('call-mission').replaceChildren(...offered.map(({ mission, title }) => make('option', { value: mission, title }, readable(mission))));
   byId('call-mission').onchange = showParameters;
   showParameters();
   byId('call-send').disabled = false;
 }
 
 function showParameters() {
-  const chosen = shipped.find((template) => template.mission === byId('call-mission').value);
+  const chosen = offered.find((template) => template.mission === byId('call-mission').value);
   setText(byId('call-title'), chosen?.title ?? '');
   byId('call-parameters').replaceChildren(...parameterFields(chosen?.parameters ?? {}, places));
 }

@@ -3,10 +3,10 @@
 import { make, readable } from './dom.js';
 import { send } from './request.js';
 
-let shipped;
+let named;
 
-/** Returns the shipped missions with their parameters. */
-export const shippedMissions = async () => (shipped ??= (await send('GET', '/api/shipped')).missions);
+/** Returns the missions that the user may submit by name, with their parameters. */
+export const namedMissions = async () => (named ??= (await send('GET', '/api/named-missions')).missions);
 
 /** Fills an empty choice of missions. */
 export function fillMissions(choice, missions) {

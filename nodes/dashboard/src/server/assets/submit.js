@@ -2,12 +2,12 @@
 
 import { confirmAndSend } from './action.js';
 import { byId, make, setText } from './dom.js';
-import { fillMissions, givenParameters, parameterFields, placesOf, shippedMissions } from './mission_form.js';
+import { fillMissions, givenParameters, namedMissions, parameterFields, placesOf } from './mission_form.js';
 import { lastKnownPlace } from './missions.js';
 import { newRequest, send } from './request.js';
 import { announce } from './status.js';
 
-let bundled = [];
+let offered = [];
 let places = [];
 let request;
 /** The chosen mission file, as the node has read it. */
@@ -19,8 +19,8 @@ export function start(onSubmitted) {
   byId('new-mission').onclick = async () => {
     showProblem('');
     try {
-      bundled = await shippedMissions();
-      fillMissions(byId('submit-mission'), bundled);
+      offered = await namedMissions();
+      fillMissions(byId('submit-mission'), offered);
       parameters();
     } catch (problem) {
       showProblem(problem.message);
@@ -127,7 +127,7 @@ async function readFile() {
 }
 
 function parameters() {
-  const chosen = file ?? bundled.find((template) => template.mission === byId('submit-mission').value);
+  const chosen = file ?? offered.find((template) => template.mission === byId('submit-mission').value);
   byId('submit-mission').disabled = file !== undefined;
   const agents = (file?.agents ?? []).map((agent) =>
     make('label', { className: 'field' }, make('input', { type: 'checkbox', value: agent }), ` ${agent}`));
