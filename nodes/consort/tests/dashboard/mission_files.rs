@@ -1,4 +1,5 @@
-//! The user submits mission files with the form: YAML, and a flat iHTN with a person.
+//! The user submits mission files with the form: YAML, and a flat iHTN with a person. The form offers the missions of
+//! the fleet.
 
 use crate::browser::{Browser, SOON};
 use crate::demo_fleet::check_access;
@@ -28,7 +29,10 @@ fn mission_files_are_submitted_with_the_form() {
     let Some(browser) = Browser::start(&folder) else { return };
     let mut settings = example("fleet");
     settings.insert("bootstrap_expect".to_owned(), 1.into());
+    settings.insert("missions".to_owned(), vec!["look.yaml"].into());
     let mut fleet = Fleet::new(&settings);
+    let look = ROUNDS.replace("mission: rounds", "mission: look");
+    std::fs::write(fleet.path("look.yaml"), look).expect("the folder can be written to");
     let mut station = example("station");
     station.insert("dashboard".to_owned(), "127.0.0.1:0".into());
     fleet.start("station", station, &[]);
@@ -40,6 +44,8 @@ fn mission_files_are_submitted_with_the_form() {
     browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
     browser.click("#new-mission");
     browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
+    let first = browser.value("document.querySelector('#submit-mission option').value");
+    assert_eq!(first, "look", "the mission of the fleet");
 
     // A mistake is named with its place, and the form stays as it was.
     let choose = |path: &Path| browser.upload("#submit-file", path);

@@ -469,7 +469,7 @@ fn a_node_with_a_wrong_certificate_does_not_start() {
 }
 
 /// Returns the address of a service from the output of a node.
-fn served(closed: &mut Closed, by: &str, before: &str) -> String {
+pub(crate) fn served(closed: &mut Closed, by: &str, before: &str) -> String {
     until(&format!("{by} prints: {before}"), LONG, || {
         let node = closed.fleet.node(by);
         let output = [node.stdout(), node.stderr()].concat();

@@ -17,6 +17,7 @@ mod foreign_clients;
 mod full_disk;
 mod holder_loss;
 mod invalid_usage;
+mod mission_rights;
 mod recordings;
 mod service;
 mod stock_client;

@@ -12,7 +12,12 @@ pub(crate) struct Closed {
 
 impl Closed {
     pub(crate) fn new() -> Closed {
-        let fleet = Fleet::new(&example("fleet"));
+        Closed::with_fleet(&example("fleet"))
+    }
+
+    /// Same, with this fleet file of the fleet `ward`.
+    pub(crate) fn with_fleet(file: &Table) -> Closed {
+        let fleet = Fleet::new(file);
         let certs = fleet.path("certs");
         let mut closed = Closed { fleet, certs };
         closed.cert(&["init", "--fleet", "ward"]);
