@@ -1,8 +1,7 @@
-use super::skip::skip;
+use super::published::reference;
 use super::support::{CommandOutput, crate_file, run, test_file};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
 
 fn lines(out: &str) -> Vec<Value> {
     out.lines().map(|line| serde_json::from_str(line).expect("a line of JSON")).collect()
@@ -158,18 +157,6 @@ fn members_of_the_first_ensemble_come_before_faster_robots() {
     assert!(ran.out.contains("r1 = ada"), "{}", ran.out);
     let ran = ran_with_ensembles("no_fleet", "[icu, charged]", None);
     assert!(ran.out.contains("r1 = cyd"), "without a fleet file each worker is a member\n{}", ran.out);
-}
-
-/// Returns the folder of the published evaluation; skips the test if it is not installed.
-pub(crate) fn reference() -> Option<PathBuf> {
-    let folder = std::env::var_os("CONSORT_REFERENCE")
-        .map_or_else(|| crate_file("../../../shared/reference").into(), PathBuf::from);
-    let folder = folder.join("mission_control");
-    if folder.join("bids_27.jsonl").is_file() {
-        return Some(folder);
-    }
-    skip("no published evaluation (CONSORT_REFERENCE names the folder that contains it)");
-    None
 }
 
 fn ours(folder: &std::path::Path) -> BTreeMap<String, Value> {

@@ -1,6 +1,6 @@
 //! Missions in the flat iHTN form, with scaffolded domains.
 
-use super::dry_run::reference;
+use super::published::reference;
 use super::support::{Running, command, crate_file, free_address, run, test_file};
 use serde_json::Value;
 use std::process::Stdio;

@@ -14,6 +14,8 @@ mod help;
 mod ihtn;
 mod map;
 mod network;
+#[path = "../processes/support/published.rs"]
+mod published;
 mod recordings;
 mod recover;
 mod requests;

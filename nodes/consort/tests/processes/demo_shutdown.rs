@@ -13,6 +13,18 @@ fn under_way(folder: &Folder) -> Program {
     demo
 }
 
+/// Starts a demo that keeps its fleet running, with these flags, too. Returns it with the address of a node.
+pub(crate) fn keep_running(folder: &Folder, more: &[&str]) -> (Program, String) {
+    let arguments = ["demo", "--json", "--no-kill", "--robots", "2", "--speed", "40", "--keep-running"];
+    let demo = Program::start(folder, "demo", &[&arguments[..], more].concat());
+    until("the demo keeps its fleet running", LONG, || {
+        demo.stdout().contains(r#""event":"demo_keeps_running""#).then_some(())
+    });
+    let stdout = demo.stdout();
+    let address = stdout.split_once("--connect ").and_then(|(_, rest)| rest.split('"').next()).expect("an address");
+    (demo, address.to_owned())
+}
+
 #[test]
 fn ctrl_c_ends_the_whole_fleet() {
     let folder = Folder::new();
@@ -47,15 +59,9 @@ fn a_demo_that_keeps_running_ends_cleanly_at_sigterm() {
     let scaffold = ["domain", "scaffold", mission, "--person", "resident", "--object", "trolley"];
     let domain = folder.write("domain.yaml", &run("scaffold", &scaffold));
     let domain = domain.to_str().expect("UTF-8");
-    let arguments = ["demo", "--json", "--no-kill", "--robots", "2", "--speed", "40", "--keep-running"];
-    let demo = Program::start(&folder, "demo", &[&arguments[..], &["--domain", domain]].concat());
-    until("the demo keeps its fleet running", LONG, || {
-        demo.stdout().contains(r#""event":"demo_keeps_running""#).then_some(())
-    });
+    let (demo, address) = keep_running(&folder, &["--domain", domain]);
     assert!(folder.processes().len() > 3, "{:?}", folder.processes());
-    let stdout = demo.stdout();
-    let address = stdout.split_once("--connect ").and_then(|(_, rest)| rest.split('"').next()).expect("an address");
-    let submitted = run("submit", &["submit", mission, "--fleet", "demo", "--connect", address, "--wait"]);
+    let submitted = run("submit", &["submit", mission, "--fleet", "demo", "--connect", &address, "--wait"]);
     assert!(submitted.contains("serve-meal-2 completed"), "{submitted}");
     demo.signal("TERM");
     demo.end(LONG).expect(0);

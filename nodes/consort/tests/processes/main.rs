@@ -18,6 +18,7 @@ mod full_disk;
 mod holder_loss;
 mod invalid_usage;
 mod mission_rights;
+mod published_ihtns;
 mod recordings;
 mod service;
 mod stock_client;

@@ -8,6 +8,7 @@ mod folder;
 mod free_port;
 mod http;
 mod program;
+mod published;
 #[path = "../../../../../tests/support/skip.rs"]
 mod skip;
 
@@ -19,6 +20,7 @@ pub(crate) use folder::Folder;
 pub(crate) use free_port::free_port;
 pub(crate) use http::{Answer, http};
 pub(crate) use program::{Ended, Program};
+pub(crate) use published::reference;
 pub(crate) use skip::skip;
 
 use std::time::{Duration, Instant};
