@@ -36,7 +36,7 @@ Examples:
   consort submit lab-samples --not-before 2026-11-27T08:00:00+01:00
   consort submit lab-samples --not-before 15m
   consort submit my-mission.yaml --connect tcp/192.0.2.7:7447
-  consort submit mission-of-the-fleet-file
+  consort submit rounds                      # a mission of the fleet file
   consort submit my-ihtn.json --person nurse")]
 pub(crate) struct Args {
     #[command(flatten)]
