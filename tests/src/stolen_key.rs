@@ -51,8 +51,8 @@ impl StolenKey {
 pub fn report_of_all_steps(robot: RobotId, entry: &MissionEntry, role: &RoleId) -> Option<Report> {
     let plan = entry.plan(role)?;
     let holder = entry.roles.get(role)?.holder.as_ref();
-    let question =
-        PersonQuestion { to: slug("nurse"), message: format!("may {robot} enter?"), at: None, patience_s: None };
+    let (to, message) = (slug("nurse"), format!("may {robot} enter?"));
+    let question = PersonQuestion { to, message, at: None, patience_s: None, escalation: None };
     Some(Report {
         robot,
         incarnation: 1,

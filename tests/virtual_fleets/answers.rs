@@ -1,11 +1,10 @@
 //! Answers of people to requests, through any node.
 
-use crate::support::{self, answer, kill_coordinator_during, task_began};
+use crate::support::{self, answer, escalated, escalated_request, is_for, kill_coordinator_during, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
-use consort_protocol::view::PersonRequestView;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -227,36 +226,11 @@ fn a_request_for_a_role_that_the_world_lacks_is_left_to_others() {
     });
 }
 
-/// Checks whether people with a role are asked.
-fn is_for(request: &Value, role: &str) -> bool {
-    let view: PersonRequestView = serde_json::from_value(request.clone()).expect("a request");
-    view.is_for(&slug(role))
-}
-
-/// Waits for the escalation of the open request.
-async fn escalated_request(fleet: &Fleet) -> Value {
-    let find = async |fleet: &Fleet| {
-        let mut requests = support::person_requests(fleet).await.into_iter();
-        requests.find(|request| request["task"] == "call" && request["escalated_at_ms"].is_u64())
-    };
-    fleet.poll_until("an escalation", Duration::from_secs(120), find).await
-}
-
 /// Kills the coordinator. A robot starts again.
 async fn replace_coordinator(fleet: &mut Fleet) {
     if fleet.kill_coordinator().await.as_str() == "amber" {
         fleet.start_robot("amber").await;
     }
-}
-
-/// Matches the escalation to the porter.
-fn escalated(kind: &EventKind) -> bool {
-    escalated_to("porter")(kind)
-}
-
-/// Matches the escalation to a role.
-fn escalated_to(role: &str) -> impl Fn(&EventKind) -> bool {
-    move |kind| matches!(kind, EventKind::Escalated { task, to, .. } if task.as_str() == "call" && to.as_str() == role)
 }
 
 /// Without an answer the porter is asked, too, once and not before the time. He answers.
@@ -266,15 +240,19 @@ fn a_request_without_an_answer_is_escalated_to_another_role() {
         let mut fleet = fleet(seed).await;
         let (id, request) = visitor_called(&fleet, "porter", 60).await;
         assert!(is_for(&request, "visitor") && !is_for(&request, "porter"), "seed {seed}: {request}");
-        fleet.assert_never("an early escalation", Duration::from_secs(50), |fleet| fleet.has_event(escalated)).await;
-        let request = escalated_request(&fleet).await;
+        fleet
+            .assert_never("an early escalation", Duration::from_secs(50), |fleet| {
+                fleet.has_event(escalated("call", "porter"))
+            })
+            .await;
+        let request = escalated_request(&fleet, "call").await;
         let [due_ms, at_ms] =
             ["escalates_at_ms", "escalated_at_ms"].map(|name| request[name].as_u64().expect("a time"));
         assert!((due_ms..due_ms + 10_000).contains(&at_ms), "seed {seed}: {request}");
         assert!(is_for(&request, "visitor") && is_for(&request, "porter"), "seed {seed}: {request}");
         answer(&fleet, &json!({ "request": request["request"], "answer": "done", "by": "Pia" })).await;
         fleet.assert_completes(&id).await;
-        let escalations = fleet.events().into_iter().filter(escalated).count();
+        let escalations = fleet.events().into_iter().filter(escalated("call", "porter")).count();
         assert_eq!(escalations, 1, "seed {seed}\n{}", fleet.event_log_text());
     });
 }
@@ -291,7 +269,7 @@ fn simulated_people_answer_a_request_that_was_escalated_to_them() {
             })
             .await;
         fleet.assert_completes(&id).await;
-        let escalations = fleet.events().into_iter().filter(escalated_to("nurse")).count();
+        let escalations = fleet.events().into_iter().filter(escalated("call", "nurse")).count();
         assert_eq!(escalations, 1, "seed {seed}\n{}", fleet.event_log_text());
         let late = json!({ "request": request["request"], "answer": "done", "by": "Ria" });
         let late = fleet.request_answered(ApiCall::Answer, &late).await;
@@ -308,9 +286,9 @@ fn an_escalation_happens_although_coordinators_die() {
         let mut fleet = fleet_with(seed, &["aster", "basil", "clove", "daisy", "elder"]).await;
         let (id, _) = visitor_called(&fleet, "porter", 60).await;
         replace_coordinator(&mut fleet).await;
-        let first = escalated_request(&fleet).await;
+        let first = escalated_request(&fleet, "call").await;
         replace_coordinator(&mut fleet).await;
-        let again = escalated_request(&fleet).await;
+        let again = escalated_request(&fleet, "call").await;
         assert_eq!(again, first, "seed {seed}");
         answer(&fleet, &json!({ "request": first["request"], "answer": "done", "by": "Pia" })).await;
         fleet.assert_completes(&id).await;

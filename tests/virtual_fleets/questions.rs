@@ -1,6 +1,6 @@
 //! Questions of robots to people, in the middle of a task.
 
-use crate::support::{answer, kill_coordinator_during, open_request, person_requests};
+use crate::support::{answer, escalated_request, is_for, kill_coordinator_during, open_request, person_requests};
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -15,7 +15,12 @@ const SOON: Duration = Duration::from_secs(60);
 const DOMAIN: &str = r#"{
     "domain": "visits",
     "tasks": { "visit": {
-        "parameters": { "patience_s": { "type": "integer" } },
+        "parameters": {
+            "ask": { "type": "text" },
+            "patience_s": { "type": "integer" },
+            "other": { "type": "text", "optional": true },
+            "other_after_s": { "type": "integer", "optional": true }
+        },
         "results": { "answer": { "type": "text" } },
         "tree": "visit.xml",
         "estimate": { "time_s": "5.0" }
@@ -27,7 +32,8 @@ const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="visit">
   <BehaviorTree ID="visit">
     <Fallback>
       <Sequence>
-        <AskPerson role="nurse" message="may I enter?" at="Dock" patience_s="{patience_s}" answer="{first}"/>
+        <AskPerson role="{ask}" message="may I enter?" at="Dock" patience_s="{patience_s}"
+                   escalate_to="{other}" escalate_after_s="{other_after_s}" answer="{first}"/>
         <AskPerson role="nurse" message="which bed?" answer="{answer}"/>
       </Sequence>
       <Script code="answer := 'nobody'"/>
@@ -37,15 +43,17 @@ const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="visit">
 
 /// Starts a fleet with a robot that visits and no simulated nurse, and submits a visit.
 async fn visit(seed: u64, patience_s: u32, closed: bool) -> (Fleet, MissionId) {
-    visit_with_nurses(&[], seed, patience_s, closed).await
+    visit_with(&[], seed, json!({ "ask": "nurse", "patience_s": patience_s.to_string() }), closed).await
 }
 
-async fn visit_with_nurses(
-    rooms: &'static [&'static str],
-    seed: u64,
-    patience_s: u32,
-    closed: bool,
-) -> (Fleet, MissionId) {
+/// Starts such a visit whose first question escalates to another role after 60 s.
+async fn escalating_visit(rooms: &'static [&'static str], seed: u64, ask: &str, other: &str) -> (Fleet, MissionId) {
+    let parameters = json!({ "ask": ask, "patience_s": "3600", "other": other, "other_after_s": "60" });
+    visit_with(rooms, seed, parameters, false).await
+}
+
+/// Starts a visit in a fleet with a simulated nurse in each of the rooms.
+async fn visit_with(rooms: &'static [&'static str], seed: u64, parameters: Value, closed: bool) -> (Fleet, MissionId) {
     let trees = BTreeMap::from([("visit.xml".to_owned(), TREE.to_owned())]);
     let domain = DomainFile::check(serde_json::from_str(DOMAIN).expect("a domain"), &trees, &[]);
     let robots = vec!["member.robot".to_owned()];
@@ -57,8 +65,7 @@ async fn visit_with_nurses(
     fleet.wait_for_coordinator().await;
     let mission = json!({
         "mission": "visit", "roles": { "r1": { "kind": "managed", "on_loss": "restart" } },
-        "root": { "task": "see", "type": "visit", "roles": ["r1"],
-            "parameters": { "patience_s": patience_s.to_string() } },
+        "root": { "task": "see", "type": "visit", "roles": ["r1"], "parameters": parameters },
         "result": { "answer": "see.answer" },
     });
     let reply = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;
@@ -128,7 +135,8 @@ fn without_an_answer_the_tree_decides_how_to_go_on() {
 #[test]
 fn a_simulated_nurse_answers_the_questions_of_a_robot() {
     for_each_seed(SEEDS, async |seed| {
-        let (mut fleet, id) = visit_with_nurses(&["IC Room 6"], seed, 3600, seed == SEEDS[0]).await;
+        let parameters = json!({ "ask": "nurse", "patience_s": "3600" });
+        let (mut fleet, id) = visit_with(&["IC Room 6"], seed, parameters, seed == SEEDS[0]).await;
         fleet.assert_completes(&id).await;
         let given = result(&fleet, &id).await;
         assert!(given == "yes" || given == "no", "seed {seed}: {given}");
@@ -157,5 +165,68 @@ fn the_question_of_a_lost_robot_and_of_a_canceled_mission_is_withdrawn() {
         fleet.request_answered(ApiCall::Cancel, &json!({ "mission": id, "by": "Nia" })).await;
         fleet.poll_until("a withdrawn request", SOON, withdrawn).await;
         fleet.wait_for_end(&id).await;
+    });
+}
+
+/// The coordinator dies before the escalation, and the node of the robot after it. The porter answers; the nurse is
+/// late.
+#[test]
+fn an_escalated_question_is_answered_although_nodes_die() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, id) = escalating_visit(&[], seed, "nurse", "porter").await;
+        let asked = question(&fleet, "may I enter?").await;
+        assert!(is_for(&asked, "nurse") && !is_for(&asked, "porter"), "seed {seed}: {asked}");
+        assert_eq!(asked["escalates_to"], "porter", "seed {seed}: {asked}");
+        if fleet.kill_coordinator().await.as_str() == "amber" {
+            fleet.restart("amber").await;
+        }
+        let first = escalated_request(&fleet, "see").await;
+        let [due_ms, at_ms] = ["escalates_at_ms", "escalated_at_ms"].map(|name| first[name].as_u64().expect("a time"));
+        assert!(at_ms >= due_ms, "seed {seed}: {first}");
+        assert!(is_for(&first, "nurse") && is_for(&first, "porter"), "seed {seed}: {first}");
+        fleet.kill("amber").await;
+        fleet.restart("amber").await;
+        assert_eq!(escalated_request(&fleet, "see").await, first, "seed {seed}");
+        answer(
+            &fleet,
+            &json!({ "request": first["request"], "answer": "done", "results": { "answer": "yes" }, "by": "Pia" }),
+        )
+        .await;
+        let late = fleet.request_answered(ApiCall::Answer, &done(&first, "no")).await;
+        let expected = format!("request {id}.1 is closed; it was answered by Pia: done");
+        assert_eq!(late["error"], expected, "seed {seed}");
+        answer(&fleet, &done(&question(&fleet, "which bed?").await, "the first")).await;
+        fleet.assert_completes(&id).await;
+        assert_eq!(result(&fleet, &id).await, "the first", "seed {seed}");
+        assert_eq!(person_requests(&fleet).await.len(), 2, "seed {seed}: a question was asked twice");
+    });
+}
+
+/// The tree decides how to go on, whichever role has answered.
+#[test]
+fn people_to_whom_a_question_was_escalated_may_decline_it() {
+    for_each_seed(SEEDS, async |seed| {
+        for kind in ["declined", "cannot"] {
+            let (mut fleet, id) = escalating_visit(&[], seed, "nurse", "porter").await;
+            let asked = escalated_request(&fleet, "see").await;
+            answer(&fleet, &json!({ "request": asked["request"], "answer": kind, "by": "Pia" })).await;
+            fleet.assert_completes(&id).await;
+            assert_eq!(result(&fleet, &id).await, "nobody", "seed {seed}: {kind}");
+        }
+    });
+}
+
+/// The simulated world has a nurse and no visitor: she answers, and not before the escalation.
+#[test]
+fn a_simulated_nurse_answers_a_question_that_was_escalated_to_her() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, id) = escalating_visit(&["IC Room 6"], seed, "visitor", "nurse").await;
+        fleet.assert_completes(&id).await;
+        let requests = person_requests(&fleet).await;
+        let asked = requests.iter().find(|asked| asked["role"] == "visitor").expect("the escalated question");
+        let [escalated_ms, answered_ms] =
+            [&asked["escalated_at_ms"], &asked["phase"]["answered"]["at_ms"]].map(|at| at.as_u64().expect("a time"));
+        assert!(answered_ms >= escalated_ms, "seed {seed}: {asked}");
+        assert_eq!(asked["phase"]["answered"]["by"], "nurse", "seed {seed}: {asked}");
     });
 }

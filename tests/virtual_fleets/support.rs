@@ -5,6 +5,7 @@ use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::ApiCall;
+use consort_protocol::view::PersonRequestView;
 use consort_tests::{Fleet, RobotSpec, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -49,6 +50,26 @@ pub(crate) async fn open_request(fleet: &Fleet, what: &str, is_meant: impl Fn(&V
         open.find(|request| is_meant(request))
     };
     fleet.poll_until(what, Duration::from_secs(60), find).await
+}
+
+/// Checks whether people with a role are asked.
+pub(crate) fn is_for(request: &Value, role: &str) -> bool {
+    let view: PersonRequestView = serde_json::from_value(request.clone()).expect("a request");
+    view.is_for(&slug(role))
+}
+
+/// Waits for the escalation of the request for a task.
+pub(crate) async fn escalated_request(fleet: &Fleet, task: &str) -> Value {
+    let find = async |fleet: &Fleet| {
+        let mut requests = person_requests(fleet).await.into_iter();
+        requests.find(|request| request["task"] == task && request["escalated_at_ms"].is_u64())
+    };
+    fleet.poll_until("an escalation", Duration::from_secs(120), find).await
+}
+
+/// Matches the escalation of the request for a task to a role.
+pub(crate) fn escalated(task: &str, role: &str) -> impl Fn(&EventKind) -> bool {
+    move |kind| matches!(kind, EventKind::Escalated { task: of, to, .. } if of.as_str() == task && to.as_str() == role)
 }
 
 /// Repeats the answer of a person until a coordinator has executed it.

@@ -16,7 +16,7 @@ use super::branch::Branch;
 use crate::bounds::{self, limit_text};
 use crate::ids::{MissionId, PlaceId, RoleId, TaskId, TaskType};
 use crate::lease::RoleHolder;
-use crate::mission::{TaskSpec, ValueKind};
+use crate::mission::{Escalation, TaskSpec, ValueKind};
 use crate::plan::StepIndex;
 use crate::scalar::Scalar;
 use crate::schema::inline_schema;
@@ -103,7 +103,7 @@ pub struct PersonRequestEntry {
     pub asked_ms: u64,
     /// Time after which it expires, in milliseconds since 1970.
     pub expires_ms: Option<u64>,
-    /// Escalation, if the task states one.
+    /// Escalation, if the task or the question states one.
     pub escalation: Option<RequestEscalation>,
     /// Phase.
     pub phase: PersonRequestPhase,
@@ -148,6 +148,8 @@ pub struct PersonQuestion {
     pub at: Option<PlaceId>,
     /// Seconds after which it expires; `None` if it does not.
     pub patience_s: Option<u32>,
+    /// Escalation without an answer, as that of a task of people.
+    pub escalation: Option<Box<Escalation>>,
 }
 
 /// Task type of a question.

@@ -50,8 +50,8 @@ pub use limits::FILE_BYTES_MAX;
 pub(crate) use limits::{ENSEMBLES_MAX, ROLES_MAX, TIME_LIMIT_MAX_S};
 pub(crate) use lost_item::LostItem;
 pub use model::{
-    AlternativeMethod, Escalation, Method, Mission, OnLoss, ResultReference, Role, RoleKind, TaskBody, TaskIndex,
-    TaskNode, TaskOrder, TaskSpec,
+    AlternativeMethod, Escalation, Method, Mission, OnLoss, PATIENCE_MAX_S, ResultReference, Role, RoleKind, TaskBody,
+    TaskIndex, TaskNode, TaskOrder, TaskSpec,
 };
 pub use order::GlobalOrder;
 pub(crate) use outcome::OUTCOMES_BYTES_MAX;

@@ -202,7 +202,7 @@ pub(crate) const ATTEMPTS: u8 = 2;
 /// Maximum number of attempts.
 pub(crate) const ATTEMPTS_MAX: u8 = 10;
 /// Maximum time to wait for the answer of a person, in seconds: a week.
-pub(crate) const PATIENCE_MAX_S: u32 = 7 * 24 * 3600;
+pub const PATIENCE_MAX_S: u32 = 7 * 24 * 3600;
 
 fn attempts() -> u8 {
     ATTEMPTS

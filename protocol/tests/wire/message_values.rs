@@ -83,8 +83,9 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
 }
 
 pub(crate) fn task_question() -> impl Strategy<Value = TaskQuestion> {
-    let question = (name(), text(), option::of(place()), option::of(any::<u32>()))
-        .prop_map(|(to, message, at, patience_s)| PersonQuestion { to, message, at, patience_s });
+    let question = (name(), text(), option::of(place()), option::of(any::<u32>()), option::of(escalation())).prop_map(
+        |(to, message, at, patience_s, escalation)| PersonQuestion { to, message, at, patience_s, escalation },
+    );
     (name(), any::<u32>(), question, any::<bool>()).prop_map(|(task, number, question, is_open)| TaskQuestion {
         task,
         number,

@@ -61,9 +61,8 @@ pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
     let input = (name(), text()).prop_map(|(task, result)| ResultReference { task, result });
     let hash = any::<u64>().prop_map(DomainHash);
     let domain = option::of((name(), hash).prop_map(|(name, hash)| DomainReference { name, hash }));
-    let escalation = (name(), any::<u32>()).prop_map(|(to, after_s)| Box::new(Escalation { to, after_s }));
     let used =
-        (btree_map(text(), input, 0..2), vec(text(), 0..2), domain, option::of(any::<u32>()), option::of(escalation));
+        (btree_map(text(), input, 0..2), vec(text(), 0..2), domain, option::of(any::<u32>()), option::of(escalation()));
     let entries = (btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2));
     (name(), vec(name(), 1..3), entries, items, used).prop_map(
         |(
@@ -89,6 +88,10 @@ pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
             }
         },
     )
+}
+
+pub(crate) fn escalation() -> impl Strategy<Value = Box<Escalation>> {
+    (name(), any::<u32>()).prop_map(|(to, after_s)| Box::new(Escalation { to, after_s }))
 }
 
 pub(crate) fn scalar() -> impl Strategy<Value = Scalar> {

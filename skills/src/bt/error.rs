@@ -100,6 +100,14 @@ pub enum TreeErrorKind {
         /// Type of the port.
         wanted: PortType,
     },
+    /// A tree binds one port of a pair.
+    #[error("port `{bound}` needs port `{missing}`, which is missing")]
+    HalfPair {
+        /// The bound port.
+        bound: String,
+        /// The other port.
+        missing: String,
+    },
     /// The node has no such port.
     #[error("there is no port `{port}`; allowed are {allowed}")]
     UnknownPort {

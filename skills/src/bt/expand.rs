@@ -160,6 +160,14 @@ impl<'a, C> Expansion<'a, C> {
             let problem = TreeErrorKind::UnknownPort { port: port.clone(), allowed: manifest.port_names() };
             return Err(self.error(node, problem));
         }
+        for [first, second] in &manifest.pairs {
+            let (bound, missing) = match [first, second].map(|port| node.ports.contains_key(port)) {
+                [true, false] => (first.clone(), second.clone()),
+                [false, true] => (second.clone(), first.clone()),
+                [true, true] | [false, false] => continue,
+            };
+            return Err(self.error(node, TreeErrorKind::HalfPair { bound, missing }));
+        }
         let mut ports = Ports::default();
         for port in &manifest.ports {
             let text = match (node.ports.get(&port.name), &port.presence) {

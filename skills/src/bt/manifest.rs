@@ -141,12 +141,20 @@ pub struct NodeManifest {
     pub kind: NodeKind,
     /// Ports, in the order of display.
     pub ports: Vec<PortSpec>,
+    /// Pairs of optional ports. A tree binds both ports of a pair or neither.
+    pub(crate) pairs: Vec<[String; 2]>,
 }
 
 impl NodeManifest {
     /// Creates the manifest of a node.
     pub fn new(id: &str, kind: NodeKind, ports: impl IntoIterator<Item = PortSpec>) -> NodeManifest {
-        NodeManifest { id: id.to_owned(), kind, ports: ports.into_iter().collect() }
+        NodeManifest { id: id.to_owned(), kind, ports: ports.into_iter().collect(), pairs: vec![] }
+    }
+
+    /// Adds a pair of optional ports.
+    pub(crate) fn with_pair(mut self, first: &str, second: &str) -> NodeManifest {
+        self.pairs.push([first.to_owned(), second.to_owned()]);
+        self
     }
 
     pub(crate) fn port(&self, name: &str) -> Option<&PortSpec> {

@@ -6,15 +6,19 @@ use crate::bt::{
 };
 use consort_protocol::ids::{PlaceId, RoleId};
 use consort_protocol::ledger::PersonQuestion;
+use consort_protocol::mission::{Escalation, PATIENCE_MAX_S};
 
 const ROLE: &str = "role";
 const MESSAGE: &str = "message";
 const AT: &str = "at";
 const PATIENCE: &str = "patience_s";
+const ESCALATE_TO: &str = "escalate_to";
+const ESCALATE_AFTER: &str = "escalate_after_s";
 const ANSWER: &str = "answer";
 
-/// Asks people with a role, and waits for the answer of one of them. It fails if a person declines or
-/// cannot answer, and if nobody answers in time.
+/// Asks people with a role, and waits for the answer of one of them. Without an answer for a while it
+/// asks people with another role, too. It fails if a person declines or cannot answer, and if nobody
+/// answers in time.
 #[derive(Default)]
 struct AskPersonLeaf {
     /// The open question.
@@ -22,31 +26,51 @@ struct AskPersonLeaf {
 }
 
 pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    let seconds = |port| PortSpec::input(port, PortType::Integer).in_range(1.0, f64::from(PATIENCE_MAX_S)).optional();
     let ports = [
         PortSpec::input(ROLE, PortType::Role),
         PortSpec::input(MESSAGE, PortType::Text),
         PortSpec::input(AT, PortType::Place).optional(),
-        PortSpec::input(PATIENCE, PortType::Integer).optional(),
+        seconds(PATIENCE),
+        PortSpec::input(ESCALATE_TO, PortType::Role).optional(),
+        seconds(ESCALATE_AFTER),
         PortSpec::output(ANSWER, PortType::Text).optional(),
     ];
-    registry.register(NodeManifest::new("AskPerson", NodeKind::Action, ports), |_: &TaskContext| {
-        Box::new(AskPersonLeaf::default())
-    })
+    let manifest = NodeManifest::new("AskPerson", NodeKind::Action, ports).with_pair(ESCALATE_TO, ESCALATE_AFTER);
+    registry.register(manifest, |_: &TaskContext| Box::new(AskPersonLeaf::default()))
 }
 
 impl AskPersonLeaf {
     fn question(context: &LeafContext<'_, '_>) -> Result<PersonQuestion, Cause> {
-        let patience_s = context.read_optional::<i64>(PATIENCE)?.map(|patience| {
-            let seconds = u32::try_from(patience).ok().filter(|seconds| *seconds > 0);
-            seconds.ok_or_else(|| Cause::new(format!("{PATIENCE} is {patience}, allowed is 1 to {}", u32::MAX)))
-        });
+        let to = context.read::<RoleId>(ROLE)?;
+        let other = context.read_optional::<RoleId>(ESCALATE_TO)?;
+        let escalation = match (other, seconds(context, ESCALATE_AFTER)?) {
+            (Some(other), _) if other == to => {
+                return Err(Cause::new(format!("{ESCALATE_TO} is {to}, which is asked already")));
+            }
+            (Some(to), Some(after_s)) => Some(Box::new(Escalation { to, after_s })),
+            (None, None) => None,
+            (Some(_), None) | (None, Some(_)) => {
+                return Err(Cause::new(format!("{ESCALATE_TO} and {ESCALATE_AFTER} need values, both or neither")));
+            }
+        };
         Ok(PersonQuestion {
-            to: context.read::<RoleId>(ROLE)?,
+            to,
             message: context.read(MESSAGE)?,
             at: context.read_optional::<PlaceId>(AT)?,
-            patience_s: patience_s.transpose()?,
+            patience_s: seconds(context, PATIENCE)?,
+            escalation,
         })
     }
+}
+
+/// Reads a time in seconds.
+fn seconds(context: &LeafContext<'_, '_>, port: &str) -> Result<Option<u32>, Cause> {
+    let seconds = context.read_optional::<i64>(port)?.map(|given| {
+        // The constraint of the port was checked when its value was written.
+        u32::try_from(given).map_err(|_| Cause::new(format!("{port} is {given}; allowed is 1 to {PATIENCE_MAX_S}")))
+    });
+    seconds.transpose()
 }
 
 impl Leaf for AskPersonLeaf {

@@ -4,6 +4,7 @@ mod follow_path;
 mod interactions;
 mod library;
 mod navigation;
+mod questions;
 mod scripted_driver;
 
 use consort_protocol::cause::CauseClass;

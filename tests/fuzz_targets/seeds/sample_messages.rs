@@ -22,7 +22,7 @@ use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FailureKind,
     RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
 };
-use consort_protocol::mission::{TaskOutcome, TaskOutcomes};
+use consort_protocol::mission::{Escalation, TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
@@ -308,7 +308,8 @@ fn schedule() -> Schedule {
 
 fn question() -> TaskQuestion {
     let (to, message) = (slug("nurse"), "may I enter?".to_owned());
-    let question = PersonQuestion { to, message, at: Some(slug("Dock")), patience_s: Some(60) };
+    let escalation = Some(Box::new(Escalation { to: slug("doctor"), after_s: 30 }));
+    let question = PersonQuestion { to, message, at: Some(slug("Dock")), patience_s: Some(60), escalation };
     TaskQuestion { task: slug("drive"), number: 1, question, is_open: true }
 }
 

@@ -108,7 +108,8 @@ mod tests {
     const AWARD: Epoch = Epoch { term: 1, index: 7 };
 
     fn question(message: &str) -> PersonQuestion {
-        PersonQuestion { to: "clerk".parse().unwrap(), message: message.to_owned(), at: None, patience_s: None }
+        let (to, message) = ("clerk".parse().unwrap(), message.to_owned());
+        PersonQuestion { to, message, at: None, patience_s: None, escalation: None }
     }
 
     fn begun() -> OpenQuestion {

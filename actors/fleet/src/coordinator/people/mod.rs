@@ -1,4 +1,5 @@
-//! Unmanaged roles: the coordinator executes the local plans of people.
+//! Unmanaged roles: the coordinator executes the local plans of people, and escalates and expires the
+//! questions of robots to them.
 //!
 //! ```text
 //!  ledger ─▶ next_command ─▶ ask, progress, escalate, expire ─▶ ledger ─▶ view/requests ─▶ people ─▶ api/answer
@@ -26,12 +27,12 @@ use consort_protocol::codec;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswer, PersonRequestId};
+use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswer};
 use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ErrorCode, GoalId, PersonResult};
-use next_command::{PersonStep, next_step};
+use next_command::{PersonStep, next_step, question_steps};
 use simulated::SimulatedPeople;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -84,7 +85,7 @@ impl People {
             let of_roles = roles.filter_map(|(entry, role)| {
                 Some(((entry.id.clone(), role.clone()), next_step(entry, role, confirmed_ms)?))
             });
-            let of_questions = missions.iter().flat_map(|entry| expired_questions(entry, confirmed_ms));
+            let of_questions = missions.iter().flat_map(|entry| question_steps(entry, confirmed_ms));
             of_roles.chain(of_questions).collect()
         });
         let due: BTreeSet<_> = steps.iter().map(|(key, _)| key.clone()).collect();
@@ -245,18 +246,6 @@ impl People {
             context.propose(Command::Cancel { mission, by: order.by, places });
         }
     }
-}
-
-/// Returns the questions of robots in a mission that have expired, with the roles of the robots.
-fn expired_questions(
-    entry: &MissionEntry,
-    now_ms: Option<u64>,
-) -> impl Iterator<Item = ((MissionId, RoleId), PersonStep)> {
-    let expired = entry.open_questions().filter(move |(_, request)| request.is_due(now_ms));
-    expired.map(|(asking, request)| {
-        let id = PersonRequestId { mission: entry.id.clone(), number: request.number };
-        ((entry.id.clone(), asking.clone()), PersonStep::Expire(id))
-    })
 }
 
 /// Publishes a signal of a person. Its receiver then queries the coordinator: only its reply counts.

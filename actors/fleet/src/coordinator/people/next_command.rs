@@ -1,13 +1,13 @@
-//! The next step of an unmanaged role, as a value.
+//! The next step of an unmanaged role or of an open question, as a value.
 
 use crate::robot::{Sequencer, SequencerAction, StepRef};
-use consort_protocol::ids::RoleId;
+use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Branch, Command, MissionEntry, PersonRequestId, RolePhase};
+use consort_protocol::ledger::{Branch, Command, MissionEntry, PersonRequestEntry, PersonRequestId, RolePhase};
 use consort_protocol::plan::StepIndex;
 use tracing::warn;
 
-/// Next step of an unmanaged role.
+/// Next step of an unmanaged role, or of an open question.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum PersonStep {
     /// Steps have ended that need no person.
@@ -29,12 +29,7 @@ pub(super) fn next_step(entry: &MissionEntry, role: &RoleId, now_ms: Option<u64>
         return None;
     }
     if let Some(open) = entry.open_request_to(role) {
-        let request = PersonRequestId { mission: entry.id.clone(), number: open.number };
-        return match (open.is_due(now_ms), open.is_escalation_due(now_ms)) {
-            (true, _) => Some(PersonStep::Expire(request)),
-            (false, true) => Some(PersonStep::Escalate(request)),
-            (false, false) => None,
-        };
+        return request_step(entry, open, now_ms);
     }
     let (mission, branch, ended) = (entry.id.clone(), entry.branch, &entry.roles.get(role)?.ended);
     let mut sequencer = match Sequencer::new(entry.plan(role)?.clone(), ended, entry.role_holders()) {
@@ -71,11 +66,34 @@ pub(super) fn next_step(entry: &MissionEntry, role: &RoleId, now_ms: Option<u64>
     }
 }
 
+/// Returns the next steps of the open questions of a mission, with the roles of the robots that ask.
+pub(super) fn question_steps(
+    entry: &MissionEntry,
+    now_ms: Option<u64>,
+) -> impl Iterator<Item = ((MissionId, RoleId), PersonStep)> {
+    entry.open_questions().filter_map(move |(asking, question)| {
+        Some(((entry.id.clone(), asking.clone()), request_step(entry, question, now_ms)?))
+    })
+}
+
+/// Returns the next step of an open request; `None` while it waits.
+fn request_step(entry: &MissionEntry, open: &PersonRequestEntry, now_ms: Option<u64>) -> Option<PersonStep> {
+    let request = PersonRequestId { mission: entry.id.clone(), number: open.number };
+    match (open.is_due(now_ms), open.is_escalation_due(now_ms)) {
+        (true, _) => Some(PersonStep::Expire(request)),
+        (false, true) => Some(PersonStep::Escalate(request)),
+        (false, false) => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::test_ledger::{clerk, ledger};
     use super::*;
-    use consort_protocol::ledger::{AnswerContent, CommandOutcome, Ledger, MissionState, PersonAnswer};
+    use consort_protocol::ledger::{
+        AnswerContent, CommandOutcome, Ledger, MissionState, PersonAnswer, PersonQuestion, TaskQuestion,
+    };
+    use consort_protocol::mission::Escalation;
     use consort_protocol::scalar::Scalar;
     use std::collections::{BTreeMap, BTreeSet};
 
@@ -220,5 +238,31 @@ mod tests {
         let expire = Command::ExpirePersonRequest { request, now_ms: u64::MAX, places: BTreeMap::new() };
         assert_eq!(apply(&mut ledger, expire), CommandOutcome::Done);
         assert_eq!(ledger.open_person_requests().len(), 1, "the command does not fit");
+    }
+
+    #[test]
+    fn a_question_is_escalated_once_and_then_expires() {
+        let (mut ledger, mission) = ledger(false);
+        let (role, holder) = ledger.mission(&mission).unwrap().role_holders().pop_first().expect("a holder");
+        let escalation = Some(Box::new(Escalation { to: RoleId::new("head").unwrap(), after_s: 30 }));
+        let (to, message) = (clerk(), "may I enter?".to_owned());
+        let question = PersonQuestion { to, message, at: None, patience_s: Some(60), escalation };
+        let question = TaskQuestion { task: "open".parse().unwrap(), number: 1, question, is_open: true };
+        let epoch = holder.epoch;
+        let asked =
+            Command::SetQuestion { mission: mission.clone(), role: role.clone(), epoch, question, asked_ms: NOW_MS };
+        assert_eq!(apply(&mut ledger, asked), CommandOutcome::Done);
+        let request = PersonRequestId { mission: mission.clone(), number: 1 };
+        let at = |ledger: &Ledger, after_ms: u64| {
+            let mut steps = question_steps(ledger.mission(&mission).unwrap(), Some(NOW_MS + after_ms));
+            (steps.next(), steps.next())
+        };
+        let step = |step: PersonStep| (Some(((mission.clone(), role.clone()), step)), None);
+        assert_eq!(at(&ledger, 29_999), (None, None));
+        assert_eq!(at(&ledger, 30_000), step(PersonStep::Escalate(request.clone())));
+        let escalate = Command::EscalatePersonRequest { request: request.clone(), now_ms: NOW_MS + 30_000 };
+        assert_eq!(apply(&mut ledger, escalate), CommandOutcome::Done);
+        assert_eq!(at(&ledger, 59_999), (None, None));
+        assert_eq!(at(&ledger, 60_000), step(PersonStep::Expire(request)));
     }
 }

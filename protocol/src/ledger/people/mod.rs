@@ -137,11 +137,10 @@ impl MissionEntry {
         }
         if asked.is_open && known.is_none() {
             let TaskQuestion { task, number, question, .. } = asked;
-            let to = question.to.clone();
-            let patience_s = question.patience_s;
+            let (to, patience_s, escalation) = (question.to.clone(), question.patience_s, question.escalation.clone());
+            let times = RequestTimes { asked_ms, patience_s, escalation };
             let subject = RequestSubject::Question { number, question, answer: None };
             let robots = BTreeMap::from([(role.clone(), holder)]);
-            let times = RequestTimes { asked_ms, patience_s, escalation: None };
             self.add_request(to, subject, task, robots, times);
         }
         self.drop_old_requests();
@@ -415,95 +414,4 @@ impl Ledger {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::ids::{RequestId, TaskType};
-    use crate::ledger::{Command, Submission};
-    use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder};
-    use crate::plan::{Division, LocalPlan, Step, StepAction};
-
-    const ASKED_MS: u64 = 1_000_000;
-
-    fn role(name: &str) -> RoleId {
-        RoleId::new(name).unwrap()
-    }
-
-    fn apply(ledger: &mut Ledger, command: Command) -> CommandOutcome {
-        ledger.apply(Epoch { term: 1, index: 1 }, command)
-    }
-
-    /// A clerk has been asked to sign; the request escalates to the head after 30 s. The mission continues
-    /// afterwards with the task of a robot.
-    fn asked() -> (Ledger, PersonRequestId) {
-        let task = |name: &str, of: &str, escalation| {
-            let spec = TaskSpec::of(TaskType::new(name).unwrap(), vec![role(of)]);
-            (TaskId::new(name).unwrap(), TaskSpec { escalation, ..spec })
-        };
-        let escalation = Escalation { to: role("head"), after_s: 30 };
-        let tasks = [task("sign", "clerk", Some(Box::new(escalation))), task("wait", "r1", None)];
-        let root = TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![1, 2]));
-        let nodes = tasks.iter().map(|(id, spec)| (id.clone(), TaskBody::Elementary(spec.clone())));
-        let nodes = std::iter::once((TaskId::new("root").unwrap(), root)).chain(nodes);
-        let kinds = [("clerk", RoleKind::Unmanaged), ("r1", RoleKind::Managed)];
-        let mission = Mission {
-            name: TaskId::new("permit").unwrap(),
-            roles: kinds.into_iter().map(|(name, kind)| (role(name), Role::of(kind))).collect(),
-            ensembles: vec![],
-            energy_max: None,
-            tasks: nodes.map(|(id, body)| TaskNode { id, body }).collect(),
-            results: BTreeMap::new(),
-        };
-        let plans = tasks.into_iter().map(|(id, spec)| {
-            let of = spec.roles[0].clone();
-            (of.clone(), LocalPlan::of(of, vec![Step { action: StepAction::Task { id, spec }, after: vec![] }]))
-        });
-        let division = Division { plans: plans.collect() };
-        let mut ledger = Ledger::default();
-        let submission = Submission::of(RequestId::new("a").unwrap(), mission, division);
-        apply(&mut ledger, Command::Submit(Box::new(submission)));
-        let mission = ledger.missions().next().unwrap().id.clone();
-        let (branch, role) = (Branch::Main, role("clerk"));
-        apply(&mut ledger, Command::AskPerson { mission: mission.clone(), branch, role, step: 0, asked_ms: ASKED_MS });
-        (ledger, PersonRequestId { mission, number: 1 })
-    }
-
-    /// Applies the command after so many seconds. Returns the time of the escalation in seconds after the
-    /// request.
-    fn escalate(ledger: &mut Ledger, request: &PersonRequestId, after_s: u64) -> Option<u64> {
-        let command = Command::EscalatePersonRequest { request: request.clone(), now_ms: ASKED_MS + after_s * 1000 };
-        assert_eq!(apply(ledger, command), CommandOutcome::Done);
-        let entry = ledger.mission(&request.mission).unwrap().person_request(request.number).unwrap();
-        let escalation = entry.escalation.as_ref().expect("the task states it");
-        assert_eq!(escalation.to, role("head"));
-        escalation.escalated_ms.map(|at_ms| (at_ms - ASKED_MS) / 1000)
-    }
-
-    fn answer(ledger: &mut Ledger, request: &PersonRequestId, content: AnswerContent) {
-        let answer = PersonAnswer { by: "Nia".to_owned(), content, note: String::new(), at_ms: ASKED_MS };
-        let command = Command::AnswerPerson { request: request.clone(), answer, places: BTreeMap::new() };
-        assert_eq!(apply(ledger, command), CommandOutcome::Done);
-    }
-
-    #[test]
-    fn a_request_is_escalated_once_and_not_before_its_time() {
-        let (mut ledger, request) = asked();
-        let times = [29, 31, 40].map(|after_s| escalate(&mut ledger, &request, after_s));
-        assert_eq!(times, [None, Some(31), Some(31)]);
-        assert!(ledger.mission(&request.mission).unwrap().person_request(1).unwrap().is_open());
-    }
-
-    #[test]
-    fn an_answered_request_is_not_escalated() {
-        let (mut ledger, request) = asked();
-        answer(&mut ledger, &request, AnswerContent::Done(BTreeMap::new()));
-        assert_eq!(escalate(&mut ledger, &request, 31), None);
-    }
-
-    #[test]
-    fn a_request_that_is_put_off_is_escalated_later() {
-        let (mut ledger, request) = asked();
-        answer(&mut ledger, &request, AnswerContent::Later(ASKED_MS + 60_000));
-        assert_eq!(escalate(&mut ledger, &request, 89), None);
-        assert_eq!(escalate(&mut ledger, &request, 90), Some(90));
-    }
-}
+mod tests;
