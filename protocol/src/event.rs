@@ -203,16 +203,48 @@ pub enum EventKind {
         /// The task.
         task: TaskId,
     },
-    /// Nobody has answered the request for a task: people with another role are asked, too.
+    /// Nobody has answered the request for a task, or a robot's question: people with another role are
+    /// asked, too.
     Escalated {
         /// The mission.
         mission: MissionId,
         /// Role of the people that were asked first.
         role: RoleId,
-        /// The task.
+        /// The task; for a question, the task in which the robot asks.
         task: TaskId,
         /// Role of the other people.
         to: RoleId,
+    },
+    /// A robot asks people a question.
+    QuestionAsked {
+        /// The mission.
+        mission: MissionId,
+        /// Role of the people.
+        role: RoleId,
+        /// Task in which the robot asks.
+        task: TaskId,
+        /// The question.
+        message: String,
+    },
+    /// A person has answered the question of a robot.
+    QuestionAnswered {
+        /// The mission.
+        mission: MissionId,
+        /// Role of the people that were asked first.
+        role: RoleId,
+        /// Task in which the robot asks.
+        task: TaskId,
+    },
+    /// The question of a robot was declined, expired or was withdrawn. The robot decides how to go on.
+    QuestionClosed {
+        /// The mission.
+        mission: MissionId,
+        /// Role of the people that were asked first.
+        role: RoleId,
+        /// Task in which the robot asks.
+        task: TaskId,
+        /// Reason.
+        cause: String,
     },
     /// A task failed permanently.
     TaskFailed {
@@ -382,6 +414,9 @@ impl EventKind {
             EventKind::TaskEnded { .. } => "task_ended",
             EventKind::TaskSkipped { .. } => "task_skipped",
             EventKind::Escalated { .. } => "escalated",
+            EventKind::QuestionAsked { .. } => "question_asked",
+            EventKind::QuestionAnswered { .. } => "question_answered",
+            EventKind::QuestionClosed { .. } => "question_closed",
             EventKind::TaskFailed { .. } => "task_failed",
             EventKind::Sent { .. } => "sent",
             EventKind::Received { .. } => "received",
@@ -413,6 +448,9 @@ impl EventKind {
             | EventKind::TaskEnded { mission, .. }
             | EventKind::TaskSkipped { mission, .. }
             | EventKind::Escalated { mission, .. }
+            | EventKind::QuestionAsked { mission, .. }
+            | EventKind::QuestionAnswered { mission, .. }
+            | EventKind::QuestionClosed { mission, .. }
             | EventKind::TaskFailed { mission, .. }
             | EventKind::Sent { mission, .. }
             | EventKind::Received { mission, .. }
@@ -446,7 +484,8 @@ mod tests {
         let (role, task): (RoleId, TaskId) = ("r1".parse().unwrap(), "go".parse().unwrap());
         let kinds = [
             EventKind::SteppedDown { term: 1 },
-            EventKind::TaskBegan { mission: mission.clone(), role: role.clone(), task },
+            EventKind::TaskBegan { mission: mission.clone(), role: role.clone(), task: task.clone() },
+            EventKind::QuestionAnswered { mission: mission.clone(), role: role.clone(), task },
             EventKind::OccurrenceSubmitted { schedule: schedule.clone(), due_ms: 1, mission: mission.clone() },
             EventKind::ScheduleChanged { schedule, change: ScheduleChange::Added, by: String::new() },
             EventKind::LowCharge { mission, role, cause: String::new() },

@@ -2,6 +2,7 @@
 
 use crate::support::{answer, escalated_request, is_for, kill_coordinator_during, open_request, person_requests};
 use consort_protocol::ensemble::EnsembleSpec;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_skills::domain_file::DomainFile;
@@ -125,6 +126,9 @@ fn without_an_answer_the_tree_decides_how_to_go_on() {
             }
             fleet.assert_completes(&id).await;
             assert_eq!(result(&fleet, &id).await, "nobody", "seed {seed}: {kind}");
+            let cause = if kind.is_empty() { "expired".to_owned() } else { format!("answered by Nia: {kind}") };
+            let closed = |what: &EventKind| matches!(what, EventKind::QuestionClosed { cause: of, .. } if *of == cause);
+            assert!(fleet.has_event(closed), "seed {seed}: {kind}\n{}", fleet.event_log_text());
             let late = fleet.request_answered(ApiCall::Answer, &done(&asked, "come in")).await;
             let error = late["error"].as_str().unwrap_or_default().to_owned();
             assert!(error.contains("is closed"), "seed {seed}: {late}");
@@ -168,8 +172,8 @@ fn the_question_of_a_lost_robot_and_of_a_canceled_mission_is_withdrawn() {
     });
 }
 
-/// The coordinator dies before the escalation, and the node of the robot after it. The porter answers; the nurse is
-/// late.
+/// The coordinator dies before the escalation, and the node of the robot after it. The porter answers;
+/// the nurse is late.
 #[test]
 fn an_escalated_question_is_answered_although_nodes_die() {
     for_each_seed(SEEDS, async |seed| {
@@ -228,5 +232,10 @@ fn a_simulated_nurse_answers_a_question_that_was_escalated_to_her() {
             [&asked["escalated_at_ms"], &asked["phase"]["answered"]["at_ms"]].map(|at| at.as_u64().expect("a time"));
         assert!(answered_ms >= escalated_ms, "seed {seed}: {asked}");
         assert_eq!(asked["phase"]["answered"]["by"], "nurse", "seed {seed}: {asked}");
+        let names = fleet.events().into_iter().map(|kind| kind.as_str());
+        let of_questions: Vec<&str> =
+            names.filter(|name| name.starts_with("question") || *name == "escalated").collect();
+        let expected = ["question_asked", "escalated", "question_answered", "question_asked", "question_answered"];
+        assert_eq!(of_questions, expected, "seed {seed}\n{}", fleet.event_log_text());
     });
 }

@@ -111,6 +111,15 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::Escalated { mission, role, task, to } => {
             alarm("escalated", format!("{task} of {mission}: no answer as {role}; {to} is asked, too"))
         }
+        EventKind::QuestionAsked { mission, role, task, message } => {
+            normal("question", format!("{task} of {mission}: {role} is asked: {message}"))
+        }
+        EventKind::QuestionAnswered { mission, role, task } => {
+            normal("question", format!("{task} of {mission}: the question to {role} is answered"))
+        }
+        EventKind::QuestionClosed { mission, role, task, cause } => {
+            normal("question", format!("{task} of {mission}: the question to {role} is closed: {cause}"))
+        }
         EventKind::TaskFailed { mission, role, task, cause, .. } => {
             alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause}"))
         }
@@ -198,6 +207,21 @@ mod tests {
             json!({ "event": "escalated", "mission": "m-1", "role": "clerk", "task": "sign", "to": "head" });
         let expected = "sign of m-1: no answer as clerk; head is asked, too".to_owned();
         assert_eq!(text_of(escalated), ("escalated", expected, true));
+    }
+
+    #[test]
+    fn question_events_name_the_people_and_the_cause() {
+        let question = |event: &str, more: Value| {
+            let mut what = json!({ "event": event, "mission": "m-1", "role": "clerk", "task": "visit" });
+            what.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+            text_of(what)
+        };
+        let normal = |text: &str| ("question", format!("visit of m-1: {text}"), false);
+        let asked = question("question_asked", json!({ "message": "may I enter?" }));
+        assert_eq!(asked, normal("clerk is asked: may I enter?"));
+        assert_eq!(question("question_answered", json!({})), normal("the question to clerk is answered"));
+        let closed = question("question_closed", json!({ "cause": "expired" }));
+        assert_eq!(closed, normal("the question to clerk is closed: expired"));
     }
 
     #[test]

@@ -258,6 +258,16 @@ impl PersonRequestPhase {
     pub fn is_open(&self) -> bool {
         matches!(self, PersonRequestPhase::Open { .. })
     }
+
+    /// Returns the reason for which the request was closed without the answer `done`; `None` if it is
+    /// open or done.
+    pub fn failure(&self) -> Option<String> {
+        match self {
+            PersonRequestPhase::Open { .. } | PersonRequestPhase::Answered { answer: FinalAnswer::Done, .. } => None,
+            PersonRequestPhase::Answered { note, .. } if !note.is_empty() => Some(format!("{self}: {note}")),
+            phase => Some(phase.to_string()),
+        }
+    }
 }
 
 impl fmt::Display for PersonRequestPhase {

@@ -42,6 +42,11 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::TaskEnded { role, task, .. } => format!("{role} has ended {task}"),
         EventKind::TaskSkipped { role, task, .. } => format!("{role} skips {task}"),
         EventKind::Escalated { role, task, to, .. } => format!("{role} has not answered {task}: {to} is asked, too"),
+        EventKind::QuestionAsked { role, task, message, .. } => format!("{role} is asked in {task}: {message}"),
+        EventKind::QuestionAnswered { role, task, .. } => format!("the question to {role} in {task} is answered"),
+        EventKind::QuestionClosed { role, task, cause, .. } => {
+            format!("the question to {role} in {task} is closed: {cause}")
+        }
         EventKind::TaskFailed { role, task, cause, .. } => format!("{role} failed at {task}: {cause}"),
         EventKind::TaskRetried { role, task, cause, .. } => format!("{role} tries {task} again: {cause}"),
         EventKind::Alternative { role, task, .. } => format!("{role} takes an alternative to {task}"),

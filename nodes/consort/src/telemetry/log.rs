@@ -81,6 +81,9 @@ fn level(event: &Event) -> Level {
         | EventKind::Resumed { .. }
         | EventKind::Halted { .. }
         | EventKind::Escalated { .. }
+        | EventKind::QuestionAsked { .. }
+        | EventKind::QuestionAnswered { .. }
+        | EventKind::QuestionClosed { .. }
         | EventKind::TaskFailed { .. }
         | EventKind::TaskRetried { .. }
         | EventKind::Alternative { .. }

@@ -87,6 +87,9 @@ impl FleetModel {
             | EventKind::Joined { .. }
             | EventKind::Left { .. }
             | EventKind::Escalated { .. }
+            | EventKind::QuestionAsked { .. }
+            | EventKind::QuestionAnswered { .. }
+            | EventKind::QuestionClosed { .. }
             | EventKind::Sent { .. }
             | EventKind::Received { .. }
             | EventKind::TaskRetried { .. }

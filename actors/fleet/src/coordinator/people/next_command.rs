@@ -88,12 +88,9 @@ fn request_step(entry: &MissionEntry, open: &PersonRequestEntry, now_ms: Option<
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_ledger::{clerk, ledger};
+    use super::super::test_ledger::{asking, clerk, ledger};
     use super::*;
-    use consort_protocol::ledger::{
-        AnswerContent, CommandOutcome, Ledger, MissionState, PersonAnswer, PersonQuestion, TaskQuestion,
-    };
-    use consort_protocol::mission::Escalation;
+    use consort_protocol::ledger::{AnswerContent, CommandOutcome, Ledger, MissionState, PersonAnswer};
     use consort_protocol::scalar::Scalar;
     use std::collections::{BTreeMap, BTreeSet};
 
@@ -243,21 +240,15 @@ mod tests {
     #[test]
     fn a_question_is_escalated_once_and_then_expires() {
         let (mut ledger, mission) = ledger(false);
-        let (role, holder) = ledger.mission(&mission).unwrap().role_holders().pop_first().expect("a holder");
-        let escalation = Some(Box::new(Escalation { to: RoleId::new("head").unwrap(), after_s: 30 }));
-        let (to, message) = (clerk(), "may I enter?".to_owned());
-        let question = PersonQuestion { to, message, at: None, patience_s: Some(60), escalation };
-        let question = TaskQuestion { task: "open".parse().unwrap(), number: 1, question, is_open: true };
-        let epoch = holder.epoch;
-        let asked =
-            Command::SetQuestion { mission: mission.clone(), role: role.clone(), epoch, question, asked_ms: NOW_MS };
+        let asked = asking(&ledger, true, NOW_MS);
         assert_eq!(apply(&mut ledger, asked), CommandOutcome::Done);
+        let r1 = RoleId::new("r1").unwrap();
         let request = PersonRequestId { mission: mission.clone(), number: 1 };
         let at = |ledger: &Ledger, after_ms: u64| {
             let mut steps = question_steps(ledger.mission(&mission).unwrap(), Some(NOW_MS + after_ms));
             (steps.next(), steps.next())
         };
-        let step = |step: PersonStep| (Some(((mission.clone(), role.clone()), step)), None);
+        let step = |step: PersonStep| (Some(((mission.clone(), r1.clone()), step)), None);
         assert_eq!(at(&ledger, 29_999), (None, None));
         assert_eq!(at(&ledger, 30_000), step(PersonStep::Escalate(request.clone())));
         let escalate = Command::EscalatePersonRequest { request: request.clone(), now_ms: NOW_MS + 30_000 };

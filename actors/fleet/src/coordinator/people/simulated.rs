@@ -150,7 +150,7 @@ pub(super) fn done(
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_ledger::{clerk, ledger};
+    use super::super::test_ledger::{asking, clerk, ledger};
     use super::*;
     use consort_protocol::ids::TaskType;
     use consort_protocol::lease::Epoch;
@@ -234,24 +234,35 @@ mod tests {
         people.open.insert(key(1), sent(7));
         assert_eq!(people.follow(&Ledger::default()), []);
     }
-    /// Both roles are asked with ids of their own; the answer of one cancels the request to the other.
+
+    const ASKED_MS: u64 = 1_700_000_000_000;
+
     #[test]
     fn an_escalated_request_is_sent_to_the_other_role_too() {
-        const ASKED_MS: u64 = 1_700_000_000_000;
-        let (mut ledger, mission) = ledger(false);
+        let (ledger, mission) = ledger(false);
+        let (role, step) = (clerk(), clerk_deposit(&ledger));
+        let ask = Command::AskPerson { mission, branch: Branch::Main, role, step, asked_ms: ASKED_MS };
+        assert_asks_both_roles(ledger, ask, AnswerContent::Done(BTreeMap::new()));
+    }
+
+    #[test]
+    fn an_escalated_question_is_sent_to_the_other_role_which_may_decline() {
+        for content in [AnswerContent::Declined, AnswerContent::Cannot] {
+            let (ledger, _) = ledger(false);
+            let ask = asking(&ledger, true, ASKED_MS);
+            assert_asks_both_roles(ledger, ask, content);
+        }
+    }
+
+    /// Both roles are asked with ids of their own; the answer of the other role cancels both requests.
+    fn assert_asks_both_roles(mut ledger: Ledger, ask: Command, content: AnswerContent) {
+        let mission = ledger.missions().next().unwrap().id.clone();
         let mut people = SimulatedPeople { has_host: true, ..SimulatedPeople::default() };
         let mut follow = |ledger: &mut Ledger, command| {
             ledger.apply(Epoch { term: 2, index: 9 }, command);
             people.follow(ledger)
         };
         let role_of = |command: &PersonCommand| command.request.as_ref().map(|request| request.role.to_string());
-        let ask = Command::AskPerson {
-            mission: mission.clone(),
-            branch: Branch::Main,
-            role: clerk(),
-            step: clerk_deposit(&ledger),
-            asked_ms: ASKED_MS,
-        };
         let first = follow(&mut ledger, ask);
         assert_eq!(first.iter().map(role_of).collect::<Vec<_>>(), [Some("clerk".to_owned())]);
         let request = PersonRequestId { mission, number: 1 };
@@ -259,7 +270,7 @@ mod tests {
         let second = follow(&mut ledger, escalate);
         assert_eq!(second.iter().map(role_of).collect::<Vec<_>>(), [Some("head".to_owned())]);
         let (by, at_ms) = ("head".to_owned(), ASKED_MS + 40_000);
-        let answer = PersonAnswer { by, content: AnswerContent::Done(BTreeMap::new()), note: String::new(), at_ms };
+        let answer = PersonAnswer { by, content, note: String::new(), at_ms };
         let canceled = follow(&mut ledger, Command::AnswerPerson { request, answer, places: BTreeMap::new() });
         let ids = |commands: &[PersonCommand]| commands.iter().map(|command| command.id).collect::<BTreeSet<_>>();
         assert_eq!(ids(&canceled), ids(&[first, second].concat()), "both are canceled");

@@ -3,8 +3,10 @@
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{MissionId, RequestId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, RecoveryBranch, Submission};
-use consort_protocol::mission::{Format, MissionTemplate};
+use consort_protocol::ledger::{
+    Branch, Command, CommandOutcome, Ledger, PersonQuestion, RecoveryBranch, Submission, TaskQuestion,
+};
+use consort_protocol::mission::{Escalation, Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
 use consort_skills::domain::hospital;
 use std::collections::BTreeMap;
@@ -79,4 +81,16 @@ pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
         assert_eq!(ledger.mission(&mission).unwrap().branch, Branch::Recovery);
     }
     (ledger, mission)
+}
+
+/// Command by which `r1` asks the clerk in its first task, or no longer asks. The question is
+/// escalated to the head after 30 s and expires after 60 s.
+pub(super) fn asking(ledger: &Ledger, is_open: bool, asked_ms: u64) -> Command {
+    let entry = ledger.missions().next().unwrap();
+    let (role, holder) = entry.role_holders().pop_first().expect("a holder");
+    let escalation = Some(Box::new(Escalation { to: RoleId::new("head").unwrap(), after_s: 30 }));
+    let (to, message) = (clerk(), "may I enter?".to_owned());
+    let question = PersonQuestion { to, message, at: None, patience_s: Some(60), escalation };
+    let question = TaskQuestion { task: "open".parse().unwrap(), number: 1, question, is_open };
+    Command::SetQuestion { mission: entry.id.clone(), role, epoch: holder.epoch, question, asked_ms }
 }

@@ -244,14 +244,11 @@ fn renewed(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> ReportRep
 fn answer(entry: &MissionEntry, report: &Report, asked: &TaskQuestion) -> Option<QuestionAnswer> {
     let request = entry.question(&report.role, report.epoch, asked)?;
     let (is_answered, text) = match (&request.phase, &request.subject) {
-        (PersonRequestPhase::Open { .. } | PersonRequestPhase::Withdrawn { .. }, _) => return None,
+        (PersonRequestPhase::Withdrawn { .. }, _) => return None,
         (PersonRequestPhase::Answered { answer: FinalAnswer::Done, .. }, RequestSubject::Question { answer, .. }) => {
             (true, answer.clone().unwrap_or_default())
         }
-        (PersonRequestPhase::Answered { note, .. }, _) if !note.is_empty() => {
-            (false, format!("{}: {note}", request.phase))
-        }
-        (phase, _) => (false, phase.to_string()),
+        (phase, _) => (false, phase.failure()?),
     };
     Some(QuestionAnswer { task: asked.task.clone(), number: asked.number, is_answered, text })
 }
