@@ -203,8 +203,8 @@ pub enum EventKind {
         /// The task.
         task: TaskId,
     },
-    /// Nobody has answered the request for a task, or a robot's question: people with another role are
-    /// asked, too.
+    /// Nobody has answered the request for a task, or a robot's question: people with another role
+    /// are asked, too.
     Escalated {
         /// The mission.
         mission: MissionId,
@@ -235,7 +235,7 @@ pub enum EventKind {
         /// Task in which the robot asks.
         task: TaskId,
     },
-    /// The question of a robot was declined, expired or was withdrawn. The robot decides how to go on.
+    /// A question was declined, has expired or was withdrawn. The robot decides how to go on.
     QuestionClosed {
         /// The mission.
         mission: MissionId,

@@ -46,7 +46,7 @@ use crate::bt::{
     TreeSpec, Value, join_names,
 };
 use crate::environment::Environment;
-use crate::skill::{SkillContext, TaskContext, register_leaves};
+use crate::skill::{KnownValues, SkillContext, StatedQuestion, TaskContext, register_leaves, stated_questions};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{DomainReference, OtherDomain, TaskSpec};
@@ -198,6 +198,16 @@ impl SkillLibrary {
     /// Returns the required and optional parameters of a task type; `None` without a skill for it.
     pub fn parameters(&self, task_type: &TaskType) -> Option<&[TreeInput]> {
         self.skills.get(task_type).map(|skill| skill.blueprint.inputs())
+    }
+
+    /// Returns the questions to people in the tree of a task, with the values of the task's
+    /// parameters. A parameter that is the result of an earlier task is not known yet.
+    pub fn questions(&self, task: &TaskSpec) -> Vec<StatedQuestion> {
+        let Some(skill) = self.skills.get(&task.task_type) else { return vec![] };
+        let inputs = skill.blueprint.inputs().iter().map(|input| &input.key);
+        let known = inputs.filter(|key| !task.inputs.contains_key(*key));
+        let values: KnownValues = known.map(|key| (key.clone(), task.parameters.get(key).cloned())).collect();
+        stated_questions(&skill.tree, &values)
     }
 
     /// Prepares a skill for a task. Parameters that its tree does not use are ignored: they are for

@@ -172,8 +172,8 @@ fn the_question_of_a_lost_robot_and_of_a_canceled_mission_is_withdrawn() {
     });
 }
 
-/// The coordinator dies before the escalation, and the node of the robot after it. The porter answers;
-/// the nurse is late.
+/// The coordinator dies before the escalation, and the node of the robot after it. The porter
+/// answers; the nurse is late.
 #[test]
 fn an_escalated_question_is_answered_although_nodes_die() {
     for_each_seed(SEEDS, async |seed| {

@@ -5,13 +5,12 @@ use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::{domains, inputs, map_loader, mission_files, wiring};
 use consort_map_import::MapFormat;
 use consort_protocol::ids::RoleId;
-use consort_protocol::mission::{Domain, Format, IhtnOptions, MissionDocument, MissionTemplate, is_flat_ihtn};
+use consort_protocol::mission::{Format, IhtnOptions, MissionDocument, MissionTemplate, is_flat_ihtn};
 use consort_skills::bt::xml::read_xml;
 use consort_skills::bt::{NodeOrigin, TreeError, report_nodes};
 use consort_skills::descriptor::Calibration;
 use consort_skills::domain::standard_domain;
 use consort_skills::domain_file::{DomainFile, action_of_people};
-use consort_skills::environment::Environment;
 use consort_skills::extensions::Extensions;
 use consort_text::count;
 use consort_world::world::{SetupErrors, check_simulated_actions};
@@ -108,10 +107,9 @@ fn check_kind(
     extensions: Extensions,
 ) -> Result<String, Diagnostics> {
     let file = &*path.display().to_string();
-    let domain = &extensions.domain();
     match kind {
-        FileKind::Mission => mission(text, path, domain),
-        FileKind::Ihtn => ihtn(text, path, people, domain),
+        FileKind::Mission => mission(text, path, extensions),
+        FileKind::Ihtn => ihtn(text, path, people, extensions),
         FileKind::Map => {
             let floor = map_loader::parse(text, file)?;
             wiring::skill_resources(&floor, extensions)?;
@@ -163,7 +161,7 @@ fn check_kind(
             Ok(format!("{actions}, {readings}{tasks}, content {}", domain.reference().hash))
         }
         FileKind::Calibration => {
-            let learned: Calibration = config::load(path, domain)?;
+            let learned: Calibration = config::load(path, &extensions.domain())?;
             let skills = count(learned.skills.len(), "skill", "skills");
             Ok(format!("{skills}, {}", count(learned.legs.len(), "leg", "legs")))
         }
@@ -202,7 +200,7 @@ pub(crate) fn node_file<C: NodeFile>(
 fn tree(text: &str, file: &str, extensions: Extensions) -> Result<String, Diagnostics> {
     let in_file = |problem: &TreeError| Diagnostics::from(Diagnostic::for_file("", problem));
     let spec = read_xml(file, text).map_err(|problem| in_file(&problem))?;
-    let library = extensions.library(Environment::new()).map_err(domains::diagnostic)?;
+    let library = domains::library(extensions)?;
     let nodes = report_nodes(&spec, library.registry());
     let unknown = nodes.iter().filter_map(|node| match &node.origin {
         NodeOrigin::Unknown { nearest } => {
@@ -223,20 +221,22 @@ fn tree(text: &str, file: &str, extensions: Extensions) -> Result<String, Diagno
 }
 
 /// Checks a mission file.
-fn mission(text: &str, path: &Path, domain: &Domain) -> Result<String, Diagnostics> {
+fn mission(text: &str, path: &Path, extensions: Extensions) -> Result<String, Diagnostics> {
     let file = &*path.display().to_string();
     let template = MissionTemplate::parse(text, Format::of(Some(path), text))
         .map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
     let document = MissionDocument::Template(Box::new(template));
-    let description = mission_files::describe(&document, file, domain)?;
+    let library = domains::library(extensions)?;
+    let description = mission_files::describe(&document, file, &extensions.domain(), &library)?;
     Ok(format!("{}, {description}", document.name()))
 }
 
 /// Checks a flat iHTN with these people and those of the domain.
-fn ihtn(text: &str, path: &Path, people: &[RoleId], domain: &Domain) -> Result<String, Diagnostics> {
+fn ihtn(text: &str, path: &Path, people: &[RoleId], extensions: Extensions) -> Result<String, Diagnostics> {
     let options = IhtnOptions { name: inputs::ihtn_name(path), people: people.iter().cloned().collect() };
     let document = MissionDocument::Ihtn { text: text.to_owned(), options };
-    mission_files::describe(&document, &path.display().to_string(), domain)
+    let library = domains::library(extensions)?;
+    mission_files::describe(&document, &path.display().to_string(), &extensions.domain(), &library)
 }
 
 /// Detects the kind of a text.

@@ -6,7 +6,9 @@ use consort_driver::Contract;
 use consort_protocol::mission::FILE_BYTES_MAX;
 use consort_protocol::yaml;
 use consort_skills::domain_file::{DomainFile, DomainForm};
+use consort_skills::environment::Environment;
 use consort_skills::extensions::{ExtensionError, Extensions};
+use consort_skills::library::SkillLibrary;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -42,6 +44,14 @@ pub fn with_files(extensions: Extensions, paths: &[PathBuf]) -> Result<Extension
         let domain = parse(path, &inputs::read_text(path)?, extensions)?;
         Ok(extensions.with_domain(path, domain))
     })
+}
+
+/// Returns the skills of the domains, without a map.
+///
+/// # Errors
+/// [`Diagnostics`] of the domains.
+pub(crate) fn library(extensions: Extensions) -> Result<SkillLibrary, Diagnostics> {
+    extensions.library(Environment::new()).map_err(|problem| diagnostic(problem).into())
 }
 
 /// Returns the actions that drivers may offer, and the readings that they may send.

@@ -24,6 +24,7 @@ pub(crate) mod metrics;
 mod mission_files;
 pub mod node_runtime;
 pub mod output;
+pub(crate) mod people_asked;
 pub(crate) mod rendering;
 mod service_manager;
 mod shutdown_signals;

@@ -126,7 +126,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
     let ensembles =
         Ensembles::compile(config.ensembles(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
     let domain = domain.with_places(places.into_keys()).with_ensembles(ensembles.names().cloned());
-    let missions = mission_files::of_fleet(&config.missions, &domain)?;
+    let missions = mission_files::of_fleet(&config.missions, &domain, &domains::library(extensions)?)?;
     Ok(FleetSettings {
         fleet: config.name.clone(),
         ensembles: Arc::new(ensembles),

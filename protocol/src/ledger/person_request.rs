@@ -259,8 +259,8 @@ impl PersonRequestPhase {
         matches!(self, PersonRequestPhase::Open { .. })
     }
 
-    /// Returns the reason for which the request was closed without the answer `done`; `None` if it is
-    /// open or done.
+    /// Returns the reason for which the request was closed without the answer `done`; `None` if it
+    /// is open or done.
     pub fn failure(&self) -> Option<String> {
         match self {
             PersonRequestPhase::Open { .. } | PersonRequestPhase::Answered { answer: FinalAnswer::Done, .. } => None,

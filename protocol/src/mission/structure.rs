@@ -18,6 +18,17 @@ impl Mission {
     pub(crate) fn check_structure(&self) -> Result<(), MissionErrors> {
         MissionErrors::ok_if_empty(&self.name, check_tree_and_roles(self))
     }
+
+    /// Returns the problem of a request to people with these roles that escalates to another role.
+    /// That role need not be one of the mission.
+    pub fn escalation_problem(&self, asked: &[RoleId], to: &RoleId) -> Option<MissionErrorKind> {
+        let role = to.clone();
+        if asked.contains(to) {
+            return Some(MissionErrorKind::EscalationToAsked { role });
+        }
+        let is_managed = self.roles.get(to).is_some_and(|declared| declared.kind == RoleKind::Managed);
+        is_managed.then_some(MissionErrorKind::EscalationToRobot { role })
+    }
 }
 
 pub(super) fn at(path: &str, kind: MissionErrorKind) -> MissionDiagnostic {
@@ -219,6 +230,9 @@ fn check_assignment(mission: &Mission, spec: &TaskSpec) -> Vec<MissionErrorKind>
         if let Some(role) = spec.roles.iter().find(of_robot) {
             found.push(MissionErrorKind::PatienceOfRobot { what, role: role.clone() });
         }
+    }
+    if let Some(escalation) = &spec.escalation {
+        found.extend(mission.escalation_problem(&spec.roles, &escalation.to));
     }
     for role in spec.acquires.values().filter(|role| !mission.roles.contains_key(*role)) {
         let allowed = AllowedNames::suggest_for(role.as_str(), mission.roles.keys());

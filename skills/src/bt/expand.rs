@@ -277,7 +277,7 @@ impl<'a, C> Expansion<'a, C> {
 
 /// Returns the key of a binding: `{key}`, or `{=}` for the port's own name. `None` for a fixed
 /// value.
-fn key_of<'t>(port: &'t str, text: &'t str) -> Option<&'t str> {
+pub(crate) fn key_of<'t>(port: &'t str, text: &'t str) -> Option<&'t str> {
     match text.trim().strip_prefix('{')?.strip_suffix('}')? {
         "=" => Some(port),
         "" | "@" => None,

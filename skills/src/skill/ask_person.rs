@@ -8,17 +8,20 @@ use consort_protocol::ids::{PlaceId, RoleId};
 use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::mission::{Escalation, PATIENCE_MAX_S};
 
-const ROLE: &str = "role";
-const MESSAGE: &str = "message";
+/// Name of the node.
+pub(super) const ASK_PERSON: &str = "AskPerson";
+
+pub(super) const ROLE: &str = "role";
+pub(super) const MESSAGE: &str = "message";
 const AT: &str = "at";
-const PATIENCE: &str = "patience_s";
-const ESCALATE_TO: &str = "escalate_to";
-const ESCALATE_AFTER: &str = "escalate_after_s";
+pub(super) const PATIENCE: &str = "patience_s";
+pub(super) const ESCALATE_TO: &str = "escalate_to";
+pub(super) const ESCALATE_AFTER: &str = "escalate_after_s";
 const ANSWER: &str = "answer";
 
-/// Asks people with a role, and waits for the answer of one of them. Without an answer for a while it
-/// asks people with another role, too. It fails if a person declines or cannot answer, and if nobody
-/// answers in time.
+/// Asks people with a role, and waits for the answer of one of them. Without an answer for a while
+/// it asks people with another role, too. It fails if a person declines or cannot answer, and if
+/// nobody answers in time.
 #[derive(Default)]
 struct AskPersonLeaf {
     /// The open question.
@@ -36,7 +39,7 @@ pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<()
         seconds(ESCALATE_AFTER),
         PortSpec::output(ANSWER, PortType::Text).optional(),
     ];
-    let manifest = NodeManifest::new("AskPerson", NodeKind::Action, ports).with_pair(ESCALATE_TO, ESCALATE_AFTER);
+    let manifest = NodeManifest::new(ASK_PERSON, NodeKind::Action, ports).with_pair(ESCALATE_TO, ESCALATE_AFTER);
     registry.register(manifest, |_: &TaskContext| Box::new(AskPersonLeaf::default()))
 }
 

@@ -11,10 +11,13 @@ mod goal_leaf;
 mod navigation;
 mod retry_leaf;
 mod roles;
+mod stated_question;
 
 pub use context::{SkillContext, TaskContext};
 pub use goal_leaf::GoalLeaf;
 pub(crate) use retry_leaf::RetryLeaf;
+pub use stated_question::StatedQuestion;
+pub(crate) use stated_question::{KnownValues, stated_questions};
 
 use crate::bt::{Registry, RegistryError};
 

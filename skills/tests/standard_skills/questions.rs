@@ -2,7 +2,7 @@
 
 use super::*;
 use consort_protocol::ledger::PersonQuestion;
-use consort_protocol::mission::Escalation;
+use consort_protocol::mission::{Escalation, ResultReference};
 use consort_skills::actions::{GoalId, GoalStatus, RobotActions, Telemetry};
 use consort_skills::bt::TreeError;
 
@@ -87,4 +87,21 @@ fn a_wrong_escalation_is_rejected_where_it_is_known() {
     ] {
         assert_eq!(ask(keys, parameters), (failed(&format!("AskPerson: {expected}")), None));
     }
+}
+
+#[test]
+fn the_questions_of_a_task_are_known_before_it_runs() {
+    let ports = r#"patience_s="{patience_s}" escalate_to="{other}" escalate_after_s="30""#;
+    let library = asking(ports).unwrap_or_else(|error| panic!("{error}"));
+    let stated = |task: &TaskSpec| {
+        let question = library.questions(task).pop().expect("the tree asks");
+        assert_eq!((question.role.as_str(), question.message.as_str()), ("nurse", "may I enter?"));
+        (question.patience_s, question.escalate_to, question.escalate_after_s)
+    };
+    let text = |text: &str| Some(text.to_owned());
+    let task = task("enter", &[("patience_s", "60")]);
+    assert_eq!(stated(&task), (text("60"), None, text("30")));
+    let result = ResultReference { task: "look".parse().unwrap(), result: "who".to_owned() };
+    let later = TaskSpec { inputs: [("other".to_owned(), result)].into(), ..task };
+    assert_eq!(stated(&later), (text("60"), text("{other}"), text("30")));
 }

@@ -7,6 +7,7 @@ use crate::config::FleetConfig;
 use crate::diagnostic::Diagnostics;
 use crate::dry_run::{AssumedFleet, DryRunOutcome, WorkerBid, simulate_auction};
 use crate::exit::Failure;
+use crate::people_asked::{ExpectedRequest, expected_requests};
 use crate::wiring::{fleet_settings, fleet_skill_resources, limits};
 use crate::{inputs, output};
 use consort_protocol::auction::BidPart;
@@ -24,8 +25,8 @@ use std::sync::Arc;
 /// Show the result of a mission's auction, offline
 ///
 /// Divides the mission into the plans of its roles, lets each worker estimate them as its node
-/// would, and selects as the coordinator would. Prints every bid with its parts, every refusal with
-/// its reason, and the assignment.
+/// would, and selects as the coordinator would. Prints every request to people with its time limit
+/// and escalation, every bid with its parts, every refusal with its reason, and the assignment.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -95,6 +96,7 @@ struct ScenarioLine<'a> {
 struct MissionLine<'a> {
     mission: &'a str,
     parameters: &'a BTreeMap<String, String>,
+    people: &'a [ExpectedRequest],
     roles: Vec<RoleLine<'a>>,
     selected: &'a BTreeMap<RoleId, RobotId>,
     failure: Option<&'a str>,
@@ -163,6 +165,7 @@ fn mission(
     let (mission, division) = divide(template, &fleet.equipment.domain, given)?;
     let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, || mission.managed_roles().cloned().collect())?;
     let result = simulate_auction(&mission, &division, &roles, &workers, fleet);
+    let people = expected_requests(&mission, &fleet.equipment.library);
     if args.json {
         let roles = result.bids.iter().map(|(role, bids)| RoleLine {
             role,
@@ -172,6 +175,7 @@ fn mission(
         output::json(&MissionLine {
             mission: template.name().as_str(),
             parameters: given,
+            people: &people,
             roles: roles.collect(),
             selected: &result.holders,
             failure: result.failure.as_deref(),
@@ -179,6 +183,10 @@ fn mission(
     } else {
         let set: String = given.iter().map(|(name, value)| format!(", {name} = {value}")).collect();
         output::line(format_args!("{}{set}", template.name()))?;
+        if !people.is_empty() {
+            let lines = people.iter().map(|request| format!("\n    {request}"));
+            output::line(format_args!("  people{}", lines.collect::<String>()))?;
+        }
         output::line(readable(&result))?;
     }
     match result.failure {

@@ -159,6 +159,89 @@ fn members_of_the_first_ensemble_come_before_faster_robots() {
     assert!(ran.out.contains("r1 = cyd"), "without a fleet file each worker is a member\n{}", ran.out);
 }
 
+/// Writes a domain whose task `enter` asks a nurse twice, workers, and a mission: a clerk
+/// acknowledges an alert, which is escalated to `other`, and a robot enters, whose first question
+/// is escalated to `head`.
+fn asking_mission(name: &str, other: &str, head: &str) -> [String; 3] {
+    let tree = format!("{name}_enter.xml");
+    let domain = format!(
+        "domain: doors\ntasks:\n  enter:\n    \
+        parameters: {{ patience_s: {{ type: integer }}, head: {{ type: text }} }}\n    \
+        tree: {tree}\n    estimate: {{ time_s: \"5.0\" }}\n"
+    );
+    test_file(
+        &tree,
+        r#"<root BTCPP_format="4" main_tree_to_execute="enter">
+        <BehaviorTree ID="enter"><Sequence>
+          <SubTree ID="ask" patience_s="{patience_s}" other="{head}"/>
+          <AskPerson role="nurse" message="which bed?"/>
+        </Sequence></BehaviorTree>
+        <BehaviorTree ID="ask">
+          <AskPerson role="nurse" message="may I enter?" patience_s="{patience_s}"
+                     escalate_to="{other}" escalate_after_s="30"/>
+        </BehaviorTree></root>"#,
+    );
+    let mission = format!(
+        "mission: visit\nroles: {{ r1: {{ kind: managed }}, clerk: {{ kind: unmanaged }} }}\nroot:\n  task: all\n  \
+        method: sequential\n  tasks:\n    \
+        - {{ task: call, type: alert, roles: [clerk], parameters: {{ message: hello, level: info }}, patience_s: 600, \
+        escalate: {{ to: {other}, after_s: 300 }} }}\n    \
+        - {{ task: see, type: enter, roles: [r1], parameters: {{ patience_s: \"60\", head: {head} }} }}\n"
+    );
+    let workers = "[[worker]]\nname = \"ada\"\nplace = \"Dock\"\nskills = [\"enter\"]\n";
+    let files = [("domain.yaml", domain.as_str()), ("mission.yaml", mission.as_str()), ("workers.toml", workers)];
+    files.map(|(file, text)| test_file(&format!("{name}_{file}"), text))
+}
+
+#[test]
+fn the_requests_to_people_are_shown_with_their_escalation() {
+    let [domain, mission, workers] = asking_mission("asking", "head", "head");
+    let args = ["dry-run", &mission, "--domain", &domain, "--workers", &workers];
+    let ran = run(&args);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let people = "\n  people\n    call asks clerk, waits 600 s, escalates to head after 300 s\n    \
+        see of r1 asks nurse \"may I enter?\", waits 60 s, escalates to head after 30 s\n    \
+        see of r1 asks nurse \"which bed?\", waits without limit\n  r1\n";
+    assert!(ran.out.contains(people), "{}", ran.out);
+    let ran = run(&[&args[..], &["--json"]].concat());
+    let asked = &lines(&ran.out)[0]["people"];
+    let alert = serde_json::json!({ "role": "clerk", "task": "call", "question": null, "patience_s": 600,
+        "escalate_to": "head", "escalate_after_s": 300 });
+    assert_eq!(asked[0], alert);
+    let question = serde_json::json!({ "role": "nurse", "task": "see",
+        "question": { "by": "r1", "message": "may I enter?" }, "patience_s": 60,
+        "escalate_to": "head", "escalate_after_s": 30 });
+    assert_eq!(asked[1], question);
+}
+
+#[test]
+fn an_escalation_to_a_robot_or_to_those_already_asked_is_rejected() {
+    for (name, other, head, expected) in [
+        ("to_robot", "r1", "head", "root/call: escalates to r1, which is a managed role; only people are asked"),
+        ("to_asked", "clerk", "head", "root/call: escalates to clerk, which is asked from the beginning"),
+        (
+            "question_to_robot",
+            "head",
+            "r1",
+            "see: the question \"may I enter?\" of r1 escalates to r1, which is a managed",
+        ),
+        (
+            "question_to_asked",
+            "head",
+            "nurse",
+            "see: the question \"may I enter?\" of r1 escalates to nurse, which is asked",
+        ),
+    ] {
+        let [domain, mission, _] = asking_mission(name, other, head);
+        let ran = run(&["check", &mission, "--domain", &domain]);
+        assert_eq!(ran.code, Some(1), "{name}: {}{}", ran.out, ran.err);
+        assert!(ran.out.contains(expected), "{name}: {}", ran.out);
+    }
+    let [domain, mission, _] = asking_mission("to_people", "head", "porter");
+    let ran = run(&["check", &mission, "--domain", &domain]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+}
+
 fn ours(folder: &std::path::Path) -> BTreeMap<String, Value> {
     let path = |name: &str| folder.join(name).display().to_string();
     let (map, scenarios) = (path("hospital_map.json"), path("scenarios_81.json"));

@@ -91,8 +91,8 @@ fn entry<'a>(ledger: &'a Ledger, request: &PersonRequestId) -> &'a PersonRequest
     ledger.mission(&request.mission).unwrap().person_request(request.number).unwrap()
 }
 
-/// Applies the command after so many seconds. Returns the time of the escalation in seconds after the
-/// request.
+/// Applies the command after so many seconds. Returns the time of the escalation in seconds after
+/// the request.
 fn escalate(ledger: &mut Ledger, request: &PersonRequestId, after_s: u64) -> Option<u64> {
     let command = Command::EscalatePersonRequest { request: request.clone(), now_ms: ASKED_MS + after_s * 1000 };
     assert_eq!(apply(ledger, command), CommandOutcome::Done);

@@ -228,6 +228,18 @@ pub enum MissionErrorKind {
         /// The managed role.
         role: RoleId,
     },
+    /// A request escalates to a role that a robot holds.
+    #[error("escalates to {role}, which is a managed role; only people are asked")]
+    EscalationToRobot {
+        /// The managed role.
+        role: RoleId,
+    },
+    /// A request escalates to the people that are asked first.
+    #[error("escalates to {role}, which is asked from the beginning; name another role")]
+    EscalationToAsked {
+        /// The role.
+        role: RoleId,
+    },
     /// The number of attempts is out of range.
     #[error("has {found} attempts; 1 to {max} are allowed")]
     Attempts {

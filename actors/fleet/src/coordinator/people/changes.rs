@@ -136,7 +136,8 @@ fn begin_event(request: &PersonRequestEntry, (mission, role, task): RequestNames
     }
 }
 
-/// Returns the event of a closed request; `None` for an open request, and for a task that was withdrawn.
+/// Returns the event of a closed request; `None` for an open request, and for a task that was
+/// withdrawn.
 fn end_event(request: &PersonRequestEntry, (mission, role, task): RequestNames) -> Option<EventKind> {
     let is_done = matches!(request.phase, PersonRequestPhase::Answered { answer: FinalAnswer::Done, .. });
     Some(match (&request.subject, &request.phase) {

@@ -1,5 +1,5 @@
-//! Unmanaged roles: the coordinator executes the local plans of people, and escalates and expires the
-//! questions of robots to them.
+//! Unmanaged roles: the coordinator executes the local plans of people, and escalates and expires
+//! the questions of robots to them.
 //!
 //! ```text
 //!  ledger ─▶ next_command ─▶ ask, progress, escalate, expire ─▶ ledger ─▶ view/requests ─▶ people ─▶ api/answer

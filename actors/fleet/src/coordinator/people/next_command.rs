@@ -66,7 +66,7 @@ pub(super) fn next_step(entry: &MissionEntry, role: &RoleId, now_ms: Option<u64>
     }
 }
 
-/// Returns the next steps of the open questions of a mission, with the roles of the robots that ask.
+/// Returns the next steps of the open questions of a mission, with the roles of the asking robots.
 pub(super) fn question_steps(
     entry: &MissionEntry,
     now_ms: Option<u64>,

@@ -254,7 +254,7 @@ mod tests {
         }
     }
 
-    /// Both roles are asked with ids of their own; the answer of the other role cancels both requests.
+    /// Both roles are asked with ids of their own; the answer of the other role cancels both.
     fn assert_asks_both_roles(mut ledger: Ledger, ask: Command, content: AnswerContent) {
         let mission = ledger.missions().next().unwrap().id.clone();
         let mut people = SimulatedPeople { has_host: true, ..SimulatedPeople::default() };

@@ -250,6 +250,28 @@ root:
     assert_eq!(format!("{requested:?}"), format!("{template:?}"), "{request}");
 }
 
+#[test]
+fn a_task_escalates_to_other_people() {
+    let problems = |to: &str| {
+        let parameters = json!({ "seconds": "1" });
+        let task =
+            |name: &str, role: &str| json!({ "task": name, "type": "wait", "roles": [role], "parameters": parameters });
+        let mut sign = task("sign", "clerk");
+        sign["escalate"] = json!({ "to": to, "after_s": 30 });
+        let root = json!({ "task": "all", "method": "sequential", "tasks": [task("rest", "r1"), sign] });
+        let roles = json!({ "clerk": { "kind": "unmanaged" }, "r1": { "kind": "managed" } });
+        let file = json!({ "mission": "permit", "roles": roles, "root": root }).to_string();
+        match MissionTemplate::parse(&file, Format::Json).unwrap().instantiate(&given(&[]), &domain()) {
+            Ok(_) => vec![],
+            Err(errors) => errors.diagnostics.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        }
+    };
+    assert_eq!(problems("r1"), ["root/sign: escalates to r1, which is a managed role; only people are asked"]);
+    let asked = "root/sign: escalates to clerk, which is asked from the beginning; name another role";
+    assert_eq!(problems("clerk"), [asked]);
+    assert_eq!(problems("head"), [""; 0]);
+}
+
 const SPREAD: &str = r#"
 mission: sweep
 parameters: { rooms: { kind: places, default: "IC Room 6, Dock" } }
