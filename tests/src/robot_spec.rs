@@ -84,10 +84,11 @@ impl RobotSpec {
         self
     }
 
-    /// Sets its only attribute.
+    /// Adds an attribute.
     pub fn with_attribute(self, name: &str, value: &str) -> RobotSpec {
-        let attributes = BTreeMap::from([(name.to_owned(), Scalar::Text(value.to_owned()))]);
-        RobotSpec { attributes: Attributes::try_from(attributes).expect("a valid attribute"), ..self }
+        let given = self.attributes.iter().map(|(name, value)| (name.clone(), value.clone()));
+        let all: BTreeMap<_, _> = given.chain([(name.to_owned(), Scalar::Text(value.to_owned()))]).collect();
+        RobotSpec { attributes: Attributes::try_from(all).expect("a valid attribute"), ..self }
     }
 
     /// Sets a function that changes the skill library.

@@ -1,16 +1,23 @@
 //! Exchange of knowledge between the members of an ensemble.
 
 use consort_bus::Bus as _;
+use consort_protocol::codec;
 use consort_protocol::ensemble::EnsembleSpec;
+use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, KeyKind};
+use consort_protocol::knowledge::{Digest, DigestScope};
+use consort_protocol::message::Exchange;
 use consort_skills::domain_file::DomainFile;
 use consort_tests::{DomainSetup, Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const SEEDS: [u64; 2] = [941, 942];
 const SOON: Duration = Duration::from_secs(60);
+/// Part of the attribute `code` of every robot, and of no other text.
+const CODE: &[u8] = b"-code-";
 const DOMAIN: &str = r#"{
     "domain": "cleaning",
     "readings": {
@@ -26,7 +33,7 @@ async fn fleet(seed: u64, robots: Vec<RobotSpec>, condition: &str, closed: bool)
     let value = |text: &str| text.to_owned().try_into().expect("an exchanged value");
     let icu = EnsembleSpec {
         membership: vec!["member.robot".to_owned(), condition.to_owned()],
-        exchange: ["attributes.section", "readings.bag_g"].map(value).into(),
+        exchange: ["attributes.code", "readings.bag_g"].map(value).into(),
         ..EnsembleSpec::with_any_skill_of(slug("icu"), BTreeSet::new())
     };
     let hospital = EnsembleSpec {
@@ -40,7 +47,8 @@ async fn fleet(seed: u64, robots: Vec<RobotSpec>, condition: &str, closed: bool)
 }
 
 fn robot(name: &str, place: &str, section: &str) -> RobotSpec {
-    RobotSpec::carrier(name, place).with_attribute("section", section)
+    let code = format!("{name}-code-{}", name.len());
+    RobotSpec::carrier(name, place).with_attribute("section", section).with_attribute("code", &code)
 }
 
 /// Queries the values that the members exchange, under `view` or `seen/{node}`.
@@ -66,8 +74,7 @@ fn received(fleet: &Fleet, node: &str) -> u64 {
     traffic.iter().find(|(kind, _)| *kind == KeyKind::Ensemble).map_or(0, |(_, traffic)| traffic.messages_received)
 }
 
-async fn drive(fleet: &mut Fleet, robot: &str, to: &str) {
-    let condition = format!("robot.name == \"{robot}\"");
+async fn drive(fleet: &mut Fleet, condition: &str, to: &str) -> MissionId {
     let mission = json!({
         "mission": "drive", "roles": { "r1": { "kind": "managed", "eligible": condition } },
         "root": { "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": to },
@@ -76,6 +83,26 @@ async fn drive(fleet: &mut Fleet, robot: &str, to: &str) {
     let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
     let mission = slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")));
     fleet.assert_completes(&mission).await;
+    mission
+}
+
+fn contains_code(payload: &[u8]) -> bool {
+    payload.windows(CODE.len()).any(|part| part == CODE)
+}
+
+/// Subscribes a client to all messages, and collects the keys of those with a code.
+async fn keys_with_codes(fleet: &Fleet) -> Arc<Mutex<BTreeSet<String>>> {
+    let mut samples = fleet.client.subscribe("consort/ward/**").await.expect("a virtual bus");
+    let found: Arc<Mutex<BTreeSet<String>>> = Arc::default();
+    let keys = Arc::clone(&found);
+    tokio::spawn(async move {
+        while let Some(sample) = samples.recv().await {
+            if contains_code(&sample.payload) {
+                keys.lock().expect("no panic").insert(sample.key);
+            }
+        }
+    });
+    found
 }
 
 #[test]
@@ -91,9 +118,9 @@ fn members_receive_the_listed_values_and_others_nothing() {
                 (is_read("amber") && is_read("birch")).then_some(view)
             };
             let view = fleet.poll_until("readings of both members", SOON, of_both).await;
-            let (attributes, readings) = (json!({ "section": "icu" }), json!({ "bag_g": 2.0 }));
+            let readings = json!({ "bag_g": 2.0 });
             for robot in ["amber", "birch"] {
-                let values = &view["robots"][robot];
+                let (values, attributes) = (&view["robots"][robot], json!({ "code": format!("{robot}-code-5") }));
                 assert_eq!(
                     (&values["attributes"], &values["readings"]),
                     (&attributes, &readings),
@@ -118,16 +145,54 @@ fn members_receive_the_listed_values_and_others_nothing() {
 }
 
 #[test]
+fn nodes_that_are_no_members_do_not_find_an_exchanged_attribute() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots =
+            vec![robot("amber", "Dock", "icu"), robot("hawthorn", "Dock", "icu"), robot("cedar", "Dock", "er")];
+        let mut fleet = fleet(seed, robots, "member.attributes.section == 'icu'", false).await;
+        let keys = keys_with_codes(&fleet).await;
+        // The robot evaluates the condition on its own attributes. It publishes its record at each place.
+        let mission = drive(&mut fleet, "robot.attributes.code.endsWith('8')", "IC Room 6").await;
+        assert_eq!(fleet.all_holders(&mission), BTreeSet::from(["hawthorn".to_owned()]), "seed {seed}");
+        let view = wait_for_values(&fleet, "seen/amber", &["amber", "hawthorn"]).await;
+        assert_eq!(view["robots"]["hawthorn"]["attributes"], json!({ "code": "hawthorn-code-8" }), "seed {seed}");
+        let exchange = ["amber", "hawthorn"].map(|robot| format!("consort/ward/wire/ensemble/icu/{robot}"));
+        let exchange = BTreeSet::from(exchange);
+        let on_exchange = async |_: &Fleet| keys.lock().expect("no panic").is_superset(&exchange).then_some(());
+        fleet.poll_until("the codes on the keys of the exchange", SOON, on_exchange).await;
+        for node in ["amber", "cedar", "aster"] {
+            for robot in ["amber", "hawthorn", "cedar"] {
+                let known = fleet.knowledge_of(node, &slug(robot)).expect("a record");
+                let names: Vec<&String> = known.attributes.iter().map(|(name, _)| name).collect();
+                assert_eq!(names, ["section"], "seed {seed}: {robot} as known to {node}");
+            }
+        }
+        let views = fleet.view("fleet").await;
+        let view = views.values().next().expect("a reply").to_string();
+        assert!(view.contains("section") && !contains_code(view.as_bytes()), "seed {seed}: {view}");
+        let request = Exchange { sums: vec![], scope: DigestScope::ALL, digest: Digest::new(), records: vec![] };
+        let request = codec::encode_for_version(2, request).expect("a message");
+        let key = "consort/ward/wire/gossip/cedar";
+        let mut replies = fleet.client.query(key, request.into(), Duration::from_secs(1)).await.expect("a virtual bus");
+        let reply = replies.recv().await.expect("a reply").payload.expect("the records that the client lacks");
+        let records = codec::decode_any_version::<Exchange>(&reply).expect("an exchange").records;
+        assert!(records.iter().any(|record| record.owner.as_str() == "hawthorn"), "seed {seed}: {records:?}");
+        assert!(!contains_code(&reply), "seed {seed}: {records:?}");
+        assert_eq!(*keys.lock().expect("no panic"), exchange, "seed {seed}: keys of all messages with a code");
+    });
+}
+
+#[test]
 fn a_robot_receives_values_only_while_it_is_a_member() {
     for_each_seed(SEEDS, async |seed| {
         let robots = vec![robot("amber", "IC Room 6", "icu"), robot("birch", "Dock", "er")];
         let mut fleet = fleet(seed, robots, "member.place == 'IC Room 6'", false).await;
         wait_for_values(&fleet, "seen/amber", &["amber"]).await;
         assert_eq!((exchanged(&fleet, "seen/birch").await, received(&fleet, "birch")), (None, 0), "seed {seed}");
-        drive(&mut fleet, "birch", "IC Room 6").await;
+        drive(&mut fleet, "robot.name == 'birch'", "IC Room 6").await;
         wait_for_values(&fleet, "seen/birch", &["amber", "birch"]).await;
         wait_for_values(&fleet, "seen/amber", &["amber", "birch"]).await;
-        drive(&mut fleet, "birch", "Dock").await;
+        drive(&mut fleet, "robot.name == 'birch'", "Dock").await;
         let left = async |fleet: &Fleet| exchanged(fleet, "seen/birch").await.is_none().then_some(());
         fleet.poll_until("the end of its membership", SOON, left).await;
         wait_for_values(&fleet, "seen/amber", &["amber"]).await;

@@ -2,8 +2,10 @@
 
 use crate::expression::{self, fields_used};
 use crate::ids::EnsembleId;
+use crate::loop_depth::parts;
+use cel::common::ast::Expr;
 use cel::objects::Key;
-use cel::{Context, ExecutionError, Program, Value};
+use cel::{Context, ExecutionError, IdedExpr, Program, Value};
 use consort_text::AllowedNames;
 use std::collections::BTreeSet;
 
@@ -106,6 +108,12 @@ impl Condition {
         self.fields.iter().any(|(_, field)| is_meant(field))
     }
 
+    /// Checks whether the result may depend on this attribute of a node. The condition may select it by
+    /// name, or use all attributes or a whole node.
+    pub(super) fn may_use_attribute(&self, name: &str) -> bool {
+        may_use_attribute(self.program.expression(), name)
+    }
+
     /// Evaluates the condition.
     pub(super) fn holds(&self, variables: &Context<'static, 'static>) -> Result<bool, EvaluationError> {
         match self.program.execute(variables) {
@@ -117,5 +125,26 @@ impl Condition {
             Err(ExecutionError::NoSuchKey(name)) => Err(EvaluationError::NoAttribute { name: name.to_string() }),
             Err(problem) => Err(EvaluationError::Failed { message: problem.to_string() }),
         }
+    }
+}
+
+fn may_use_attribute(expression: &IdedExpr, name: &str) -> bool {
+    match &expression.expr {
+        Expr::Ident(variable) => ["member", "coordinator"].contains(&variable.as_str()),
+        Expr::Select(select) if select.field == ATTRIBUTES => true,
+        Expr::Select(select) => {
+            let mut operand: &IdedExpr = &select.operand;
+            if let Expr::Select(inner) = &operand.expr
+                && inner.field == ATTRIBUTES
+            {
+                if select.field == name {
+                    return true;
+                }
+                operand = &inner.operand;
+            }
+            // Another field of a node is no attribute.
+            !matches!(operand.expr, Expr::Ident(_)) && may_use_attribute(operand, name)
+        }
+        _ => parts(expression).into_iter().any(|part| may_use_attribute(part, name)),
     }
 }

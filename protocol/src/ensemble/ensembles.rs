@@ -1,8 +1,9 @@
 //! The ensembles of a fleet.
 
+use super::private_attributes::{private_attribute_problems, private_attributes};
 use super::{ConditionError, Ensemble, EnsembleSpec, Membership};
 use crate::ids::{EnsembleId, NodeId};
-use crate::knowledge::KnowledgeBase;
+use crate::knowledge::{KnowledgeBase, RobotKnowledge};
 use crate::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,9 +15,13 @@ impl Ensembles {
     /// Compiles the conditions of all ensembles.
     ///
     /// # Errors
-    /// As [`Ensemble::compile`].
+    /// As [`Ensemble::compile`], and if a condition uses an attribute that an ensemble exchanges.
     pub fn compile(specs: Vec<EnsembleSpec>) -> Result<Ensembles, ConditionError> {
-        specs.into_iter().map(Ensemble::compile).collect::<Result<_, _>>().map(Ensembles)
+        let ensembles = specs.into_iter().map(Ensemble::compile).collect::<Result<Vec<_>, _>>()?;
+        match private_attribute_problems(&ensembles).into_iter().next() {
+            Some(problem) => Err(problem),
+            None => Ok(Ensembles(ensembles)),
+        }
     }
 
     /// Returns the ensembles.
@@ -32,6 +37,13 @@ impl Ensembles {
     /// Returns the ensemble with this name.
     pub fn get(&self, name: &EnsembleId) -> Option<&Ensemble> {
         self.iter().find(|ensemble| ensemble.spec().name == *name)
+    }
+
+    /// Returns what every node receives of a robot: all but its private attributes.
+    pub fn published(&self, mut robot: RobotKnowledge) -> RobotKnowledge {
+        let is_private = |name: &str| self.iter().flat_map(private_attributes).any(|private| private == name);
+        robot.attributes.retain(|name| !is_private(name));
+        robot
     }
 
     /// Returns the nodes that this node evaluates to be members of each ensemble.

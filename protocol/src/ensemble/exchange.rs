@@ -6,6 +6,8 @@
 //!  values of another member ────▶ latest values by robot, with their age
 //! ```
 //!
+//! The records of robots do not contain the listed attributes.
+//!
 //! A node that is not a member subscribes to nothing and stores nothing. Each node evaluates the
 //! membership by itself, so a member may miss values until it has the record of a new member, and
 //! receives those of a former member until that member has noticed.
@@ -32,7 +34,7 @@ const PUBLISH_INTERVAL: Duration = Duration::from_secs(1);
 /// maximum time until a member has all values. Raised: fewer messages.
 const REFRESH_INTERVAL: Duration = Duration::from_secs(5);
 
-/// A value that the members of an ensemble exchange, as `attributes.section` or `readings.dust_g`.
+/// A value that the members of an ensemble exchange, as `attributes.owner` or `readings.dust_g`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum ExchangedValue {

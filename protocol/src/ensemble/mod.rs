@@ -11,7 +11,8 @@
 //! | `member`, `coordinator` | also `may_vote`, `stationary`, `mains_powered`, `robot` (true for a robot's node), `free`, `estimator` |
 //! | `ensemble` | `name`, `skills`: the skills that the ensemble's missions need |
 //!
-//! An ensemble may also list values that its members [exchange](KnowledgeExchange).
+//! An ensemble may also list values that its members [exchange](KnowledgeExchange). Other nodes do not
+//! receive them, so conditions of ensembles use no exchanged attribute.
 //!
 //! All conditions of a list must hold. A condition on an attribute that a robot lacks does not hold. The
 //! evaluated membership is local and has an age: it depends on the records that the evaluating node has
@@ -22,12 +23,14 @@ mod eligibility;
 mod ensembles;
 mod exchange;
 mod facts;
+mod private_attributes;
 mod spec;
 
 pub use condition::ConditionError;
 pub use eligibility::{Eligibility, Ineligibility};
 pub use ensembles::Ensembles;
 pub use exchange::{ExchangeAction, ExchangedValue, ExchangedValueError, KnowledgeExchange, MemberValues};
+pub use private_attributes::private_attribute_problems;
 pub use spec::EnsembleSpec;
 
 use self::condition::{Condition, EvaluationError, Variables, context_of};

@@ -24,8 +24,8 @@ pub struct EnsembleSpec {
     /// Maximum age of knowledge, in milliseconds. Raised: nodes remain members for longer after
     /// contact was lost.
     pub stale_after_ms: u64,
-    /// Values that its members send each other and no other node, as `attributes.section` or
-    /// `readings.dust_g`. Default: none.
+    /// Values that its members send each other and no other node, as `attributes.owner` or
+    /// `readings.dust_g`. The conditions of ensembles use none of these attributes. Default: none.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub exchange: BTreeSet<ExchangedValue>,
 }

@@ -25,6 +25,11 @@ impl Attributes {
     pub fn iter(&self) -> impl Iterator<Item = (&String, &Scalar)> {
         self.0.iter()
     }
+
+    /// Removes the attributes whose names do not fit.
+    pub(crate) fn retain(&mut self, fits: impl Fn(&str) -> bool) {
+        self.0.retain(|name, _| fits(name));
+    }
 }
 
 impl TryFrom<BTreeMap<String, Scalar>> for Attributes {

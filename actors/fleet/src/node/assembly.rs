@@ -70,7 +70,7 @@ pub(super) async fn start_parts(
         cluster: None,
         leaving: false,
         supported_versions: settings.supported_versions,
-        robot: settings.robot.as_ref().map(|robot| robot.worker.clone()),
+        robot: settings.robot.as_ref().map(|robot| fleet.ensembles.published(robot.worker.clone())),
     };
     // Signed records exist since version 2. A node that starts without a path to the coordinator
     // would otherwise publish records that others cannot forward.

@@ -7,7 +7,7 @@ use crate::map_loader::is_shipped;
 use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_protocol::auction::{BidLimits, PROMISES_MAX};
-use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue};
+use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue, private_attribute_problems};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::HistoryLimits;
@@ -317,6 +317,7 @@ impl ConfigFile for FleetConfig {
             validate.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
         }
         validate.extend(wrong);
+        let mut compiled = vec![];
         for (index, spec) in self.ensemble.iter().enumerate() {
             if self.ensemble[..index].iter().any(|other| other.name == spec.name) {
                 validate.push(format!("ensemble {}: is declared twice", spec.name));
@@ -335,8 +336,12 @@ impl ConfigFile for FleetConfig {
                     spec.name
                 ));
             }
-            validate.extend(Ensemble::compile(spec.clone()).err().map(|problem| problem.to_string()));
+            match Ensemble::compile(spec.clone()) {
+                Ok(ensemble) => compiled.push(ensemble),
+                Err(problem) => validate.push(problem.to_string()),
+            }
         }
+        validate.extend(private_attribute_problems(&compiled).iter().map(ToString::to_string));
         validate
     }
 }

@@ -63,16 +63,22 @@ fn invalid_policies_are_reported_with_what_is_allowed() {
     let wrong = test_file("ensemble_field.toml", &ensemble("icu", "member.attributes.floor > 2 && member.chrge > 0.5"));
     let exchanged = icu.clone() + "exchange = [\"attributes.section\", \"readings.temprature_c\"]\n";
     let exchanged = test_file("unknown_reading.toml", &exchanged);
+    let private = ensemble("er", "member.robot") + "exchange = [\"attributes.section\"]\n";
+    let private = test_file("private_attribute.toml", &(icu.clone() + &private));
     let text = "name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\nattributes = { \"floor-3\" = true }\n";
     let robot = test_file("wrong_attribute.toml", text);
     let mission = "mission: m\nroles:\n  r1: { kind: managed, eligible: 'robot.speeed > 0.5' }\n\
         root: { task: go, type: navigation, roles: [r1], parameters: { to: Dock } }\n";
     let mission = test_file("wrong_condition.yaml", mission);
-    let ran = run(&["check", &valid, &twice, &wrong, &exchanged, &robot, &mission]);
+    let ran = run(&["check", &valid, &twice, &wrong, &exchanged, &private, &robot, &mission]);
     assert_eq!(ran.code, Some(1), "{}", ran.out);
     for expected in [
         format!("{valid}: ok, a fleet"),
         format!("{twice}: ensemble icu: is declared twice"),
+        format!(
+            "{private}: ensemble icu: condition `member.attributes.section == 'icu'`: every node evaluates it, so \
+             `attributes.section` in the `exchange` of ensemble er cannot be private to members; "
+        ),
         format!("{exchanged}: ensemble icu: exchange: no domain declares the reading `temprature_c`; "),
         format!(
             "{wrong}: ensemble icu: condition `member.attributes.floor > 2 && member.chrge > 0.5`: `member` has no field `chrge`; allowed: "

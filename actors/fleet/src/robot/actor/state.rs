@@ -111,11 +111,13 @@ impl RobotState {
         }
     }
 
-    /// Reads the latest driver report, and publishes the worker through gossip if it has changed.
+    /// Reads the latest driver report, and publishes the worker without its private attributes through
+    /// gossip if it has changed.
     pub(super) fn sense(&mut self, now: NodeTime) {
         let leaving = self.decommission.is_leaving().then(|| DECOMMISSION_CAUSE.to_owned());
         let problem = leaving.or_else(|| self.checkpoint.problem());
         let Some(worker) = self.driver.sense(self.lease.holding(), problem, now) else { return };
+        let worker = self.settings.pricing.ensembles.published(worker);
         if self.settings.links.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {
             debug!(robot = %self.settings.robot, "gossip has stopped");
         }
