@@ -23,13 +23,35 @@ const DOMAIN: &str = r#"{
     "readings": {
         "bag_g": { "type": "number", "simulate": { "value": 2 } },
         "lid": { "type": "bool", "simulate": { "value": true } }
-    }
+    },
+    "tasks": { "look": {
+        "parameters": { "of": { "type": "text" } },
+        "results": { "seen": { "type": "text" } },
+        "tree": "look.xml",
+        "estimate": { "time_s": "1.0" }
+    } }
 }"#;
+
+/// The result is the code of another robot, if the tree can read its code and the dust in its bag.
+const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="look">
+  <BehaviorTree ID="look">
+    <Fallback>
+      <Sequence>
+        <MemberValue ensemble="icu" robot="{of}" exchanged="readings.bag_g" maximum="5" value="{bag}"/>
+        <MemberValue ensemble="icu" robot="{of}" exchanged="attributes.code" value="{code}"/>
+        <ScriptCondition code="bag &gt; 1.0"/>
+        <Script code="seen := code"/>
+      </Sequence>
+      <Script code="seen := 'unknown'"/>
+    </Fallback>
+  </BehaviorTree>
+</root>"#;
 
 /// Starts a fleet with an ensemble of these robots, which exchange an attribute and a reading.
 async fn fleet(seed: u64, robots: Vec<RobotSpec>, condition: &str, closed: bool) -> Fleet {
     let form = serde_json::from_str(DOMAIN).expect("a domain");
-    let domain = DomainFile::check(form, &BTreeMap::new(), &[]).expect("a valid domain");
+    let trees = BTreeMap::from([("look.xml".to_owned(), TREE.to_owned())]);
+    let domain = DomainFile::check(form, &trees, &[]).expect("a valid domain");
     let value = |text: &str| text.to_owned().try_into().expect("an exchanged value");
     let icu = EnsembleSpec {
         membership: vec!["member.robot".to_owned(), condition.to_owned()],
@@ -48,7 +70,7 @@ async fn fleet(seed: u64, robots: Vec<RobotSpec>, condition: &str, closed: bool)
 
 fn robot(name: &str, place: &str, section: &str) -> RobotSpec {
     let code = format!("{name}-code-{}", name.len());
-    RobotSpec::carrier(name, place).with_attribute("section", section).with_attribute("code", &code)
+    RobotSpec::carrier(name, place).with_skill("look").with_attribute("section", section).with_attribute("code", &code)
 }
 
 /// Queries the values that the members exchange, under `view` or `seen/{node}`.
@@ -80,10 +102,26 @@ async fn drive(fleet: &mut Fleet, condition: &str, to: &str) -> MissionId {
         "root": { "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": to },
             "reaches": { "location": to } },
     });
+    complete(fleet, &mission).await
+}
+
+async fn complete(fleet: &mut Fleet, mission: &Value) -> MissionId {
     let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
     let mission = slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")));
     fleet.assert_completes(&mission).await;
     mission
+}
+
+/// Lets a robot read the values of another robot. Returns what its tree has read.
+async fn look(fleet: &mut Fleet, robot: &str, of: &str) -> Value {
+    let condition = format!("robot.name == '{robot}'");
+    let mission = json!({
+        "mission": "look", "roles": { "r1": { "kind": "managed", "eligible": condition } },
+        "root": { "task": "see", "type": "look", "roles": ["r1"], "parameters": { "of": of } },
+        "result": { "seen": "see.seen" },
+    });
+    let mission = complete(fleet, &mission).await;
+    fleet.request_answered(ApiCall::Get, &json!({ "mission": mission })).await["result"]["seen"].clone()
 }
 
 fn contains_code(payload: &[u8]) -> bool {
@@ -199,5 +237,24 @@ fn a_robot_receives_values_only_while_it_is_a_member() {
         let before = received(&fleet, "birch");
         let receives = |fleet: &Fleet| received(fleet, "birch") != before;
         fleet.assert_never("a message without a subscription", Duration::from_secs(20), receives).await;
+    });
+}
+
+#[test]
+fn trees_of_members_read_the_values_of_other_members() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![robot("amber", "Dock", "icu"), robot("birch", "Dock", "icu"), robot("cedar", "Dock", "er")];
+        let mut fleet = fleet(seed, robots, "member.attributes.section == 'icu'", false).await;
+        let of_birch = async |fleet: &Fleet| {
+            let view = exchanged(fleet, "seen/amber").await?;
+            view["robots"]["birch"]["readings"]["bag_g"].is_number().then_some(())
+        };
+        fleet.poll_until("readings of birch at amber", SOON, of_birch).await;
+        assert_eq!(look(&mut fleet, "amber", "birch").await, json!("birch-code-5"), "seed {seed}");
+        assert_eq!(look(&mut fleet, "amber", "cedar").await, json!("unknown"), "seed {seed}: cedar is not a member");
+        assert_eq!(look(&mut fleet, "cedar", "birch").await, json!("unknown"), "seed {seed}: cedar is not a member");
+        fleet.kill("birch").await;
+        wait_for_values(&fleet, "seen/amber", &["amber"]).await;
+        assert_eq!(look(&mut fleet, "amber", "birch").await, json!("unknown"), "seed {seed}: birch has failed");
     });
 }

@@ -1,45 +1,28 @@
 //! Exchange of knowledge between the members of ensembles, over the bus.
 //!
-//! [`KnowledgeExchange`] decides; this module evaluates the membership, and performs its actions.
+//! [`KnowledgeExchange`](consort_protocol::ensemble::KnowledgeExchange) decides; this module evaluates
+//! the membership, and performs its actions.
 
 use crate::followed_coordinator::{LastBeacon, follow_beacons};
 use crate::robot_driver::RobotDriver;
+use crate::shared_exchanges::SharedExchanges;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::tasks::Tasks;
 use consort_bus::{BusError, Delivery, Encoding, Sample, SharedBus, Stream};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::codec;
-use consort_protocol::ensemble::{Ensemble, Ensembles, ExchangeAction, KnowledgeExchange, MemberValues};
+use consort_protocol::ensemble::{Ensembles, ExchangeAction, MemberValues};
 use consort_protocol::ids::{EnsembleId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Attributes;
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock, PoisonError};
 use std::time::Duration;
 use tracing::debug;
 
 /// Interval of evaluations of the membership.
 const UPDATE_INTERVAL: Duration = Duration::from_millis(250);
-
-/// Exchanges of a node, by ensemble. Copies share their state.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct SharedExchanges(Arc<Mutex<BTreeMap<EnsembleId, KnowledgeExchange>>>);
-
-impl SharedExchanges {
-    /// Creates the exchanges of the ensembles that list values.
-    pub(crate) fn of(ensembles: &Ensembles, own: &NodeId) -> SharedExchanges {
-        let listing = ensembles.iter().map(Ensemble::spec).filter(|spec| !spec.exchange.is_empty());
-        let exchange = |listed: &BTreeSet<_>| KnowledgeExchange::new(listed.clone(), own.clone());
-        let exchanges = listing.map(|spec| (spec.name.clone(), exchange(&spec.exchange))).collect();
-        SharedExchanges(Arc::new(Mutex::new(exchanges)))
-    }
-
-    /// Locks the exchanges. Each of their methods leaves them consistent.
-    pub(crate) fn lock(&self) -> MutexGuard<'_, BTreeMap<EnsembleId, KnowledgeExchange>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
 
 /// Inputs of the exchanges of a node.
 pub(crate) struct EnsembleExchange {

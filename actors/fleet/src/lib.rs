@@ -21,6 +21,7 @@ pub mod observe;
 pub mod recurrence;
 pub mod robot;
 pub mod robot_driver;
+mod shared_exchanges;
 pub(crate) mod views;
 
 pub use api_help::help as api_help;

@@ -26,9 +26,11 @@ use consort_protocol::view::MapView;
 use consort_raft::StoreIdentity;
 use consort_raft::store::{DurableStore, NodeStore, Quarantine, StoreOwner};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, ESTIMATOR_VERSION, Estimator};
+use consort_skills::domain_file::DomainFile;
 use consort_skills::environment::{Environment, Passages, Routes};
 use consort_skills::extensions::Extensions;
 use consort_skills::library::SkillLibrary;
+use consort_skills::skill::member_value_errors;
 use consort_text::AllowedNames;
 use consort_world::SharedWorld;
 use consort_world::map::Map;
@@ -119,12 +121,15 @@ pub(crate) struct SkillResources {
 /// coordinator accepts missions to its places only, and the fleet's missions.
 ///
 /// # Errors
-/// [`Diagnostics`] of the ensembles, of the map, or of the missions.
+/// [`Diagnostics`] of the ensembles, of the map, of trees that read what no ensemble exchanges, or of the missions.
 pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
     let places = map_loader::load(&config.map)?.topology.places;
     let domain = extensions.domain();
     let ensembles =
         Ensembles::compile(config.ensembles(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
+    let trees = extensions.files().flat_map(DomainFile::trees);
+    let wrong = trees.flat_map(|tree| member_value_errors(tree, &ensembles));
+    Diagnostics::into_result(wrong.map(|error| Diagnostic::for_file("", error)).collect())?;
     let domain = domain.with_places(places.into_keys()).with_ensembles(ensembles.names().cloned());
     let missions = mission_files::of_fleet(&config.missions, &domain, &domains::library(extensions)?)?;
     Ok(FleetSettings {

@@ -34,6 +34,10 @@ const PUBLISH_INTERVAL: Duration = Duration::from_secs(1);
 /// maximum time until a member has all values. Raised: fewer messages.
 const REFRESH_INTERVAL: Duration = Duration::from_secs(5);
 
+/// Maximum age of a value that a robot uses. More than two intervals, because a publication may be lost.
+/// Raised: robots use older values.
+const VALUE_AGE_MAX: Duration = REFRESH_INTERVAL.saturating_mul(3);
+
 /// A value that the members of an ensemble exchange, as `attributes.owner` or `readings.dust_g`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -108,6 +112,14 @@ impl MemberValues {
         let mut values = MemberValues { attributes, readings: readings.clone() };
         values.retain(listed);
         values
+    }
+
+    /// Returns a value.
+    fn get(&self, value: &ExchangedValue) -> Option<&Scalar> {
+        match value {
+            ExchangedValue::Attribute(name) => self.attributes.get(name),
+            ExchangedValue::Reading(name) => self.readings.get(name),
+        }
     }
 
     /// Checks the names and the sizes of values of another node.
@@ -227,6 +239,15 @@ impl KnowledgeExchange {
         let of_members = self.latest.iter().filter(|(robot, _)| members.contains(&NodeId::from((*robot).clone())));
         Some(of_members.map(|(robot, (values, at))| (robot.clone(), (values.clone(), now.since(*at)))).collect())
     }
+
+    /// Returns the latest value of a member for use by this node's robot. `None` if it is unknown: this
+    /// node or the robot is not a member, the value has not arrived, or its message is older than 15 s.
+    pub fn value(&self, robot: &RobotId, value: &ExchangedValue, now: NodeTime) -> Option<&Scalar> {
+        let is_member = self.members.as_ref()?.contains(&NodeId::from(robot.clone()));
+        let (values, at) = self.latest.get(robot)?;
+        let is_usable = is_member && now.since(*at) <= VALUE_AGE_MAX;
+        values.get(value).filter(|_| is_usable)
+    }
 }
 
 #[cfg(test)]
@@ -319,6 +340,28 @@ mod tests {
         ada.receive(bob, dust(4), at(700));
         ada.update(members(&["bob"]), None, at(800));
         assert_eq!(ada.latest(at(800)), None);
+    }
+
+    #[test]
+    fn a_robot_uses_recent_values_of_members() {
+        let (mut ada, bob, cyd) = (exchange(), RobotId::new("bob").unwrap(), RobotId::new("cyd").unwrap());
+        let value = |text: &str| ExchangedValue::try_from(text.to_owned()).unwrap();
+        let (bag, section) = (value("readings.dust_g"), value("attributes.section"));
+        assert_eq!(ada.value(&bob, &bag, at(0)), None, "it is not a member");
+        ada.update(members(&["ada", "bob"]), None, at(0));
+        assert_eq!(ada.value(&bob, &bag, at(0)), None, "nothing has arrived");
+        ada.receive(bob.clone(), dust(1), at(100));
+        ada.receive(cyd.clone(), dust(2), at(100));
+        assert_eq!(ada.value(&bob, &bag, at(100)), Some(&Scalar::Integer(1)));
+        assert_eq!(ada.value(&bob, &section, at(100)), Some(&Scalar::Text("icu".to_owned())));
+        assert_eq!(ada.value(&bob, &value("readings.lid"), at(100)), None, "it is not listed");
+        assert_eq!(ada.value(&cyd, &bag, at(100)), None, "cyd is not a member");
+        assert_eq!(ada.value(&bob, &bag, at(15_100)), Some(&Scalar::Integer(1)));
+        assert_eq!(ada.value(&bob, &bag, at(15_101)), None, "it is too old");
+        ada.receive(bob.clone(), dust(3), at(15_200));
+        assert_eq!(ada.value(&bob, &bag, at(15_200)), Some(&Scalar::Integer(3)));
+        ada.update(members(&["bob"]), None, at(15_300));
+        assert_eq!(ada.value(&bob, &bag, at(15_300)), None, "ada has left");
     }
 
     #[test]

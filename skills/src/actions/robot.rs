@@ -1,7 +1,8 @@
 //! The side of the skills: telemetry and actions of a robot.
 
 use super::goal::{Goal, GoalId, GoalResult, GoalStatus};
-use consort_protocol::ids::PlaceId;
+use consort_protocol::ensemble::ExchangedValue;
+use consort_protocol::ids::{EnsembleId, PlaceId, RobotId};
 use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::{Scalar, check_named_scalars};
@@ -58,6 +59,13 @@ pub trait RobotActions {
 
     /// Returns the latest report of the robot; `None` before the first.
     fn telemetry(&self) -> Option<&Telemetry>;
+
+    /// Returns the newest value that a member of an ensemble has sent to the others. `None` if it is
+    /// unknown: this robot is not a member, the value has not arrived, or it is too old.
+    fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {
+        let _ = (ensemble, robot, value);
+        None
+    }
 
     /// Asks people, or continues to wait for the answer to the same question. Returns what a person has
     /// answered, or the reason for which there is no answer; `None` while it is awaited. A robot asks one

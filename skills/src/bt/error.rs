@@ -68,6 +68,24 @@ pub enum TreeErrorKind {
         /// The action.
         id: String,
     },
+    /// The fleet lacks the ensemble whose values the node reads.
+    #[error("the fleet has no ensemble `{ensemble}`; {allowed}")]
+    UnknownEnsemble {
+        /// The ensemble.
+        ensemble: String,
+        /// The ensembles of the fleet, as text.
+        allowed: String,
+    },
+    /// The ensemble does not list the value that the node reads.
+    #[error("ensemble {ensemble} exchanges no `{exchanged}`; {allowed}")]
+    NotExchanged {
+        /// The ensemble.
+        ensemble: String,
+        /// The value.
+        exchanged: String,
+        /// The values that the ensemble lists, as text.
+        allowed: String,
+    },
     /// The explicit form names another kind than the node's.
     #[error("`{id}` is written as <{written}>, but is of kind <{is}>")]
     WrongKind {

@@ -1,6 +1,7 @@
 //! Declaration of nodes: kind, and ports with their types and constraints.
 
 use super::value::{PortType, Value, ValueError};
+use consort_protocol::ensemble::ExchangedValue;
 
 /// Direction of a port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,6 +32,8 @@ pub enum PortConstraint {
     OneOf(Vec<String>),
     /// A number from the first to the second, both included.
     Range(f64, f64),
+    /// The name of a value that members of an ensemble exchange.
+    ExchangedValue,
 }
 
 impl PortConstraint {
@@ -45,6 +48,8 @@ impl PortConstraint {
                 Value::Number(n) if (*low..=*high).contains(n) => Ok(()),
                 _ => reject(format!("allowed is {low} to {high}")),
             },
+            PortConstraint::ExchangedValue if ExchangedValue::try_from(value.to_string()).is_ok() => Ok(()),
+            PortConstraint::ExchangedValue => reject("allowed are attributes.NAME and readings.NAME".to_owned()),
         }
     }
 }
@@ -94,6 +99,11 @@ impl PortSpec {
     /// Restricts the port to numbers in this range, ends included.
     pub(crate) fn in_range(self, low: f64, high: f64) -> PortSpec {
         PortSpec { constraint: PortConstraint::Range(low, high), ..self }
+    }
+
+    /// Restricts the port to names of values that members of an ensemble exchange.
+    pub(crate) fn exchanged_value(self) -> PortSpec {
+        PortSpec { constraint: PortConstraint::ExchangedValue, ..self }
     }
 
     /// Parses the text of a fixed value.

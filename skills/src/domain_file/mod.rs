@@ -215,6 +215,11 @@ impl DomainFile {
         self.form.readings.iter()
     }
 
+    /// Returns the behavior trees of the task types.
+    pub fn trees(&self) -> impl Iterator<Item = &TreeSpec> {
+        self.trees.values()
+    }
+
     /// Returns the actions for the simulator: `simulate` contains all results.
     pub fn simulated_actions(&self) -> impl Iterator<Item = (ActionName, ActionForm)> {
         self.form.actions.iter().map(|(name, action)| (name.clone(), simulated(action)))

@@ -3,12 +3,7 @@
 use super::action_leaf::{port, port_type};
 use super::form::{ParameterForm, ParameterKind};
 use crate::bt::{Cause, LeafContext, PortSpec, Registry, RegistryError, Value};
-use crate::skill::TaskContext;
-
-const MINIMUM: &str = "minimum";
-const MAXIMUM: &str = "maximum";
-const EQUALS: &str = "equals";
-const VALUE: &str = "value";
+use crate::skill::{EQUALS, MAXIMUM, MINIMUM, TaskContext, VALUE, value_holds};
 
 /// Registers the condition of a reading, whose id is the name of the reading. The condition fails while
 /// the reading is unknown. A boolean without `equals` must be true.
@@ -29,43 +24,10 @@ fn has_limits(kind: ParameterKind) -> bool {
     matches!(kind, ParameterKind::Seconds | ParameterKind::Number | ParameterKind::Integer)
 }
 
-/// Writes the reading to the port `value`, and checks it.
 fn holds(name: &str, kind: ParameterKind, leaf: &mut LeafContext<'_, '_>) -> Result<bool, Cause> {
     let reading = leaf.actions().telemetry().and_then(|telemetry| telemetry.readings.get(name)).cloned();
     let reading = reading.ok_or_else(|| Cause::new("the reading is unknown: the driver has not published it"))?;
     let value = Value::from(reading).convert(port_type(kind));
     let value = value.map_err(|error| Cause::new(format!("the reading is wrong: {error}")))?;
-    leaf.write(VALUE, value.clone())?;
-    let is_true = (kind == ParameterKind::Bool).then_some(Value::Bool(true));
-    let expected = read(leaf, EQUALS, kind)?.or(is_true);
-    if let Some(expected) = expected.filter(|expected| *expected != value) {
-        return Err(Cause::new(format!("the reading is {value}, not {expected}")));
-    }
-    let Some(number) = number(&value) else { return Ok(true) };
-    let limit = |port: &str| Ok::<_, Cause>(read(leaf, port, kind)?.as_ref().and_then(self::number));
-    match (limit(MINIMUM)?, limit(MAXIMUM)?) {
-        (Some(minimum), _) if number < minimum => {
-            Err(Cause::new(format!("the reading is {value}, below the minimum {minimum}")))
-        }
-        (_, Some(maximum)) if number > maximum => {
-            Err(Cause::new(format!("the reading is {value}, above the maximum {maximum}")))
-        }
-        _ => Ok(true),
-    }
-}
-
-/// Reads a port in the type of the reading.
-fn read(leaf: &LeafContext<'_, '_>, port: &str, kind: ParameterKind) -> Result<Option<Value>, Cause> {
-    let value = leaf.read_optional::<Value>(port)?.map(|value| value.convert(port_type(kind))).transpose();
-    value.map_err(|error| Cause::new(format!("port `{port}`: {error}")))
-}
-
-/// Returns the number of a value with limits.
-fn number(value: &Value) -> Option<f64> {
-    match value {
-        Value::Number(number) => Some(*number),
-        Value::Integer(number) => Some(*number as f64),
-        Value::Seconds(time) => Some(time.get()),
-        _ => None,
-    }
+    value_holds("the reading", &value, leaf)
 }

@@ -5,13 +5,14 @@ use super::root::NodeMessage;
 use super::settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use crate::autopilot::{AutopilotSettings, Bootstrap, Decommission, DecommissionReport};
 use crate::coordinator::{AuctionSettings, Coordinator, CoordinatorMessage, CoordinatorSettings, NodeParts};
-use crate::ensemble_exchange::{EnsembleExchange, SharedExchanges};
+use crate::ensemble_exchange::EnsembleExchange;
 use crate::events::EventPublisher;
 use crate::observe::SharedObserver;
 use crate::robot::{
     ExecutionSettings, PricingSettings, Robot, RobotLinks, RobotMessage, RobotSettings, RobotStart, TaskTimeout,
 };
 use crate::robot_driver::{CLIENT_TIMEOUT, DriverClientSettings, DriverServer, DriverServerSettings, RobotDriver};
+use crate::shared_exchanges::SharedExchanges;
 use crate::views::Views;
 use consort_bus::clock::Clock;
 use consort_bus::cluster_membership::{ClusterBus, ClusterMembership};
@@ -399,7 +400,7 @@ impl Assembly {
             first_goal: incarnation << 20,
             heartbeat_interval: Duration::from_millis(300),
         };
-        let driver = RobotDriver::connect(client, &self.root.get_cell()).await?;
+        let driver = RobotDriver::connect(client, &self.root.get_cell()).await?.with_exchanges(self.exchanges.clone());
         // A node has a single robot.
         let _ = self.driver.set(driver.clone());
         let token = self.bus.announce(&self.keys.write(&Key::AliveRobot(robot.clone()))).await?;

@@ -4,12 +4,14 @@
 use super::goal_tracker::GoalTracker;
 use super::messages::{DriverState, GoalRequest};
 use super::questions::OpenQuestion;
+use crate::shared_exchanges::SharedExchanges;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
-use consort_protocol::ids::RobotId;
+use consort_protocol::ensemble::ExchangedValue;
+use consort_protocol::ids::{EnsembleId, RobotId};
 use consort_protocol::keys::{DriverCall, Key, Keys};
 use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::scalar::Scalar;
@@ -54,6 +56,9 @@ pub struct RobotDriver {
     requests: ActorRef<DriverClientMessage>,
     /// Question of its skill to people.
     question: OpenQuestion,
+    /// Values of other members of its ensembles.
+    exchanges: SharedExchanges,
+    clock: Clock,
     /// Telemetry as of this clone's last [`refresh`](RobotDriver::refresh).
     telemetry: Option<Telemetry>,
 }
@@ -94,6 +99,11 @@ impl RobotDriver {
         let (driver_sender, mut driver_receiver) = tokio::sync::mpsc::unbounded_channel();
         Actor::spawn_linked(None, DriverClient, (settings, driver_sender), supervisor.clone()).await?;
         Ok(driver_receiver.recv().await.expect("the actor hands out its driver before it has started"))
+    }
+
+    /// Lets its skills read the values that members of ensembles exchange. Without them all are unknown.
+    pub(crate) fn with_exchanges(self, exchanges: SharedExchanges) -> RobotDriver {
+        RobotDriver { exchanges, ..self }
     }
 
     /// Returns a counter of received states, which notifies its receivers of each new state.
@@ -196,6 +206,10 @@ impl RobotActions for RobotDriver {
         self.telemetry.as_ref()
     }
 
+    fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {
+        self.exchanges.value(ensemble, robot, value, self.clock.now())
+    }
+
     fn ask_person(&mut self, question: &PersonQuestion) -> Option<Result<String, String>> {
         self.question.ask(question)
     }
@@ -237,6 +251,8 @@ impl Actor for DriverClient {
             tracker: Arc::new(Mutex::new(GoalTracker::new(settings.first_goal))),
             requests: myself.clone(),
             question: OpenQuestion::default(),
+            exchanges: SharedExchanges::default(),
+            clock: settings.clock,
             telemetry: None,
         };
         let mut tasks = Tasks::default();

@@ -29,9 +29,9 @@ mod mission;
 
 use crate::api_help::call_help;
 use crate::coordinator::{CoordinatorMessage, CoordinatorStatus};
-use crate::ensemble_exchange::SharedExchanges;
 use crate::followed_coordinator::{LastBeacon, follow_beacons};
 use crate::robot_driver::RobotDriver;
+use crate::shared_exchanges::SharedExchanges;
 use api::unknown_mission;
 use bytes::Bytes;
 use cluster_status::ClusterStatus;

@@ -129,3 +129,31 @@ fn a_fleet_file_names_its_domains() {
         assert!(ran.code == Some(1) && ran.out.contains("missing.yaml"), "{}", ran.out);
     }
 }
+
+#[test]
+fn a_tree_reads_values_that_an_ensemble_of_the_fleet_exchanges() {
+    let tree = "<root BTCPP_format=\"4\"><BehaviorTree ID=\"look\">\n\
+        <MemberValue ensemble=\"icu\" robot=\"bob\" exchanged=\"readings.dust_g\"/>\n</BehaviorTree></root>";
+    let tree = test_file("dust_look.xml", tree);
+    let domain = "domain: dust\nreadings: { dust_g: { type: number } }\n\
+        tasks: { look: { tree: dust_look.xml, estimate: { time_s: \"1.0\" } } }\n";
+    let domain = test_file("dust.yaml", domain);
+    let fleet = |name: &str, ensemble: &str, exchange: &str| {
+        let text = format!(
+            "name = \"ward\"\ndomains = [\"dust.yaml\"]\n[[ensemble]]\nname = {ensemble:?}\n\
+             membership = [\"member.robot\"]\nstale_after_ms = 1000\nexchange = [{exchange:?}]\n"
+        );
+        test_file(name, &text)
+    };
+    let valid = fleet("dust_fleet.toml", "icu", "readings.dust_g");
+    let ran = run(&["check", &domain, &tree, &valid]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    for (file, problem) in [
+        (fleet("dust_er.toml", "er", "readings.dust_g"), "the fleet has no ensemble `icu`; allowed: er"),
+        (fleet("dust_owner.toml", "icu", "attributes.owner"), "ensemble icu exchanges no `readings.dust_g`; allowed: "),
+    ] {
+        let ran = run(&["check", &file]);
+        let expected = format!("dust_look.xml:2: look/MemberValue: {problem}");
+        assert!(ran.code == Some(1) && ran.out.contains(&expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+}
