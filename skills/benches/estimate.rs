@@ -48,6 +48,7 @@ fn estimates(criterion: &mut Criterion) {
             discharge: SharePerSecond::new(0.001).expect("a rate"),
             closed: vec![],
             attributes: serde_json::from_value(serde_json::json!({ "litres_per_s": 0.5 })).expect("attributes"),
+            readings: None,
         };
         group.bench_function(name, |bencher| {
             bencher.iter(|| estimator.estimate(black_box(&task), black_box(&context)).expect("an estimate"));

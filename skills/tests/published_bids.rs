@@ -102,6 +102,7 @@ fn context(robot: &Value) -> EstimateContext {
         discharge: SharePerSecond::new(robot["battery_discharge_rate"].as_f64().unwrap()).unwrap(),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     }
 }
 

@@ -71,7 +71,7 @@ impl Scene {
             // Bidders borrow the data of their robot for the lifetime of the program.
             let worker: &'static RobotKnowledge = Box::leak(Box::new(worker(number)));
             let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
-            BidContext { worker, closed_lanes: &[], age_ms: 0, membership, present: None }
+            BidContext { worker, closed_lanes: &[], readings: None, age_ms: 0, membership, present: None }
         };
         Scene {
             call: CallForBids {
@@ -132,6 +132,7 @@ impl Scene {
                         discharge,
                         closed: vec![],
                         attributes: Attributes::default(),
+                        readings: None,
                     },
                 )
                 .ok()?;

@@ -29,6 +29,7 @@ mod recovery;
 mod refusals;
 mod repeated_missions;
 mod requests;
+mod requirements;
 mod restart;
 mod results;
 mod scale;

@@ -165,7 +165,8 @@ fn response(
 ) -> BidResponse {
     let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator));
     let own = worker.worker(&equipment.places);
-    bidder.respond(call, &BidContext { worker: &own, closed_lanes: &[], age_ms: 0, membership, present: None })
+    let context = BidContext { worker: &own, closed_lanes: &[], readings: None, age_ms: 0, membership, present: None };
+    bidder.respond(call, &context)
 }
 
 fn bid_of(answer: RoleReply, limits: &BidLimits) -> (RoleId, WorkerBid) {

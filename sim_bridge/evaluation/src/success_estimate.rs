@@ -20,6 +20,7 @@ pub fn start_context(robot: &ScenarioRobot) -> EstimateContext {
         discharge: SharePerSecond::new(robot.discharge).expect("scenarios are checked"),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     }
 }
 

@@ -40,6 +40,7 @@ fn estimate_s(environment: Environment, from: &str, to: &str, speed: f64) -> f64
         discharge: SharePerSecond::new(0.0).unwrap(),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     };
     estimator.estimate(&task, &context).unwrap().time.get()
 }

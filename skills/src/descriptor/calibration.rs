@@ -278,6 +278,7 @@ mod tests {
             discharge: SharePerSecond::new(0.001).unwrap(),
             closed: vec![],
             attributes: Attributes::default(),
+            readings: None,
         };
         let mut task = TaskSpec::of(TaskType::new(NAVIGATION).unwrap(), vec!["r1".parse().unwrap()]);
         task.parameters.insert("to".to_owned(), "B".to_owned());

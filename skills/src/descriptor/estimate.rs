@@ -5,7 +5,9 @@ use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{OtherDomain, TaskSpec};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
+use std::collections::BTreeMap;
 
 /// State of the estimating robot at the start of the task.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +24,9 @@ pub struct EstimateContext {
     pub closed: Vec<(PlaceId, PlaceId)>,
     /// Attributes of the robot.
     pub attributes: Attributes,
+    /// Latest readings of its driver, by name. `None` where they do not count: the robot has the task already, or its
+    /// driver is not known.
+    pub readings: Option<BTreeMap<String, Scalar>>,
 }
 
 /// Estimated cost of a task.
@@ -84,6 +89,8 @@ pub enum EstimateError {
         condition: String,
         /// `is false`, or the reason for which it has no value.
         problem: String,
+        /// True if the condition uses readings of the robot, which may change.
+        may_change: bool,
     },
     /// The task was made with another content of the domain file.
     #[error(transparent)]

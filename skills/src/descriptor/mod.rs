@@ -25,6 +25,7 @@
 //!     discharge: SharePerSecond::new(0.001)?,
 //!     closed: vec![],
 //!     attributes: Attributes::default(),
+//!     readings: None,
 //! };
 //! let estimate = estimator.estimate(&TaskSpec::of("wave".parse()?, vec!["r1".parse()?]), &robot)?;
 //! assert_eq!((estimate.time.get(), estimate.energy), (4.0, 0.004));

@@ -57,6 +57,7 @@ fn robot(at: &str) -> EstimateContext {
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     }
 }
 

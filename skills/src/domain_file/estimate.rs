@@ -1,10 +1,12 @@
 //! Estimates in CEL.
 
+use super::expression::{ATTRIBUTES, DISTANCE, Expression, TRAVEL_S};
 use super::form::{EstimateForm, ParameterForm, ParameterKind, TaskForm};
+use super::requirement::Requirement;
 use crate::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 use crate::environment::{Environment, EnvironmentDescriptor, Passages, Routes};
 use crate::waypoints::parse_points;
-use cel::{Context, Program};
+use cel::Context;
 use consort_protocol::expression;
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::knowledge::Attributes;
@@ -20,18 +22,9 @@ pub(super) struct DeclaredEstimate {
     time_s: Formula,
     energy: Option<Formula>,
     ends_at: Option<String>,
-    requires: Option<Expression>,
+    requires: Option<Requirement>,
     domain: Option<DomainReference>,
 }
-
-/// Variable with the attributes of the robot.
-const ATTRIBUTES: &str = "attributes";
-
-/// Variable with the lengths of routes and paths, by parameter.
-const DISTANCE: &str = "distance";
-
-/// Variable with the times of drives, by parameter.
-const TRAVEL_S: &str = "travel_s";
 
 /// Variables of the robot.
 struct RobotVariables<'a> {
@@ -50,13 +43,6 @@ enum Formula {
     TravelTime(String),
     /// Any other expression.
     Expression(Expression),
-}
-
-struct Expression {
-    text: String,
-    program: Program,
-    /// True if the expression may use lengths or times of drives.
-    uses_drives: bool,
 }
 
 impl Formula {
@@ -93,44 +79,6 @@ impl Formula {
     }
 }
 
-impl Expression {
-    fn compile(text: &str) -> Result<Expression, String> {
-        let uses_drives = [DISTANCE, TRAVEL_S].into_iter().any(|variable| text.contains(variable));
-        Ok(Expression { text: text.to_owned(), program: expression::compile(text)?, uses_drives })
-    }
-
-    /// Checks whether the expression uses attributes of the robot, which are not known beforehand.
-    fn uses_attributes(&self) -> bool {
-        expression::fields_used(self.program.expression()).iter().any(|(name, _)| name == ATTRIBUTES)
-    }
-
-    /// Evaluates the expression to `true` or `false`.
-    fn condition(&self, variables: &Context<'static, 'static>) -> Result<bool, String> {
-        match self.program.execute(variables) {
-            Ok(cel::Value::Bool(holds)) => Ok(holds),
-            Ok(other) => Err(format!("is {other:?}; allowed is true or false")),
-            Err(problem) => Err(format!("has no value: {problem}")),
-        }
-    }
-
-    /// Evaluates the expression to a finite number of 0 or more.
-    fn number(&self, variables: &Context<'static, 'static>) -> Result<f64, String> {
-        let number = match self.program.execute(variables) {
-            Ok(cel::Value::Float(number)) => number,
-            Ok(cel::Value::Int(number)) => number as f64,
-            Ok(cel::Value::UInt(number)) => number as f64,
-            Ok(other) => return Err(format!("`{}` is {other:?}; allowed is a number", self.text)),
-            Err(problem) => {
-                return Err(format!("`{}`: {problem}; numbers are written with a decimal point, as in 2.0", self.text));
-            }
-        };
-        match number.is_finite() && number >= 0.0 {
-            true => Ok(number),
-            false => Err(format!("`{}` is {number}; allowed are finite numbers of 0 or more", self.text)),
-        }
-    }
-}
-
 impl DeclaredEstimate {
     /// Compiles the estimate of a task type, and evaluates it once with example values.
     pub(super) fn compile(
@@ -161,12 +109,13 @@ impl DeclaredEstimate {
         Ok(estimate)
     }
 
-    /// Adds the condition of the task type on its robot.
-    pub(super) fn requiring(self, condition: &str) -> Result<DeclaredEstimate, String> {
-        let requires = Expression::compile(condition)?;
-        if !requires.uses_attributes() {
-            requires.condition(&self.example()).map_err(|problem| format!("`{condition}` {problem}"))?;
-        }
+    /// Adds the condition of the task type on its robot. `declared` are the readings of all domains.
+    pub(super) fn requiring(
+        self,
+        condition: &str,
+        declared: &BTreeMap<String, ParameterForm>,
+    ) -> Result<DeclaredEstimate, String> {
+        let requires = Requirement::compile(condition, declared, self.example())?;
         Ok(DeclaredEstimate { requires: Some(requires), ..self })
     }
 
@@ -180,19 +129,13 @@ impl DeclaredEstimate {
     }
 
     fn expressions(&self) -> impl Iterator<Item = &Expression> {
-        self.formulas().filter_map(Formula::expression).chain(&self.requires)
+        self.formulas().filter_map(Formula::expression).chain(self.requires.as_ref().map(Requirement::expression))
     }
 
     /// Returns variables with a value of each type.
     fn example(&self) -> Context<'static, 'static> {
-        let example = |parameter: &ParameterForm| match parameter.kind {
-            ParameterKind::Seconds | ParameterKind::Number | ParameterKind::Integer => {
-                parameter.minimum.or(parameter.maximum).unwrap_or(1.0).to_string()
-            }
-            ParameterKind::Bool => "true".to_owned(),
-            _ => parameter.one_of.first().cloned().unwrap_or_else(|| "example".to_owned()),
-        };
-        let texts = self.parameters.iter().map(|(name, parameter)| (name.clone(), example(parameter))).collect();
+        let example = |(name, parameter): (&String, &ParameterForm)| (name.clone(), parameter.example());
+        let texts = self.parameters.iter().map(example).collect();
         let robot = RobotVariables { speed: 1.0, discharge: 0.001, attributes: &Attributes::default() };
         self.variables(&texts, &robot, |_, _| Ok::<_, EstimateError>(Drive::example())).expect("examples are valid")
     }
@@ -335,7 +278,7 @@ impl SkillDescriptor for DeclaredEstimate {
     }
 
     fn required_descriptors(&self) -> Vec<&'static str> {
-        let uses_routes = self.requires.iter().any(|condition| condition.uses_drives);
+        let uses_routes = self.requires.iter().any(|requires| requires.expression().uses_drives);
         if uses_routes || self.formulas().any(Formula::needs_routes) { vec![Routes::KIND] } else { vec![] }
     }
 
@@ -358,15 +301,14 @@ impl SkillDescriptor for DeclaredEstimate {
         let (speed, discharge, attributes) = (context.speed.get(), context.discharge.get(), &context.attributes);
         let robot = RobotVariables { speed, discharge, attributes };
         let needs_variables = self.expressions().next().is_some();
-        let variables = needs_variables.then(|| self.variables(&task.parameters, &robot, drive)).transpose()?;
-        if let (Some(requires), Some(variables)) = (&self.requires, &variables) {
-            let lacks = |problem| EstimateError::Requirement {
+        let mut variables = needs_variables.then(|| self.variables(&task.parameters, &robot, drive)).transpose()?;
+        if let (Some(requires), Some(variables)) = (&self.requires, &mut variables) {
+            requires.check(variables, context.readings.as_ref()).map_err(|problem| EstimateError::Requirement {
                 task_type: self.task_type.clone(),
-                condition: requires.text.clone(),
+                condition: requires.expression().text.clone(),
                 problem,
-            };
-            let holds = requires.condition(variables).map_err(lacks)?;
-            holds.then_some(()).ok_or_else(|| lacks("is false".to_owned()))?;
+                may_change: requires.uses_readings(),
+            })?;
         }
         let number = |formula| self.number(formula, task, context, environment, variables.as_ref());
         let time = Seconds::new(number(&self.time_s)?).map_err(|problem| self.failed(problem.to_string()))?;

@@ -232,7 +232,8 @@ pub struct TaskForm {
     #[serde(default)]
     pub tree: Option<String>,
     /// Condition in CEL on the robot and the parameters, such as `attributes.payload_kg >= mass_kg`. A robot for
-    /// which it is false does not bid. The variables are those of the estimate.
+    /// which it is false or unknown does not bid. The variables are those of the estimate, and the latest `readings` of
+    /// the robot's driver: `readings.tank_l >= litres`.
     #[serde(default)]
     pub requires: Option<String>,
     /// Estimate of the cost. Default for a task with an `action`: the mean time that the simulator needs.
@@ -434,6 +435,17 @@ impl ParameterForm {
                 Some(Scalar::Integer(number.round().max(minimum.ceil()).min(maximum.floor()) as i64))
             }
             _ => None,
+        }
+    }
+
+    /// Returns the text of a value of the type, for the check of expressions.
+    pub(super) fn example(&self) -> String {
+        match self.kind {
+            ParameterKind::Seconds | ParameterKind::Number | ParameterKind::Integer => {
+                self.minimum.or(self.maximum).unwrap_or(1.0).to_string()
+            }
+            ParameterKind::Bool => "true".to_owned(),
+            _ => self.one_of.first().cloned().unwrap_or_else(|| "example".to_owned()),
         }
     }
 

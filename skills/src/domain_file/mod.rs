@@ -34,10 +34,12 @@
 mod action_leaf;
 mod content_hash;
 mod estimate;
+mod expression;
 mod form;
 mod goal_problems;
 mod reading_leaf;
 mod reading_problems;
+mod requirement;
 mod scaffold;
 
 pub use form::{
@@ -70,6 +72,8 @@ pub struct DomainFile {
     form: DomainForm,
     /// The behavior trees of the task types.
     trees: BTreeMap<TaskType, TreeSpec>,
+    /// Readings of this domain and of those that it was checked with, by name.
+    readings: BTreeMap<String, ParameterForm>,
     hash: DomainHash,
     /// The standard domain is part of the program, so its tasks do not refer to it.
     is_standard: bool,
@@ -137,9 +141,11 @@ impl DomainFile {
                 problems.push(problem(format!("readings.{name}"), error.to_string()));
             }
         }
+        let readings: BTreeMap<String, ParameterForm> =
+            readings.into_iter().map(|(name, reading)| (name.to_owned(), reading.value.clone())).collect();
         let mut checked = BTreeMap::new();
         for (name, task) in &form.tasks {
-            problems.extend(task_problems(&form, standard, name, task));
+            problems.extend(task_problems(&form, standard, name, task, &readings));
             let declares = |domain: &&&DomainFile| domain.form.tasks.contains_key(name);
             if let Some(domain) = known.iter().find(declares) {
                 problems.push(problem(
@@ -169,7 +175,7 @@ impl DomainFile {
             return Err(problems);
         }
         let hash = content_hash(&form, trees);
-        Ok(DomainFile { form, trees: checked, hash, is_standard: standard.is_none() })
+        Ok(DomainFile { form, trees: checked, readings, hash, is_standard: standard.is_none() })
     }
 
     /// Returns the name of the domain.
@@ -261,7 +267,7 @@ impl DomainFile {
     #[must_use]
     pub fn extend_descriptors(&self, descriptors: DescriptorRegistry) -> DescriptorRegistry {
         self.form.tasks.iter().fold(descriptors, |descriptors, (name, task)| {
-            match estimate_of(&self.form, name, task) {
+            match estimate_of(&self.form, name, task, &self.readings) {
                 Ok(estimate) => descriptors.with(estimate.of_domain(self.tasks_reference())),
                 Err(_) => descriptors, // a checked domain has none
             }
@@ -442,6 +448,7 @@ fn task_problems(
     standard: Option<&DomainFile>,
     name: &TaskType,
     task: &TaskForm,
+    readings: &BTreeMap<String, ParameterForm>,
 ) -> Vec<DomainProblem> {
     let place = format!("tasks.{name}");
     let mut problems = parameter_problems(&place, &task.parameters);
@@ -473,14 +480,19 @@ fn task_problems(
             }
         }
     }
-    if let Err(found) = estimate_of(form, name, task) {
+    if let Err(found) = estimate_of(form, name, task, readings) {
         problems.push(found);
     }
     problems
 }
 
 /// Returns the estimate of a task, or else the mean time of its action in the simulator.
-fn estimate_of(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Result<DeclaredEstimate, DomainProblem> {
+fn estimate_of(
+    form: &DomainForm,
+    name: &TaskType,
+    task: &TaskForm,
+    readings: &BTreeMap<String, ParameterForm>,
+) -> Result<DeclaredEstimate, DomainProblem> {
     let of_action = || {
         let action = form.actions.get(task.action.as_ref()?)?;
         Some(EstimateForm { time_s: format!("{:?}", action.simulate.mean_s()), energy: None, ends_at: None })
@@ -492,7 +504,7 @@ fn estimate_of(form: &DomainForm, name: &TaskType, task: &TaskForm) -> Result<De
         .map_err(|(key, found)| problem(format!("tasks.{name}.estimate.{key}"), found))?;
     match &task.requires {
         Some(condition) => {
-            compiled.requiring(condition).map_err(|found| problem(format!("tasks.{name}.requires"), found))
+            compiled.requiring(condition, readings).map_err(|found| problem(format!("tasks.{name}.requires"), found))
         }
         None => Ok(compiled),
     }

@@ -59,6 +59,7 @@ fn a_path_is_priced_by_its_length_from_where_the_robot_is() {
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     };
     let estimate = estimator.estimate(&follow("0,5;3,5;3,1"), &robot).unwrap();
     assert_eq!((estimate.time.get(), estimate.ends_at.as_str()), (24.0, "A"), "5 + 3 + 4 m");

@@ -64,6 +64,7 @@ fn use_domain(domain: &DomainFile) {
         discharge: SharePerSecond::new(0.001).expect("a rate"),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     };
     for (task_type, schema) in domain.task_types() {
         let role: RoleId = "r1".parse().expect("a slug");

@@ -7,8 +7,9 @@ use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::Award;
 use consort_protocol::plan::LocalPlan;
-use consort_skills::descriptor::{EstimateContext, Estimator};
-use std::collections::BTreeSet;
+use consort_protocol::scalar::Scalar;
+use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator, PriceError};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Prices plans for a single robot.
@@ -25,6 +26,8 @@ pub struct BidContext<'a> {
     pub worker: &'a RobotKnowledge,
     /// Lanes that the driver has found closed, each by its 2 ends.
     pub closed_lanes: &'a [(PlaceId, PlaceId)],
+    /// Latest readings of the driver, by name; `None` if conditions on them do not count.
+    pub readings: Option<&'a BTreeMap<String, Scalar>>,
     /// Age of that information in milliseconds.
     pub age_ms: u64,
     /// Membership of the robot in any of the called ensembles, by its own evaluation.
@@ -77,7 +80,7 @@ impl Bidder {
         plan: &LocalPlan,
         context: &BidContext<'_>,
     ) -> Result<Bid, RefusalReason> {
-        let BidContext { worker, closed_lanes: closed, age_ms, membership, present } = context;
+        let BidContext { worker, closed_lanes: closed, readings, age_ms, membership, present } = context;
         // A lack of skills outlasts the present work: a mission that only robots without the skill could join fails,
         // and does not wait for them.
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
@@ -105,11 +108,9 @@ impl Bidder {
             eligible.map_err(|Ineligibility { why, permanent }| RefusalReason::NotEligible { why, permanent })?;
         }
         let from = present.map_or_else(|| worker.place.clone(), |present| present.ends_at.clone());
-        let context = EstimateContext { place: from.clone(), ..pricing_context(worker, closed) };
-        let budget = self.estimator.budget(plan, &context).map_err(|problem| RefusalReason::NotFeasible {
-            task: problem.task.clone(),
-            problem: problem.to_string(),
-        })?;
+        let readings = readings.cloned();
+        let context = EstimateContext { place: from.clone(), readings, ..pricing_context(worker, closed) };
+        let budget = self.estimator.budget(plan, &context).map_err(|problem| refusal_of(&problem))?;
         let (time, energy) = (budget.time(), budget.energy);
         Ok(Bid {
             robot: self.robot.clone(),
@@ -123,5 +124,105 @@ impl Bidder {
             parts: budget.parts,
             present: present.map(|present| present.role.clone()),
         })
+    }
+}
+
+/// Returns the refusal of a plan that cannot be priced. The robot may get a role later whose condition on its readings
+/// is false or unknown now.
+fn refusal_of(problem: &PriceError) -> RefusalReason {
+    match &problem.source {
+        EstimateError::Requirement { may_change: true, .. } => {
+            RefusalReason::NotEligible { why: problem.to_string(), permanent: false }
+        }
+        _ => RefusalReason::NotFeasible { task: problem.task.clone(), problem: problem.to_string() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::auction::AuctionId;
+    use consort_protocol::knowledge::Attributes;
+    use consort_protocol::pose::Pose;
+    use consort_protocol::units::{BatteryShare, SharePerSecond};
+    use consort_skills::descriptor::DescriptorRegistry;
+    use consort_skills::domain_file::DomainFile;
+    use consort_skills::environment::Environment;
+    use serde_json::{Value, json};
+
+    const WATERING: &str = r#"{
+        "domain": "watering",
+        "actions": { "water": {} },
+        "readings": { "tank_l": { "type": "number" } },
+        "tasks": {
+            "water": { "action": "water", "requires": "readings.tank_l >= 1.0" },
+            "lift": { "action": "water", "requires": "attributes.payload_kg >= 1.0" }
+        }
+    }"#;
+
+    /// Returns the reply of a robot with these readings to a call for a task of this type.
+    fn reply_to_call(task: &str, readings: &Value) -> RoleReply {
+        let form = serde_json::from_str(WATERING).unwrap();
+        let domain = DomainFile::check(form, &BTreeMap::new(), &[]).unwrap();
+        let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new()).unwrap();
+        let spec = json!({ "type": task, "roles": ["r1"], "attempts": 2 });
+        let step = json!({ "action": { "Task": { "id": "it", "spec": spec } }, "after": [] });
+        let plan: LocalPlan = serde_json::from_value(json!({ "role": "r1", "steps": [step] })).unwrap();
+        let call = CallForBids {
+            auction: AuctionId { mission: "m-1".parse().unwrap(), term: 1, round: 1 },
+            ensembles: vec![],
+            roles: BTreeMap::from([("r1".parse().unwrap(), plan)]),
+            eligible: BTreeMap::new(),
+            spread: BTreeSet::new(),
+        };
+        let worker = RobotKnowledge {
+            skills: BTreeSet::from(["water", "lift"].map(|skill| skill.parse().unwrap())),
+            attributes: Attributes::default(),
+            place: "Dock".parse().unwrap(),
+            pose: Pose::default(),
+            battery: BatteryShare::FULL,
+            discharge: SharePerSecond::new(0.001).unwrap(),
+            useful_charge: BatteryShare::new(0.1).unwrap(),
+            speed: None,
+            availability: Availability::Free,
+            estimator: "standard".to_owned(),
+        };
+        let readings = serde_json::from_value(readings.clone()).unwrap();
+        let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
+        let context = BidContext {
+            worker: &worker,
+            closed_lanes: &[],
+            readings: Some(&readings),
+            age_ms: 0,
+            membership,
+            present: None,
+        };
+        let bidder = Bidder::new("ada".parse().unwrap(), Arc::new(estimator));
+        let response = bidder.respond(&call, &context);
+        response.replies.into_iter().next().expect("a reply")
+    }
+
+    fn refusal(task: &str, readings: &Value) -> RefusalReason {
+        match reply_to_call(task, readings) {
+            RoleReply::Refusal(refusal) => refusal.reason,
+            RoleReply::Bid(bid) => panic!("{bid:?}"),
+        }
+    }
+
+    #[test]
+    fn a_robot_bids_only_while_its_readings_meet_the_condition() {
+        assert!(matches!(reply_to_call("water", &json!({ "tank_l": 1 })), RoleReply::Bid(_)));
+        let condition = "step 0 (it): water requires `readings.tank_l >= 1.0`, which";
+        let unknown = "has no value: the reading `tank_l` is unknown: the driver has not published it";
+        for (readings, problem) in [(json!({ "tank_l": 0.5 }), "is false"), (json!({}), unknown)] {
+            let expected = RefusalReason::NotEligible { why: format!("{condition} {problem}"), permanent: false };
+            assert_eq!(refusal("water", &readings), expected);
+        }
+    }
+
+    #[test]
+    fn a_missing_attribute_is_a_permanent_refusal() {
+        let reason = refusal("lift", &json!({ "tank_l": 1 }));
+        assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{reason:?}");
     }
 }

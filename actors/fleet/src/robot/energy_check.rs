@@ -59,6 +59,6 @@ impl EnergyForecast {
 pub(super) fn pricing_context(worker: &RobotKnowledge, closed: &[(PlaceId, PlaceId)]) -> EstimateContext {
     // A robot that does not drive has no navigation task to price, so its speed is irrelevant.
     let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
-    let (place, discharge, closed) = (worker.place.clone(), worker.discharge, closed.to_vec());
-    EstimateContext { place, pose: None, speed, discharge, closed, attributes: worker.attributes.clone() }
+    let (place, discharge, attributes) = (worker.place.clone(), worker.discharge, worker.attributes.clone());
+    EstimateContext { place, pose: None, speed, discharge, closed: closed.to_vec(), attributes, readings: None }
 }

@@ -82,7 +82,7 @@ fn mistakes_in_a_domain_are_reported_with_file_and_place() {
         test_file("sprinkle.xml", "<root BTCPP_format=\"4\"><BehaviorTree ID=\"s\">\n<watr/></BehaviorTree></root>");
     let domain = test_file(
         "wrong_domain.yaml",
-        "domain: plants\nactions:\n  water: { simulate: { failure_rate: 2 } }\ntasks:\n  sprinkle: { tree: sprinkle.xml, estimate: { time_s: \"1.0\" } }\n  spray: { action: watr }\n",
+        "domain: plants\nactions:\n  water: { simulate: { failure_rate: 2 } }\ntasks:\n  sprinkle: { tree: sprinkle.xml, estimate: { time_s: \"1.0\" } }\n  spray: { action: watr }\n  rinse: { action: water, requires: \"readings.tank >= 1.0\" }\nreadings: { tank_l: { type: number } }\n",
     );
     let typing = test_file("typing_domain.yaml", "domain: plants\nactoins: {}\n");
     let ran = run(&["check", &domain, &typing]);
@@ -92,6 +92,7 @@ fn mistakes_in_a_domain_are_reported_with_file_and_place() {
         format!(
             "{domain}: tasks.spray.action: the domain declares no action watr; allowed: water; did you mean `water`?"
         ),
+        format!("{domain}: tasks.rinse.requires: no domain declares the reading `tank`; allowed: tank_l; "),
         "sprinkle.xml:2: ".to_owned(),
         "actoins".to_owned(),
     ] {

@@ -171,6 +171,7 @@ mod tests {
             discharge: SharePerSecond::new(0.01).unwrap(),
             closed: vec![],
             attributes: Attributes::default(),
+            readings: None,
         };
         let allocator = GreedyAllocator {
             estimator: Arc::new(DescriptorRegistry::standard().resolve(environment).unwrap()),

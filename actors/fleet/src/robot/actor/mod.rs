@@ -207,7 +207,8 @@ impl RobotState {
         let present = self.present_work(now);
         let RobotSettings { robot, links, pricing, .. } = &self.settings;
         let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
-        let context = BidContext { worker: self.driver.worker(), closed_lanes, age_ms, membership, present };
+        let (worker, readings) = (self.driver.worker(), self.driver.telemetry().map(|report| &report.readings));
+        let context = BidContext { worker, closed_lanes, readings, age_ms, membership, present };
         let response = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).respond(&call, &context);
         let key = links.keys.write(&Key::Bid(robot.clone()));
         reply::wire_in(&mut self.tasks, query, key, response);

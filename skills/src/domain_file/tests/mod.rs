@@ -1,3 +1,5 @@
+mod requirements;
+
 use super::*;
 use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use crate::descriptor::EstimateContext;
@@ -64,6 +66,7 @@ fn robot() -> EstimateContext {
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     }
 }
 
