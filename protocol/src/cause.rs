@@ -2,8 +2,10 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
-/// Class of the cause of a failure. It decides about further attempts.
+/// Class of the cause of a failure. It decides about further attempts at a task; of a failed mission it says whether the
+/// same mission can succeed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CauseClass {
@@ -23,5 +25,17 @@ impl CauseClass {
     /// Checks whether the robot is not asked again for the role.
     pub fn excludes_robot(self) -> bool {
         matches!(self, CauseClass::Robot | CauseClass::Precondition)
+    }
+}
+
+impl fmt::Display for CauseClass {
+    /// The name, as in JSON.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            CauseClass::Robot => "robot",
+            CauseClass::Task => "task",
+            CauseClass::Transient => "transient",
+            CauseClass::Precondition => "precondition",
+        })
     }
 }

@@ -163,7 +163,7 @@ fn a_request_expires_when_patience_is_over() {
                 fleet.mission_state(&id).is_some_and(|state| state.is_final())
             })
             .await;
-        let MissionState::Failed { cause } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
+        let MissionState::Failed { cause, .. } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
         assert!(cause.starts_with("nobody answered measure within 8"), "seed {seed}: {cause}");
         assert!(cause.ends_with("s as doctor"), "seed {seed}: {cause}");
         let failed =
@@ -181,7 +181,7 @@ fn a_person_who_cannot_ends_the_mission_with_the_reason() {
         let (mut fleet, id, request) = asked(seed, 3600).await;
         let cannot = json!({ "request": request["request"], "answer": "cannot", "note": "no cuff here", "by": "Nia" });
         answer(&fleet, &cannot).await;
-        let MissionState::Failed { cause } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
+        let MissionState::Failed { cause, .. } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
         assert_eq!(cause, "Nia as doctor could not do measure: no cuff here", "seed {seed}");
     });
 }

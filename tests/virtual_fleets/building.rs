@@ -40,7 +40,7 @@ fn a_nurse_can_cancel_the_mission_at_the_robot() {
             // mind. The ledger cannot exclude that.
             match &end {
                 MissionState::Canceled { by, .. } => assert!(stage == "approach" && *by == nurse, "{context}"),
-                MissionState::NeedsIntervention { cause, items } => {
+                MissionState::NeedsIntervention { cause, items, .. } => {
                     assert!(stage == "deposit" && cause.starts_with(&format!("canceled by {nurse}")), "{context}");
                     assert!(items.iter().all(|item| !item.certain), "{context}");
                     return;

@@ -1,5 +1,6 @@
 //! Classes of causes: what a failure means for the other robots.
 
+use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
@@ -28,17 +29,17 @@ async fn submit(fleet: &Fleet, task: &str) -> MissionId {
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
 }
 
-/// Returns the cause of the failed mission, the number of attempts, and the robots that tried.
-async fn failure(fleet: &mut Fleet, task: &str) -> (String, usize, BTreeSet<RobotId>) {
+/// Returns the cause of the failed mission with its class, the number of attempts, and the robots that tried.
+async fn failure(fleet: &mut Fleet, task: &str) -> ((String, CauseClass), usize, BTreeSet<RobotId>) {
     let id = submit(fleet, task).await;
-    let MissionState::Failed { cause } = fleet.wait_for_end(&id).await else { panic!("seed {}", fleet.seed) };
+    let MissionState::Failed { cause, class } = fleet.wait_for_end(&id).await else { panic!("seed {}", fleet.seed) };
     let began = |kind: &EventKind| matches!(kind, EventKind::TaskBegan { mission, .. } if *mission == id);
     let attempts = fleet.events().iter().filter(|kind| began(kind)).count();
     let awarded = |kind| match kind {
         EventKind::Awarded { mission, holders, .. } if mission == id => Some(holders.into_values()),
         _ => None,
     };
-    (cause, attempts, fleet.events().into_iter().filter_map(awarded).flatten().collect())
+    ((cause, class), attempts, fleet.events().into_iter().filter_map(awarded).flatten().collect())
 }
 
 /// Of three robots and a mission that allows two attempts:
@@ -54,16 +55,17 @@ async fn failure(fleet: &mut Fleet, task: &str) -> (String, usize, BTreeSet<Robo
 fn the_class_of_the_cause_bounds_the_attempts_of_all_robots() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
-        for (task, attempts, robots, expected) in [
-            ("fail_task", 1, 1, " as r1 could not do it: fail_task: failed: forbidden: "),
-            ("fail_robot", 6, 3, "no robot is left for r1: "),
-            ("fail_precondition", 3, 3, "no robot is left for r1: "),
-            ("fail_transient", 20, 3, "its roles were given up 5 times: "),
-            ("fail_task", 1, 1, " as r1 could not do it: fail_task: failed: forbidden: "),
+        for (task, attempts, robots, expected, expected_class) in [
+            ("fail_task", 1, 1, " as r1 could not do it: fail_task: failed: forbidden: ", CauseClass::Task),
+            ("fail_robot", 6, 3, "no robot is left for r1: ", CauseClass::Robot),
+            ("fail_precondition", 3, 3, "no robot is left for r1: ", CauseClass::Precondition),
+            ("fail_transient", 20, 3, "its roles were given up 5 times: ", CauseClass::Transient),
+            ("fail_task", 1, 1, " as r1 could not do it: fail_task: failed: forbidden: ", CauseClass::Task),
         ] {
-            let (cause, tried, by) = failure(&mut fleet, task).await;
+            let ((cause, class), tried, by) = failure(&mut fleet, task).await;
             assert_eq!((tried, by.len()), (attempts, robots), "seed {seed}, {task}: {cause}");
             assert!(cause.contains(expected), "seed {seed}, {task}: {cause}");
+            assert_eq!(class, expected_class, "seed {seed}, {task}: {cause}");
         }
     });
 }

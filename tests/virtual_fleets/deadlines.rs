@@ -1,6 +1,7 @@
 //! Priorities, earliest starts and deadlines of missions.
 
 use crate::support::{DAY_MS, with_wrong_clock};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -83,12 +84,12 @@ fn a_mission_past_its_deadline_fails_with_its_progress() {
         let running = submit(&fleet, "a", ROOMS[0], json!({ "deadline_s": 12.5 })).await;
         fleet.wait_until("the first to begin", SOON, |fleet| fleet.holder(&running, "r1").is_some()).await;
         let waiting = submit(&fleet, "b", ROOMS[1], json!({ "deadline_s": 3 })).await;
-        let MissionState::Failed { cause } = fleet.wait_for_end(&waiting).await else {
+        let MissionState::Failed { cause, .. } = fleet.wait_for_end(&waiting).await else {
             panic!("seed {seed}: it ended in another state")
         };
         assert_eq!(cause, "its deadline passed while it waited: no viable bid for lab_arm, r1", "seed {seed}");
         let at = fleet.elapsed();
-        let MissionState::Failed { cause } = fleet.wait_for_end(&running).await else {
+        let MissionState::Failed { cause, .. } = fleet.wait_for_end(&running).await else {
             panic!("seed {seed}: it ended in another state")
         };
         assert_eq!(cause, "its deadline passed after 0 of 16 steps", "seed {seed}");
@@ -118,10 +119,13 @@ fn a_mission_past_its_time_limit_fails_and_frees_its_robot() {
             Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "Dock").with_skill("wait")], &["aba"], &[]).await;
         fleet.wait_for_coordinator().await;
         let late = submit(&fleet, "a", "", rest(120, 5)).await;
-        let MissionState::Failed { cause } = fleet.wait_for_end(&late).await else {
+        let MissionState::Failed { cause, class } = fleet.wait_for_end(&late).await else {
             panic!("seed {seed}: it ended in another state")
         };
         assert_eq!(cause, "its deadline passed after 0 of 1 steps", "seed {seed}");
+        assert_eq!(class, CauseClass::Transient, "seed {seed}");
+        let view = fleet.request_answered(ApiCall::Get, &json!({ "mission": late })).await;
+        assert_eq!(view["detail"]["failed"]["class"], "transient", "seed {seed}: {view}");
         let timely = submit(&fleet, "b", "", rest(1, 600)).await;
         fleet.assert_completes(&timely).await;
         for (name, request, more, after_ms) in [

@@ -82,7 +82,7 @@ fn a_robot_that_leaves_with_the_sample_needs_intervention() {
         let (mut fleet, mission) = under_way(seed, "navto_lab").await;
         let reply = fleet.leave("gorse").await;
         assert_eq!(reply["role_released"], true, "seed {seed}: {reply}");
-        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+        let MissionState::NeedsIntervention { cause, items, .. } = fleet.wait_for_end(&mission).await else {
             panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         assert!(cause.starts_with("gorse was lost as r1 and has the sample: "), "seed {seed}: {cause}");

@@ -60,7 +60,7 @@ fn estimate(fleet: &Fleet, mission: &MissionId, robot: &str) -> f64 {
 async fn estimates(fleet: &mut Fleet) -> (f64, f64) {
     let begin = fleet.elapsed();
     let mission = submit(fleet, 0.001).await;
-    let MissionState::Failed { cause } = fleet.wait_for_end(&mission).await else {
+    let MissionState::Failed { cause, .. } = fleet.wait_for_end(&mission).await else {
         panic!("{}", fleet.event_log_text())
     };
     assert!(fleet.elapsed() - begin < AT_ONCE, "seed {}: after {:?}", fleet.seed, fleet.elapsed() - begin);
@@ -114,7 +114,9 @@ fn an_award_after_a_loss_counts_the_energy_of_the_first() {
         // The bound permits each robot, and not one after the other.
         let mission = submit_and_lose_the_first_robot(&mut fleet, fern * 1.05).await;
         let end = fleet.wait_for_end(&mission).await;
-        let MissionState::Failed { cause } = end else { panic!("seed {seed}: {end:?}\n{}", fleet.event_log_text()) };
+        let MissionState::Failed { cause, .. } = end else {
+            panic!("seed {seed}: {end:?}\n{}", fleet.event_log_text())
+        };
         let (needs, used) = (format!("at least {fern:.3} "), format!("earlier awards were estimated at {gorse:.3}"));
         assert!(cause.contains(&needs) && cause.ends_with(&used), "seed {seed}: {cause}");
     });

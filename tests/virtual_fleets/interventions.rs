@@ -43,7 +43,7 @@ fn a_recovery_branch_sends_another_robot_to_the_sample() {
         let replaced = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Replaced, .. });
         assert_eq!(fleet.event_log.count(replaced), 1, "seed {seed}: the arm\n{}", fleet.event_log_text());
 
-        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+        let MissionState::NeedsIntervention { cause, items, .. } = fleet.wait_for_end(&mission).await else {
             panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         assert!(cause.starts_with("the recovery branch was completed; the sample is with amber at "), "{cause}");
@@ -61,7 +61,7 @@ fn a_recovery_branch_sends_another_robot_to_the_sample() {
 fn only_a_person_resolves_a_mission_that_needs_intervention() {
     for_each_seed([611, 612], async |seed| {
         let (mut fleet, mission) = lost_on_its_way(seed, "lab-samples").await;
-        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+        let MissionState::NeedsIntervention { cause, items, .. } = fleet.wait_for_end(&mission).await else {
             panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         assert!(
@@ -91,11 +91,11 @@ fn only_a_person_resolves_a_mission_that_needs_intervention() {
         fleet.wait_until("amber to be refused", SOON, |fleet| why(fleet).contains("carries_item")).await;
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
         let cause = format!("{cause}; resolved by Nia");
-        assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
+        assert_eq!(answer["state"], json!({ "failed": { "cause": cause, "class": "robot" } }), "seed {seed}");
         fleet.wait_until("amber to be given work", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
         // A repeated request is acknowledged again; a request of another person comes too late.
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
-        assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
+        assert_eq!(answer["state"], json!({ "failed": { "cause": cause, "class": "robot" } }), "seed {seed}");
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Tom" })).await;
         let error = answer["error"].as_str().expect("an error");
         assert!(

@@ -49,7 +49,7 @@ fn a_nurse_who_leaves_and_returns_does_not_fail_the_mission() {
                 fleet.assert_each_task_once(&mission);
             } else {
                 let end = fleet.wait_for_end(&mission).await;
-                let MissionState::Failed { cause } = &end else { panic!("seed {seed}: {task}: {end:?}") };
+                let MissionState::Failed { cause, .. } = &end else { panic!("seed {seed}: {task}: {end:?}") };
                 assert!(cause.contains("has walked away; waited for 120 s"), "seed {seed}: {cause}");
             }
         });

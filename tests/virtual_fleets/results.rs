@@ -102,7 +102,7 @@ fn an_unknown_result_fails_the_mission_at_once_and_names_the_place() {
             ] },
         });
         let id = submit(&mut fleet, &mission).await;
-        let MissionState::Failed { cause } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
+        let MissionState::Failed { cause, .. } = fleet.wait_for_end(&id).await else { panic!("seed {seed}") };
         assert!(
             cause.contains(
                 "could not do second: `first.pulse_bpm > 60`: the results of first are unknown: it was skipped"

@@ -75,7 +75,7 @@ fn a_stalled_role_moves_to_another_robot() {
 fn a_robot_that_stalls_with_the_sample_needs_intervention() {
     for_each_seed([1111, 1112], async |seed| {
         let (mut fleet, mission) = stalled_mission(seed, STALL_AFTER, "approach_arm").await;
-        let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+        let MissionState::NeedsIntervention { cause, items, .. } = fleet.wait_for_end(&mission).await else {
             panic!("seed {seed}: it ended in another state\n{}", fleet.event_log_text())
         };
         assert_eq!(cause, "gorse was lost as r1 and has the sample: gorse as r1 ended no step for 25 s", "seed {seed}");

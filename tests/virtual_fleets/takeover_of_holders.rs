@@ -105,7 +105,7 @@ fn a_carrier_killed_with_the_sample_needs_intervention() {
             if let Some(other) = other {
                 fleet.kill(other).await;
             }
-            let MissionState::NeedsIntervention { cause, items } = fleet.wait_for_end(&mission).await else {
+            let MissionState::NeedsIntervention { cause, items, .. } = fleet.wait_for_end(&mission).await else {
                 panic!("seed {seed}, {point}: the mission ended in another state\n{}", fleet.event_log_text())
             };
             if other == Some("lab-arm") {

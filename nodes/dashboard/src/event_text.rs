@@ -84,10 +84,10 @@ pub fn describe_event(event: &Event) -> EventText {
         }
         EventKind::Released { mission, role, cause } => alarm("released", format!("{role} of {mission}: {cause}")),
         EventKind::Mission { mission, state, .. } => match state {
-            MissionState::Failed { cause } => alarm("mission", format!("{mission} failed: {cause}")),
+            MissionState::Failed { cause, class } => alarm("mission", format!("{mission} failed: {cause} ({class})")),
             MissionState::Canceled { by } => alarm("mission", format!("{mission} canceled by {by}")),
-            MissionState::NeedsIntervention { cause, .. } => {
-                alarm("mission", format!("{mission} needs intervention: {cause}"))
+            MissionState::NeedsIntervention { cause, class, .. } => {
+                alarm("mission", format!("{mission} needs intervention: {cause} ({class})"))
             }
             MissionState::Pending | MissionState::Running | MissionState::Completed => {
                 normal("mission", format!("{mission} is {}", state.as_str()))
@@ -120,8 +120,8 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::QuestionClosed { mission, role, task, cause } => {
             normal("question", format!("{task} of {mission}: the question to {role} is closed: {cause}"))
         }
-        EventKind::TaskFailed { mission, role, task, cause, .. } => {
-            alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause}"))
+        EventKind::TaskFailed { mission, role, task, cause, class } => {
+            alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause} ({class})"))
         }
         EventKind::Sent { signal, .. } => normal("sync", signal_text(signal)),
         EventKind::Received { signal, .. } => normal("sync", format!("{} (received)", signal_text(signal))),

@@ -102,6 +102,8 @@ pub enum Command {
         branch: Option<Branch>,
         /// Last known places of its robots.
         places: BTreeMap<RobotId, PlaceId>,
+        /// Class of the cause.
+        class: CauseClass,
     },
     /// Cancels a mission at a client's request.
     Cancel {

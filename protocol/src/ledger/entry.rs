@@ -107,6 +107,9 @@ pub enum MissionState {
     Failed {
         /// Cause, as text.
         cause: String,
+        /// Class of the cause.
+        #[serde(default)]
+        class: CauseClass,
     },
     /// Canceled.
     Canceled {
@@ -121,6 +124,9 @@ pub enum MissionState {
         cause: String,
         /// Items and the robots that have them.
         items: Vec<HeldItem>,
+        /// Class of the cause; `transient` if the mission was canceled.
+        #[serde(default)]
+        class: CauseClass,
     },
 }
 
@@ -225,6 +231,12 @@ impl MissionEntry {
         }
         let open = |(_, role): &(&RoleId, &RoleEntry)| role.kind == RoleKind::Managed && role.phase == RolePhase::Open;
         self.roles.iter().filter(open).map(|(id, _)| id.clone()).collect()
+    }
+
+    /// Returns the class of the latest failure of a robot that excludes it from one of these roles.
+    pub fn class_of_failures(&self, roles: &BTreeSet<RoleId>) -> CauseClass {
+        let failed = self.releases.iter().rev().filter(|released| roles.contains(&released.role));
+        failed.filter_map(|released| released.class).find(|class| class.excludes_robot()).unwrap_or_default()
     }
 
     /// Returns the state of an active mission.

@@ -52,7 +52,7 @@ impl Tombstone {
     /// more than once.
     fn bytes(&self, mission: &MissionId) -> u64 {
         let text = match &self.state {
-            MissionState::Failed { cause: text } | MissionState::Canceled { by: text } => text.len(),
+            MissionState::Failed { cause: text, .. } | MissionState::Canceled { by: text } => text.len(),
             _ => 0,
         };
         (text + 2 * self.request.as_str().len() + 3 * mission.as_str().len() + 32) as u64
@@ -61,7 +61,9 @@ impl Tombstone {
 
 fn in_brief(state: &MissionState) -> MissionState {
     match state {
-        MissionState::Failed { cause } => MissionState::Failed { cause: shorten(cause, CAUSE_MAX).into_owned() },
+        MissionState::Failed { cause, class } => {
+            MissionState::Failed { cause: shorten(cause, CAUSE_MAX).into_owned(), class: *class }
+        }
         MissionState::Canceled { by } => MissionState::Canceled { by: shorten(by, CAUSE_MAX).into_owned() },
         other => other.clone(),
     }

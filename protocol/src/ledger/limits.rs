@@ -84,7 +84,7 @@ impl Command {
 impl MissionState {
     /// Shortens the cause.
     pub(super) fn limit_cause(&mut self) {
-        if let MissionState::Failed { cause } | MissionState::NeedsIntervention { cause, .. } = self {
+        if let MissionState::Failed { cause, .. } | MissionState::NeedsIntervention { cause, .. } = self {
             limit_text(cause, CAUSE_BYTES_MAX);
         }
     }

@@ -3,6 +3,7 @@
 
 use crate::properties::SeededRng;
 use consort_protocol::auction::{AuctionId, AuctionRecord};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RequestId, RobotId, RoleId, TaskId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{
@@ -294,7 +295,8 @@ impl<'m> Crew<'m> {
         match decision {
             Err(cause) if cause.contains("skipped") => {
                 let (mission, branch, places) = (self.mission.clone(), Some(self.entry().branch), BTreeMap::new());
-                self.apply(Command::Fail { mission, cause, branch, places }).map(drop)
+                let class = CauseClass::Task;
+                self.apply(Command::Fail { mission, cause, branch, places, class }).map(drop)
             }
             Err(cause) => Err(format!("{role} cannot decide about {task}: {cause}")),
             Ok(is_executed) if *self.decisions.entry(task.clone()).or_insert(is_executed) != is_executed => {

@@ -170,12 +170,9 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
                 place
             }
         ),
-        (name(), text(), option::of(branch()), places()).prop_map(|(mission, cause, branch, places)| Command::Fail {
-            mission,
-            cause,
-            branch,
-            places
-        }),
+        (name(), text(), option::of(branch()), places(), cause_class()).prop_map(
+            |(mission, cause, branch, places, class)| Command::Fail { mission, cause, branch, places, class }
+        ),
         (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
         (name(), text()).prop_map(|(mission, by)| Command::Resolve { mission, by }),
         (name(), branch(), name(), any::<u32>(), any::<u64>()).prop_map(|(mission, branch, role, step, asked_ms)| {
@@ -259,14 +256,13 @@ pub(crate) fn outcome() -> impl Strategy<Value = CommandOutcome> {
         (name(), any::<bool>()).prop_map(|(mission, again)| CommandOutcome::Submitted { mission, again }),
         epoch().prop_map(|epoch| CommandOutcome::Awarded { epoch }),
         Just(CommandOutcome::Done),
-        (name(), text()).prop_map(|(mission, cause)| {
-            CommandOutcome::Refused(CommandError::MissionEnded { mission, state: MissionState::Failed { cause } })
+        (name(), text(), cause_class()).prop_map(|(mission, cause, class)| {
+            let state = MissionState::Failed { cause, class };
+            CommandOutcome::Refused(CommandError::MissionEnded { mission, state })
         }),
-        (name(), text(), vec(stranded(), 0..3)).prop_map(|(mission, cause, items)| {
-            CommandOutcome::Refused(CommandError::MissionEnded {
-                mission,
-                state: MissionState::NeedsIntervention { cause, items },
-            })
+        (name(), text(), vec(stranded(), 0..3), cause_class()).prop_map(|(mission, cause, items, class)| {
+            let state = MissionState::NeedsIntervention { cause, items, class };
+            CommandOutcome::Refused(CommandError::MissionEnded { mission, state })
         }),
         (name(), name(), name()).prop_map(|(robot, item, mission)| CommandOutcome::Refused(
             CommandError::CarriesItem { robot, item, mission }

@@ -56,7 +56,7 @@ fn mission_has_failed() -> FactStep {
     fact("{mission} has failed because {text}", r#"the mission has failed because "no route""#, |fixture, arguments| {
         let state = state_of(fixture, &fixture.mission(arguments.value(0))?)?;
         let because = |cause: &str| cause.contains(arguments.value(1));
-        expect_that(matches!(&state, MissionState::Failed { cause } if because(cause)), || state_text(&state))
+        expect_that(matches!(&state, MissionState::Failed { cause, .. } if because(cause)), || state_text(&state))
     })
 }
 
@@ -358,9 +358,9 @@ fn state_text(state: &MissionState) -> String {
         MissionState::Pending => "is pending".to_owned(),
         MissionState::Running => "is running".to_owned(),
         MissionState::Completed => "is completed".to_owned(),
-        MissionState::Failed { cause } => format!("has failed: {cause}"),
+        MissionState::Failed { cause, .. } => format!("has failed: {cause}"),
         MissionState::Canceled { by } => format!("was canceled by {by}"),
-        MissionState::NeedsIntervention { cause, items } => {
+        MissionState::NeedsIntervention { cause, items, .. } => {
             let items: Vec<String> = items.iter().map(|item| format!("{} with {}", item.item, item.robot)).collect();
             format!("needs intervention ({}): {cause}", items.join(", "))
         }

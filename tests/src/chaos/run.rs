@@ -250,7 +250,7 @@ impl Run {
                 .any(|other| matches!(&other.action, ChaosAction::Cancel { request: name } if name == request));
             let state = acknowledged.get(request).and_then(|id| self.fleet.mission_state(&slug::<MissionId>(id)));
             match state {
-                Some(MissionState::Failed { cause }) if !step.action.is_poison() && deadline_s.is_none() => {
+                Some(MissionState::Failed { cause, .. }) if !step.action.is_poison() && deadline_s.is_none() => {
                     return violation(format!("{request} failed beside missions that cannot be completed: {cause}"));
                 }
                 Some(MissionState::NeedsIntervention { cause, .. }) if !is_canceled && deadline_s.is_none() => {

@@ -71,7 +71,7 @@ impl RunCounters {
         for mission in acknowledged.values() {
             match fleet.mission_state(&slug::<MissionId>(mission)) {
                 Some(MissionState::Completed) => self.completed += 1,
-                Some(MissionState::Failed { cause }) => {
+                Some(MissionState::Failed { cause, .. }) => {
                     self.failed += 1;
                     self.causes.push(cause);
                 }

@@ -51,14 +51,14 @@ impl MissionSpec {
     /// Changes to a state, if the mission may have reached it.
     fn advance(&mut self, next: &MissionState) -> bool {
         let is_resolved = |state: &MissionState| match state {
-            MissionState::Failed { cause } => cause.contains("; resolved by "),
+            MissionState::Failed { cause, .. } => cause.contains("; resolved by "),
             _ => false,
         };
         let may_follow = match &self.state {
             None | Some(MissionState::Pending | MissionState::Running) => !self.ended || next.is_final(),
             Some(MissionState::NeedsIntervention { .. }) => {
                 // A shortened text lacks the person.
-                let is_shortened = matches!(next, MissionState::Failed { cause } if cause.ends_with('…'));
+                let is_shortened = matches!(next, MissionState::Failed { cause, .. } if cause.ends_with('…'));
                 matches!(next, MissionState::NeedsIntervention { .. })
                     || is_resolved(next)
                     || (is_shortened && self.resolve_requested)
@@ -90,7 +90,7 @@ impl MissionSpec {
 /// earlier.
 fn is_same_outcome(earlier: &MissionState, later: &MissionState) -> bool {
     match (earlier, later) {
-        (MissionState::Failed { cause: earlier }, MissionState::Failed { cause: later })
+        (MissionState::Failed { cause: earlier, .. }, MissionState::Failed { cause: later, .. })
         | (MissionState::Canceled { by: earlier }, MissionState::Canceled { by: later }) => {
             later == earlier || later.strip_suffix('…').is_some_and(|start| earlier.starts_with(start))
         }

@@ -1,6 +1,7 @@
 //! Auction rounds and actions of a leader session, as values.
 
 use super::message::{AwardedRole, CollectedBids};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
 use consort_protocol::ledger::Branch;
@@ -85,7 +86,7 @@ pub(super) enum CoordinatorAction {
         for_now: bool,
     },
     /// Fail a mission.
-    FailMission { mission: MissionId, cause: String },
+    FailMission { mission: MissionId, cause: String, class: CauseClass },
 }
 
 /// Session state that the pending actions depend on.

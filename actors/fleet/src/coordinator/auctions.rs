@@ -17,6 +17,7 @@ use consort_protocol::auction::{
     AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, EnergyBudget, Invitation,
     PromiseContext, RefusalReason, RobotQueue, RoleReply, clear_auction_with,
 };
+use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry};
@@ -255,11 +256,15 @@ impl Auctions {
                     known.is_none_or(|known| differs(known, &record))
                 });
                 let hopeless = round.hopeless_rounds >= HOPELESS_ROUNDS;
-                let cause = energy_exceeded.map(|excess| excess.to_string());
-                let cause = cause.or_else(|| hopeless.then(|| no_robot_left(&unfillable, &record.entries)));
-                failure = cause.map(|cause| {
+                let class_of_failures = |ledger: &Ledger| {
+                    ledger.mission(&mission).map_or(CauseClass::Robot, |entry| entry.class_of_failures(&unfillable))
+                };
+                let no_robot = || (no_robot_left(&unfillable, &record.entries), context.read_ledger(class_of_failures));
+                let cause = energy_exceeded.map(|excess| (excess.to_string(), CauseClass::Task));
+                let cause = cause.or_else(|| hopeless.then(no_robot));
+                failure = cause.map(|(cause, class)| {
                     let places = context.places_of(&mission);
-                    Command::Fail { mission: mission.clone(), cause, branch: Some(branch), places }
+                    Command::Fail { mission: mission.clone(), cause, branch: Some(branch), places, class }
                 });
                 if !has_changed && failure.is_none() {
                     return;

@@ -22,6 +22,7 @@ use bytes::Bytes;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus, reply};
 use consort_protocol::auction::AuctionId;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RoleId};
@@ -304,11 +305,13 @@ impl LeaderSession {
             CoordinatorAction::AskToGiveWay { awarded, to, for_now } => {
                 self.held_roles.ask_to_give_way(awarded, (to, for_now), &mut self.context, now);
             }
-            CoordinatorAction::FailMission { mission, cause } => self.fail_mission(mission, cause, now),
+            CoordinatorAction::FailMission { mission, cause, class } => {
+                self.fail_mission(mission, (cause, class), now);
+            }
         }
     }
 
-    fn fail_mission(&mut self, mission: MissionId, cause: String, now: NodeTime) {
+    fn fail_mission(&mut self, mission: MissionId, cause: (String, CauseClass), now: NodeTime) {
         if self.failing.get(&mission).is_none_or(|at| now.since(*at) >= FAIL_RETRY_DELAY) {
             self.failing.insert(mission.clone(), now);
             self.context.fail_mission(mission, cause, None);

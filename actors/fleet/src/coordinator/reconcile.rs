@@ -5,6 +5,7 @@ use super::actions::{CoordinatorAction, RoundPhase, SessionState};
 use super::circular_waits::roles_to_give_up;
 use super::message::AwardedRole;
 use super::promises::promises_due;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Epoch, LeaseMonitor};
 use consort_protocol::ledger::{Ledger, MissionEntry, RolePhase};
@@ -39,7 +40,8 @@ pub(super) fn pending_actions(
     let missions = ledger.active_missions();
     for entry in &missions {
         if entry.submission.deadline_ms.zip(confirmed_ms).is_some_and(|(deadline, now_ms)| deadline <= now_ms) {
-            actions.push(CoordinatorAction::FailMission { mission: entry.id.clone(), cause: past_deadline(entry) });
+            let (mission, cause, class) = (entry.id.clone(), past_deadline(entry), CauseClass::Transient);
+            actions.push(CoordinatorAction::FailMission { mission, cause, class });
             continue;
         }
         let due = match rounds.get(&entry.id).map(|round| &round.phase) {

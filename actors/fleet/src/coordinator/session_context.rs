@@ -92,10 +92,15 @@ impl SessionContext {
         self.read_ledger(|ledger| last_known_places(knowledge, ledger.mission(mission)))
     }
 
-    /// Proposes the failure of a mission.
-    pub(super) fn fail_mission(&mut self, mission: MissionId, cause: String, branch: Option<Branch>) {
+    /// Proposes the failure of a mission by a cause of a class.
+    pub(super) fn fail_mission(
+        &mut self,
+        mission: MissionId,
+        (cause, class): (String, CauseClass),
+        branch: Option<Branch>,
+    ) {
         let places = self.places_of(&mission);
-        self.propose(Command::Fail { mission, cause, branch, places });
+        self.propose(Command::Fail { mission, cause, branch, places, class });
     }
 
     /// Proposes the release of a role whose holder was lost, or failed with a cause of this class.

@@ -201,9 +201,11 @@ fn last_known_places(items: &[HeldItem]) -> String {
 pub(super) fn detail(state: &MissionState) -> String {
     match state {
         MissionState::Pending | MissionState::Running | MissionState::Completed => String::new(),
-        MissionState::Failed { cause } => format!(": {cause}"),
+        MissionState::Failed { cause, class } => format!(": {cause} ({class})"),
         MissionState::Canceled { by } => format!(": by {by}"),
-        MissionState::NeedsIntervention { cause, items } => format!(": {cause}, {}", last_known_places(items)),
+        MissionState::NeedsIntervention { cause, items, class } => {
+            format!(": {cause} ({class}), {}", last_known_places(items))
+        }
     }
 }
 
@@ -244,7 +246,8 @@ mod tests {
         assert_eq!(shown(json!("completed"), fever.clone(), None), "fever=true");
         assert_eq!(shown(json!("running"), fever.clone(), Some("no viable bid")), "fever=true");
         assert_eq!(shown(json!("pending"), fever.clone(), Some("no viable bid")), "no viable bid; fever=true");
-        assert_eq!(shown(json!({ "failed": { "cause": "no cuff" } }), fever, None), "no cuff; fever=true");
+        let failed = json!({ "failed": { "cause": "no cuff", "class": "task" } });
+        assert_eq!(shown(failed, fever, None), "no cuff (task); fever=true");
         assert_eq!(shown(json!("running"), json!({}), None), "");
     }
 }

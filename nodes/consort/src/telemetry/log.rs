@@ -114,6 +114,7 @@ mod tests {
         assert_eq!(level_of(kind), Level::WARN);
         let state = |state| EventKind::Mission { mission: "m-1".parse().unwrap(), state, submitted_at_ms: 0 };
         assert_eq!(level_of(state(MissionState::Completed)), Level::INFO);
-        assert_eq!(level_of(state(MissionState::Failed { cause: "no robots".to_owned() })), Level::WARN);
+        let failed = MissionState::Failed { cause: "no robots".to_owned(), class: CauseClass::Robot };
+        assert_eq!(level_of(state(failed)), Level::WARN);
     }
 }

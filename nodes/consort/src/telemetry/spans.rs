@@ -94,7 +94,7 @@ impl SpanTracker {
                 let span = Span { begin_ms: (*submitted_at_ms).min(at), ..span }.with("state", state.as_str());
                 let failure = match state {
                     MissionState::Completed => None,
-                    MissionState::Failed { cause } => Some(cause.clone()),
+                    MissionState::Failed { cause, .. } => Some(cause.clone()),
                     other => Some(other.as_str().to_owned()),
                 };
                 return vec![span.end(at, failure)];

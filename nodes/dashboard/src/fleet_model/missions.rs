@@ -112,10 +112,12 @@ impl MissionModel {
     pub(super) fn apply_state(&mut self, state: &MissionState, at_ms: u64) {
         let seen_running = !self.state.is_empty() && !self.ended;
         state.as_str().clone_into(&mut self.state);
-        self.cause = match state {
-            MissionState::Failed { cause } | MissionState::NeedsIntervention { cause, .. } => Some(cause.clone()),
-            MissionState::Canceled { by } => Some(format!("by {by}")),
-            MissionState::Pending | MissionState::Running | MissionState::Completed => None,
+        (self.cause, self.cause_class) = match state {
+            MissionState::Failed { cause, class } | MissionState::NeedsIntervention { cause, class, .. } => {
+                (Some(cause.clone()), Some(*class))
+            }
+            MissionState::Canceled { by } => (Some(format!("by {by}")), None),
+            MissionState::Pending | MissionState::Running | MissionState::Completed => (None, None),
         };
         if state.is_final() {
             if seen_running {

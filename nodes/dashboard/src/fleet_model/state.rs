@@ -1,6 +1,7 @@
 //! Parts of the fleet model, as serialised for clients.
 
 use consort_protocol::auction::BidPart;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::ledger::{Branch, HeldItem, RolePhase};
 use consort_protocol::mission::{RoleKind, TaskNode};
 use consort_protocol::scalar::Scalar;
@@ -161,6 +162,9 @@ pub struct MissionModel {
     pub state: String,
     /// Reason of the failure or cancellation, or the needed intervention.
     pub cause: Option<String>,
+    /// Class of the reason of a failure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cause_class: Option<CauseClass>,
     /// True if the fleet does no more work on it.
     pub ended: bool,
     /// Priority; higher is served first.

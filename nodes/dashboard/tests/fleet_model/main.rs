@@ -4,6 +4,7 @@ use consort_dashboard::fleet_model::{
     FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, ReachabilityState, bounds, delta,
 };
 use consort_dashboard::loaded_map::LoadedMap;
+use consort_protocol::cause::CauseClass;
 use consort_protocol::event::Event;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
@@ -187,12 +188,13 @@ fn tasks_become_bars_and_a_mission_ends_with_its_event() {
     // it had ended before it was first seen.
     let list = json!({ "missions": [
         { "mission": "m-1", "detail": "running", "done": 1, "steps": 3 },
-        { "mission": "m-2", "detail": { "failed": { "cause": "no robots" } }, "submitted_at_ms": 5 },
+        { "mission": "m-2", "detail": { "failed": { "cause": "no robots", "class": "transient" } }, "submitted_at_ms": 5 },
     ] });
     model.apply_view(&Key::ViewMissions, &list, NOW + 200);
     assert_eq!(model.missions()["m-1"].state, "completed");
     let failed = &model.missions()["m-2"];
     assert_eq!((failed.cause.as_deref(), failed.ended_ms), (Some("no robots"), None));
+    assert_eq!(failed.cause_class, Some(CauseClass::Transient));
     assert_eq!(model.kpis().success, Some(0.5));
 }
 

@@ -52,7 +52,9 @@ impl Ledger {
             Command::Release { mission, role, epoch, cause, class, moved_nothing, place } => {
                 self.release(&mission, &role, epoch, &ReleaseCause { cause, class, moved_nothing, place })
             }
-            Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
+            Command::Fail { mission, cause, branch, places, class } => {
+                self.fail(&mission, MissionState::Failed { cause, class }, branch, &places)
+            }
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
             Command::Resolve { mission, by } => self.resolve(&mission, &by),
             Command::AskPerson { mission, branch, role, step, asked_ms } => {
@@ -368,14 +370,14 @@ impl Ledger {
     fn fail(
         &mut self,
         mission: &MissionId,
-        cause: String,
+        failed: MissionState,
         branch: Option<Branch>,
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<CommandOutcome, CommandError> {
         if let Some(branch) = branch {
             self.in_branch(mission, branch)?;
         }
-        self.end(mission, MissionState::Failed { cause }, places, &|_| false)
+        self.end(mission, failed, places, &|_| false)
     }
 
     pub(super) fn active_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, CommandError> {

@@ -75,8 +75,8 @@ impl Log {
     fn fail_others(&mut self, count: usize) {
         for number in 0..count {
             let mission = self.submit(&format!("other{number}"));
-            let (cause, places) = ("test".to_owned(), BTreeMap::new());
-            self.apply(Command::Fail { mission, cause, branch: None, places });
+            let (cause, places, class) = ("test".to_owned(), BTreeMap::new(), CauseClass::Task);
+            self.apply(Command::Fail { mission, cause, branch: None, places, class });
         }
     }
 
@@ -279,7 +279,7 @@ fn a_role_that_has_signalled_others_is_not_restarted() {
     log.ended(&mission, "lab_arm", epoch(2), &[1]);
     log.release(&mission, "lab_arm", epoch(2));
     let cause = "arm was lost as lab_arm after others had acted on its work: silent for 7 s".to_owned();
-    assert_eq!(log.state(&mission), &MissionState::Failed { cause });
+    assert_eq!(log.state(&mission), &MissionState::Failed { cause, class: CauseClass::Robot });
 }
 
 #[test]
@@ -334,8 +334,8 @@ fn the_number_of_ended_missions_kept_is_bounded() {
     let mut log = Log::new();
     for number in 0..HISTORY_MAX + 3 {
         let mission = log.submit(&format!("request{number}"));
-        let places = BTreeMap::new();
-        log.apply(Command::Fail { mission, cause: "test".to_owned(), branch: None, places });
+        let (cause, places, class) = ("test".to_owned(), BTreeMap::new(), CauseClass::Task);
+        log.apply(Command::Fail { mission, cause, branch: None, places, class });
     }
     assert_eq!(log.0.missions().count(), HISTORY_MAX);
     assert!(log.0.mission_of_request(&RequestId::new("request0").unwrap()).is_none());
@@ -473,11 +473,11 @@ fn long_texts_do_not_exceed_the_limit_of_a_mission() {
             place: None,
         });
     }
-    let (places, cause) = (BTreeMap::new(), long.clone());
-    log.apply(Command::Fail { mission: mission.clone(), cause, branch: None, places });
+    let (places, cause, class) = (BTreeMap::new(), long.clone(), CauseClass::Task);
+    log.apply(Command::Fail { mission: mission.clone(), cause, branch: None, places, class });
     let entry = log.0.mission(&mission).unwrap();
     assert!(
-        matches!(&entry.state, MissionState::Failed { cause } if cause.starts_with("no route; no") && cause.len() <= 1024)
+        matches!(&entry.state, MissionState::Failed { cause, .. } if cause.starts_with("no route; no") && cause.len() <= 1024)
     );
     assert!(codec::encoded_size(entry) < 64 * 1024);
 }

@@ -47,6 +47,8 @@ impl Ledger {
         };
         let confirmed = role.phase == RolePhase::Active;
         let ReleaseCause { cause, class, moved_nothing, place } = loss;
+        // A robot that was lost, or gave the role back, leaves it to another robot.
+        let mission_class = class.unwrap_or(CauseClass::Robot);
         let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
         let (role, holder) = (role_id.clone(), robot.clone());
@@ -69,7 +71,7 @@ impl Ledger {
             }
             let has = if lost.certain { "has" } else { "may have" };
             let cause = format!("{robot} was lost as {role_id} and {has} the {}: {cause}", lost.item);
-            entry.state = MissionState::NeedsIntervention { cause, items: held };
+            entry.state = MissionState::NeedsIntervention { cause, items: held, class: mission_class };
             if has_limits {
                 entry.state.limit_cause();
             }
@@ -82,10 +84,11 @@ impl Ledger {
         let on_loss = entry.mission().roles.get(role_id).map_or(OnLoss::Fail, |role| role.on_loss);
         if entry.has_signalled(role_id) && on_loss == OnLoss::Fail {
             let cause = format!("{robot} was lost as {role_id} after others had acted on its work: {cause}");
-            return self.end(mission, MissionState::Failed { cause }, &places, undone);
+            return self.end(mission, MissionState::Failed { cause, class: mission_class }, &places, undone);
         }
         if *class == Some(CauseClass::Task) {
-            return self.end(mission, MissionState::Failed { cause: cause.clone() }, &places, undone);
+            let (cause, class) = (cause.clone(), mission_class);
+            return self.end(mission, MissionState::Failed { cause, class }, &places, undone);
         }
         let confirmed_releases: Vec<&RoleRelease> =
             entry.releases.iter().filter(|released| released.confirmed).collect();
@@ -93,7 +96,7 @@ impl Ledger {
             let causes = confirmed_releases.iter().map(|released| format!("{} ({})", released.cause, released.role));
             let causes = causes.collect::<Vec<_>>().join("; ");
             let cause = format!("its roles were given up {} times: {causes}", confirmed_releases.len());
-            return self.end(mission, MissionState::Failed { cause }, &places, undone);
+            return self.end(mission, MissionState::Failed { cause, class: mission_class }, &places, undone);
         }
         self.active_mission(mission)?.keep_energy_of(role_id);
         let role = self.assigned_role(mission, role_id, epoch)?;
@@ -117,15 +120,19 @@ impl Ledger {
         let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
         let items = in_places(entry.custody_without(undone), places);
-        let cause = match &state {
-            MissionState::Failed { cause } => cause.clone(),
-            MissionState::Canceled { by } => format!("canceled by {by}"),
-            MissionState::Completed => "completed".to_owned(),
-            MissionState::Pending | MissionState::Running | MissionState::NeedsIntervention { .. } => String::new(),
+        let (cause, class) = match &state {
+            MissionState::Failed { cause, class } => (cause.clone(), *class),
+            // The same mission may succeed later.
+            MissionState::Canceled { by } => (format!("canceled by {by}"), CauseClass::Transient),
+            MissionState::Completed => ("completed".to_owned(), CauseClass::default()),
+            MissionState::Pending | MissionState::Running | MissionState::NeedsIntervention { .. } => {
+                (String::new(), CauseClass::default())
+            }
         };
-        entry.state = match items.is_empty() {
-            true => state,
-            false => MissionState::NeedsIntervention { cause: format!("{cause}; {}", custody_text(&items)), items },
+        entry.state = if items.is_empty() {
+            state
+        } else {
+            MissionState::NeedsIntervention { cause: format!("{cause}; {}", custody_text(&items)), items, class }
         };
         if has_limits {
             entry.state.limit_cause();
@@ -156,10 +163,10 @@ impl Ledger {
             return Err(self.no_mission(mission));
         };
         let closing = format!("; resolved by {by}");
-        let cause = match &entry.state {
-            MissionState::NeedsIntervention { cause, .. } => cause,
+        let (cause, class) = match &entry.state {
+            MissionState::NeedsIntervention { cause, class, .. } => (cause, *class),
             // The request was repeated for lack of a reply.
-            MissionState::Failed { cause } if cause.ends_with(&closing) => return Ok(CommandOutcome::Done),
+            MissionState::Failed { cause, .. } if cause.ends_with(&closing) => return Ok(CommandOutcome::Done),
             state => {
                 let state = state.as_str().to_owned();
                 return Err(CommandError::NoInterventionNeeded { mission: mission.clone(), state });
@@ -169,7 +176,7 @@ impl Ledger {
         if has_limits {
             limit_text(&mut cause, CAUSE_BYTES_MAX.saturating_sub(closing.len()));
         }
-        entry.state = MissionState::Failed { cause: format!("{cause}{closing}") };
+        entry.state = MissionState::Failed { cause: format!("{cause}{closing}"), class };
         // Without a history, the end would drop the mission with the lowest number, perhaps this one.
         if has_limits {
             self.record_end(mission);
@@ -188,7 +195,8 @@ impl Ledger {
             items if items.is_empty() => entry.state = MissionState::Completed,
             items => {
                 let cause = format!("the recovery branch was completed; {}", custody_text(&items));
-                entry.state = MissionState::NeedsIntervention { cause, items };
+                // A robot was lost with the item.
+                entry.state = MissionState::NeedsIntervention { cause, items, class: CauseClass::Robot };
             }
         }
         self.record_end(mission);

@@ -8,6 +8,7 @@ use super::person_request::{
     AnswerContent, FinalAnswer, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId, PersonRequestPhase,
     Postponement, RequestEscalation, RequestSubject, TaskQuestion,
 };
+use crate::cause::CauseClass;
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId, TaskId};
 use crate::lease::{Epoch, RoleHolder};
 use crate::mission::{Escalation, RoleKind, TaskOutcome, TaskSpec, ValueKind};
@@ -368,9 +369,10 @@ impl Ledger {
         match entry.answer(*number, answer)? {
             AfterAnswer::Nothing => Ok(CommandOutcome::Done),
             AfterAnswer::CheckCompletion => self.complete_if_done(mission),
-            // A person who did not do the task has moved nothing.
             AfterAnswer::Fail { cause, task } => {
-                self.end(mission, MissionState::Failed { cause }, places, &|item_move| item_move.task == task)
+                let failed = MissionState::Failed { cause, class: CauseClass::Task };
+                // A person who did not do the task has moved nothing.
+                self.end(mission, failed, places, &|item_move| item_move.task == task)
             }
         }
     }
@@ -391,7 +393,10 @@ impl Ledger {
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<CommandOutcome, CommandError> {
         match self.active_mission(&request.mission)?.expire_request(request.number, now_ms) {
-            Some(cause) => self.end(&request.mission, MissionState::Failed { cause }, places, &|_| false),
+            Some(cause) => {
+                let failed = MissionState::Failed { cause, class: CauseClass::Transient };
+                self.end(&request.mission, failed, places, &|_| false)
+            }
             None => Ok(CommandOutcome::Done),
         }
     }

@@ -156,7 +156,11 @@ fn end_event(request: &PersonRequestEntry, (mission, role, task): RequestNames) 
                 _ => "",
             };
             let cause = if note.is_empty() { phase.to_string() } else { note.to_owned() };
-            EventKind::TaskFailed { mission, role, task, cause, class: CauseClass::Task }
+            let class = match phase {
+                PersonRequestPhase::Expired => CauseClass::Transient,
+                _ => CauseClass::Task,
+            };
+            EventKind::TaskFailed { mission, role, task, cause, class }
         }
     })
 }

@@ -23,6 +23,7 @@ use crate::robot_driver::{PersonCommand, PersonEvent, PersonRequestState};
 use cancel_orders::{CancelOrder, RecentCancelOrders};
 use changes::PeopleChanges;
 use consort_bus::{Author, Delivery, Encoding, Sample};
+use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
@@ -108,7 +109,10 @@ impl People {
     ) {
         match (step, confirmed_ms) {
             (PersonStep::Progress(command), _) => context.propose(command),
-            (PersonStep::Fail { cause, branch }, _) => context.fail_mission(mission, cause, Some(branch)),
+            // The results that the task uses are unknown, for every person.
+            (PersonStep::Fail { cause, branch }, _) => {
+                context.fail_mission(mission, (cause, CauseClass::Task), Some(branch));
+            }
             (PersonStep::Ask { branch, step }, Some(asked_ms)) => {
                 context.propose(Command::AskPerson { mission, branch, role, step, asked_ms });
             }

@@ -75,6 +75,7 @@ function detail(article, id, mission, now, { cancel, resolve }) {
   if (mission.award_after_ms !== undefined) note('award after', `${mission.award_after_ms.toFixed(1)} ms`);
   if (mission.deadline_ms) note('deadline', clock(mission.deadline_ms));
   if (mission.branch === 'recovery') note('branch', 'recovery');
+  note('class of the cause', mission.cause_class);
   const problem = mission.cause ?? mission.pending_reason;
   const cause = problem && make('p', { className: `cause ${mission.state === 'failed' || mission.state === 'needs_intervention' ? 'bad' : ''}` }, problem);
   const bars = mission.bars ?? [];

@@ -183,7 +183,7 @@ impl Log {
     }
 
     fn intervention(&self) -> (&str, Vec<Left<'_>>) {
-        let MissionState::NeedsIntervention { cause, items } = &self.entry().state else {
+        let MissionState::NeedsIntervention { cause, items, .. } = &self.entry().state else {
             panic!("{:?}", self.entry().state)
         };
         (cause, items.iter().map(|held| (held.robot.as_str(), held.place.as_ref(), held.certain)).collect())
@@ -237,8 +237,8 @@ fn a_carrier_lost_with_the_parcel_needs_intervention_until_resolved() {
         assert!(log.entry().state.is_final());
         for number in 0..HistoryLimits::LARGEST.missions_max + 3 {
             let mission = log.submit(&format!("more{number}"), &fetch_parcel());
-            let (cause, places) = ("test".to_owned(), BTreeMap::new());
-            log.apply(Command::Fail { mission, cause, branch: None, places });
+            let (cause, places, class) = ("test".to_owned(), BTreeMap::new(), CauseClass::Task);
+            log.apply(Command::Fail { mission, cause, branch: None, places, class });
         }
         assert!(log.0.mission(&log.2).is_some(), "a mission that waits for a person is not dropped");
 
@@ -250,7 +250,8 @@ fn a_carrier_lost_with_the_parcel_needs_intervention_until_resolved() {
         let by = "Nia".to_owned();
         assert_eq!(log.apply(Command::Resolve { mission: waiting.clone(), by: by.clone() }), CommandOutcome::Done);
         let cause = format!("{lost_cause}; resolved by Nia");
-        assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&MissionState::Failed { cause }));
+        let failed = MissionState::Failed { cause, class: CauseClass::Robot };
+        assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&failed));
         assert_eq!(
             log.apply(Command::Resolve { mission: waiting.clone(), by }),
             CommandOutcome::Done,
@@ -269,15 +270,21 @@ fn a_mission_that_ends_with_the_parcel_in_a_box_needs_intervention() {
         true => Command::Cancel { mission: log.2.clone(), by: "Nia".to_owned(), places: places.clone() },
         false => {
             let (mission, cause, places) = (log.2.clone(), "past its deadline".to_owned(), places.clone());
-            Command::Fail { mission, cause, branch: None, places }
+            Command::Fail { mission, cause, branch: None, places, class: CauseClass::Task }
         }
     };
-    for (canceled, cause) in [(true, "canceled by Nia"), (false, "past its deadline")] {
+    for (canceled, cause, class) in
+        [(true, "canceled by Nia", CauseClass::Transient), (false, "past its deadline", CauseClass::Task)]
+    {
         let mut log = Log::held_by_two();
         log.ended("r1", epoch(2), 0..8);
         assert_eq!(log.apply(end(&log, canceled)), CommandOutcome::Done);
         let cause = format!("{cause}; the parcel is with amber at IC Room 6");
         assert_eq!(log.intervention(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
+        let resolved = Command::Resolve { mission: log.2.clone(), by: "Nia".to_owned() };
+        assert_eq!(log.apply(resolved), CommandOutcome::Done);
+        let cause = format!("{cause}; resolved by Nia");
+        assert_eq!(log.entry().state, MissionState::Failed { cause, class });
     }
     // A repeated cancellation does not close the mission: the client may have missed the reply.
     let mut log = Log::held_by_two();
@@ -340,7 +347,8 @@ fn a_move_in_the_ledger_has_happened() {
 fn a_mission_that_no_robot_can_do_fails_at_once() {
     let mut log = Log::held_by_two();
     log.release("r1", epoch(2), Some(CauseClass::Task), true);
-    assert_eq!(log.entry().state, MissionState::Failed { cause: "silent for 7 s".to_owned() });
+    let (cause, class) = ("silent for 7 s".to_owned(), CauseClass::Task);
+    assert_eq!(log.entry().state, MissionState::Failed { cause, class });
     // With an item in a robot a person is needed.
     let mut log = Log::held_by_two();
     log.ended("r1", epoch(2), 0..8);
@@ -360,8 +368,9 @@ fn a_robot_with_a_transient_failure_may_bid_again() {
     }
     let epoch = log.hold(&[("r1", "amber")]);
     log.release("r1", epoch, Some(CauseClass::Transient), true);
-    let MissionState::Failed { cause } = &log.entry().state else { panic!("{:?}", log.entry().state) };
+    let MissionState::Failed { cause, class } = &log.entry().state else { panic!("{:?}", log.entry().state) };
     assert!(cause.starts_with("its roles were given up 5 times: "), "{cause}");
+    assert_eq!(*class, CauseClass::Transient);
 }
 
 #[test]
@@ -393,7 +402,7 @@ fn robots_that_failed_are_excluded_until_the_mission_fails() {
         assert_eq!(log.entry().excluded(&role("r1")).len(), count - 1);
         log.lose("r1", epoch, true);
     }
-    let MissionState::Failed { cause } = &log.entry().state else { panic!("{:?}", log.entry().state) };
+    let MissionState::Failed { cause, .. } = &log.entry().state else { panic!("{:?}", log.entry().state) };
     assert!(cause.starts_with("its roles were given up 5 times: silent for 7 s (r1); "), "{cause}");
 }
 

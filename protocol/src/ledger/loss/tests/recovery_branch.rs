@@ -144,7 +144,8 @@ fn progress_of_a_person_does_not_count_in_the_recovery_branch() {
         CommandOutcome::Refused(CommandError::WrongBranch { mission: log.2.clone(), taken: Branch::Recovery });
     assert_eq!(late, refused);
     let (mission, cause, places) = (log.2.clone(), "the clerk has no parcel".to_owned(), BTreeMap::new());
-    let late = log.apply(Command::Fail { mission, cause, branch: Some(Branch::Main), places });
+    let (branch, class) = (Some(Branch::Main), CauseClass::Task);
+    let late = log.apply(Command::Fail { mission, cause, branch, places, class });
     assert_eq!(late, refused);
     assert_eq!(log.0, before, "the ledger must be unchanged");
     assert_eq!(log.ended_in(Branch::Recovery, "clerk", Epoch::default(), 0..1), CommandOutcome::Done);
@@ -168,7 +169,7 @@ fn an_auction_of_a_branch_has_no_effect_in_the_other_branch() {
                 auction: auction.clone(),
             },
             Command::Defer { mission: mission.clone(), branch, auction },
-            Command::Fail { mission, cause, branch: Some(branch), places },
+            Command::Fail { mission, cause, branch: Some(branch), places, class: CauseClass::Robot },
         ]
     };
     let expect_rejected = |log: &mut Log, branch, executed| {

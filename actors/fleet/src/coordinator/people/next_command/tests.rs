@@ -85,7 +85,7 @@ fn a_person_who_declines_fails_the_mission() {
     robot_opens(&mut ledger, Branch::Main);
     advance(&mut ledger);
     assert_eq!(answer(&mut ledger, 1, "Nia", AnswerContent::Declined), CommandOutcome::Done);
-    let MissionState::Failed { cause } = &ledger.mission(&mission).unwrap().state else { panic!("it continues") };
+    let MissionState::Failed { cause, .. } = &ledger.mission(&mission).unwrap().state else { panic!("it continues") };
     assert_eq!(cause, "Nia as clerk declined to do deposit");
     let refused = answer(&mut ledger, 1, "Ria", done());
     assert!(matches!(refused, CommandOutcome::Refused(_)), "{refused:?}");
