@@ -3,6 +3,7 @@
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
+use consort_protocol::message::FailureKind;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -118,6 +119,31 @@ fn missions_with_spread_loops_share_robots() {
         fleet.assert_exclusive_roles();
         let released = fleet.event_log.count(|what| matches!(what, EventKind::Released { .. }));
         assert_eq!(released, 0, "seed {seed}:\n{}", fleet.event_log_text());
+    });
+}
+
+/// The first visitor is lost on its way, while the second waits for the head, which waits for the first. The only other
+/// robot returns the second visit, makes the first, and then the second.
+#[test]
+fn a_robot_that_waits_for_a_lost_visitor_takes_its_visit() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, &["amber", "birch", "fern"], &["aba"]).await;
+        let mut request = visit_rooms("a", &["100", "1"]);
+        let visit = &mut request["mission"]["root"]["tasks"][0]["do"]["tasks"];
+        visit[0] =
+            json!({ "task": "go", "type": "wait", "roles": ["visitor"], "parameters": { "seconds": "${room}" } });
+        visit[1]["roles"] = json!(["visitor", "head"]);
+        let answer = fleet.request_answered(ApiCall::Submit, &request).await;
+        let mission: MissionId = slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")));
+        let has_arrived =
+            |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "go_2");
+        fleet.wait_until("the second visitor to wait", SOON, |fleet| fleet.has_event(has_arrived)).await;
+        let lost = fleet.holder(&mission, "visitor_1").expect("a holder");
+        fleet.kill(lost.as_str()).await;
+        fleet.assert_completes(&mission).await;
+        fleet.assert_exclusive_roles();
+        let gave_way = |what: &EventKind| matches!(what, EventKind::GaveUp { kind: FailureKind::GaveWay, .. });
+        assert_eq!(fleet.event_log.count(gave_way), 1, "seed {seed}:\n{}", fleet.event_log_text());
     });
 }
 

@@ -3,10 +3,13 @@
 //! The iterations of a spread loop are unordered, but a role outside the loop may order them: joint tasks that
 //! share a role follow the order of the file. A robot in a later iteration waits for the earlier iteration. If it
 //! is the only free robot, the earlier iteration must have a robot before it, or both wait for ever. So an iteration
-//! is auctioned after the iterations that it waits for.
+//! is auctioned after the iterations that it waits for. If the robot of an earlier iteration is lost later, a robot that
+//! only waits for it returns its own iteration, as long as no other role has been signalled about it.
 
-use super::entry::MissionEntry;
-use crate::ids::RoleId;
+use super::apply::Ledger;
+use super::entry::{MissionEntry, RoleAssignment};
+use crate::auction::{BidVerdict, RefusalReason};
+use crate::ids::{RobotId, RoleId};
 use crate::plan::{LocalPlan, Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -43,6 +46,12 @@ impl MissionEntry {
         }
     }
 
+    /// Checks whether another robot can do a held role from its start: no other role has been signalled about it, and its
+    /// robot has no item in it.
+    fn can_be_restarted(&self, role: &RoleId) -> bool {
+        !self.has_signalled(role) && self.custody().iter().all(|held| held.role != *role)
+    }
+
     /// Returns those of these roles that wait for another of them, which does not wait for them.
     fn later_iterations(&self, roles: &BTreeSet<RoleId>) -> BTreeSet<RoleId> {
         let waits = StepWaits::of(self);
@@ -53,6 +62,32 @@ impl MissionEntry {
             earlier.filter_map(|earlier| awaited.get(*earlier)).any(|before| !before.contains(*role))
         };
         roles.iter().filter(is_later).cloned().collect()
+    }
+}
+
+impl Ledger {
+    /// Returns the iteration of a spread loop that its robot should return, since it only waits for an open iteration and
+    /// the auction of that found no free robot: of several the one that waits for most roles. `None` while a robot that
+    /// was busy then is free: it is asked first.
+    pub fn iteration_to_return<'m>(&self, entry: &'m MissionEntry) -> Option<(&'m RoleId, &'m RoleAssignment)> {
+        let auction = entry.auction.as_ref().filter(|auction| auction.failure.is_some())?;
+        let mut open = entry.roles_to_auction();
+        open.retain(|role| entry.is_spread(role));
+        let is_busy =
+            |verdict: &BidVerdict| matches!(verdict, BidVerdict::Refused { reason: RefusalReason::Busy { .. } });
+        let asked = auction.entries.iter().filter(|asked| open.contains(&asked.role) && is_busy(&asked.verdict));
+        let busy: BTreeSet<&RobotId> = asked.map(|asked| &asked.robot).collect();
+        let waits = StepWaits::of(entry);
+        let waits_for_open = |role: &RoleId| {
+            let before = waits.roles_before(role);
+            open.iter().any(|earlier| before.contains(earlier) && !waits.roles_before(earlier).contains(role))
+        };
+        let returnable = entry.held_roles().filter(|(role, _, holder)| {
+            let is_candidate = busy.contains(&holder.robot) && entry.is_spread(role) && !entry.can_proceed(role);
+            is_candidate && entry.can_be_restarted(role) && waits_for_open(role)
+        });
+        let (role, _, holder) = returnable.max_by_key(|(role, ..)| waits.roles_before(role).len())?;
+        busy.into_iter().all(|robot| self.held_by(robot).is_some()).then_some((role, holder))
     }
 }
 
@@ -100,9 +135,9 @@ impl<'m> StepWaits<'m> {
 #[cfg(test)]
 mod tests {
     use super::super::command::{Command, CommandOutcome};
-    use super::super::{Branch, Ledger, Submission};
+    use super::super::{Branch, Submission};
     use super::*;
-    use crate::auction::{AuctionId, AuctionRecord};
+    use crate::auction::{AuctionEntry, AuctionId, AuctionRecord};
     use crate::lease::Epoch;
     use crate::mission::test_data::domain;
     use crate::mission::{Format, MissionTemplate};
@@ -149,6 +184,38 @@ root:
 
         fn entry(&self) -> &MissionEntry {
             self.0.missions().next().unwrap()
+        }
+
+        fn to_return(&self) -> Option<String> {
+            self.0.iteration_to_return(self.entry()).map(|(role, _)| role.to_string())
+        }
+
+        /// Records an auction of a role that these robots refused: they hold roles.
+        fn defer(&mut self, role: &str, busy: &[&str]) {
+            let mission = self.entry().id.clone();
+            let reason = RefusalReason::Busy { mission: mission.clone(), role: role.parse().unwrap() };
+            let entries = busy.iter().map(|robot| AuctionEntry {
+                role: role.parse().unwrap(),
+                robot: robot.parse().unwrap(),
+                verdict: BidVerdict::Refused { reason: reason.clone() },
+                parts: vec![],
+            });
+            let auction = AuctionRecord {
+                entries: entries.collect(),
+                failure: Some(format!("no viable bid for {role}")),
+                ..AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 2 })
+            };
+            let outcome = self.apply(Command::Defer { mission, branch: Branch::Main, auction });
+            assert_eq!(outcome, CommandOutcome::Done);
+        }
+
+        /// Ends the first steps of a held role.
+        fn end(&mut self, role: &str, steps: StepIndex) {
+            let (entry, role): (_, RoleId) = (self.entry(), role.parse().unwrap());
+            let (mission, epoch) = (entry.id.clone(), entry.role_robots()[&role].epoch);
+            let (branch, ended, outcomes) = (Branch::Main, (0..steps).collect(), BTreeMap::new());
+            let outcome = self.apply(Command::Progress { mission, role, epoch, branch, ended, outcomes });
+            assert_eq!(outcome, CommandOutcome::Done);
         }
 
         fn to_auction(&self) -> Vec<String> {
@@ -200,6 +267,39 @@ root:
         log.award(&["escort_1"]);
         log.leave("escort_1", true);
         assert_eq!(log.to_auction(), ["escort_3"]);
+    }
+
+    /// The first visitor is lost on the way, while the other escorts wait for it at the clerk.
+    #[test]
+    fn a_robot_that_waits_for_an_open_iteration_returns_its_own() {
+        let mut log = Log::of(VISITS);
+        for escort in ["escort_1", "escort_2", "escort_3"] {
+            log.award(&[escort]);
+        }
+        log.end("escort_2", 1);
+        log.end("escort_3", 1);
+        assert_eq!(log.to_return(), None, "every iteration has a robot");
+        log.leave("escort_1", false);
+        assert_eq!(log.to_return(), None, "other robots have not been asked");
+        log.defer("escort_1", &["robot-escort-2", "robot-escort-3"]);
+        assert_eq!(log.to_return().as_deref(), Some("escort_3"), "the last");
+        log.leave("escort_3", false);
+        assert_eq!(log.to_auction(), ["escort_1"]);
+        assert_eq!(log.to_return(), None, "its robot is free");
+        log.defer("escort_1", &["robot-escort-2"]);
+        assert_eq!(log.to_return().as_deref(), Some("escort_2"), "the free robot cannot do it");
+    }
+
+    #[test]
+    fn a_robot_that_can_continue_keeps_its_iteration() {
+        let mut log = Log::of(VISITS);
+        log.award(&["escort_1"]);
+        log.award(&["escort_2"]);
+        log.leave("escort_1", false);
+        log.defer("escort_1", &["robot-escort-2"]);
+        assert_eq!(log.to_return(), None, "it is on its way");
+        log.end("escort_2", 1);
+        assert_eq!(log.to_return().as_deref(), Some("escort_2"));
     }
 
     #[test]

@@ -160,7 +160,8 @@ pub enum AwardNotice {
         /// Reason for the end.
         reason: EndReason,
     },
-    /// The robot is asked to return the role if it has not acted in it.
+    /// The robot is asked to return the role if it has not acted in it, or, for its own mission, if it only waits and
+    /// has signalled no other role.
     GiveWay {
         /// Epoch of the award.
         epoch: Epoch,
@@ -270,7 +271,8 @@ pub enum FailureKind {
     /// The checkpoint cannot be written: after a crash the robot would not find its role.
     #[serde(alias = "notebook")]
     Checkpoint,
-    /// Another mission waits for the robot, which has not acted in the role.
+    /// Another mission waits for the robot, which has not acted in the role, or another role of this mission, for which
+    /// the robot waits.
     GaveWay,
     /// The condition or a parameter of the task uses a result that is unknown. No other robot could do
     /// better, so the mission fails.

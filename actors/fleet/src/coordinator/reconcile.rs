@@ -67,6 +67,11 @@ pub(super) fn pending_actions(
     let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
     let give_way = |(awarded, to)| CoordinatorAction::AskToGiveWay { awarded, to, for_now: false };
     actions.extend(circular.map(give_way));
+    let returned = missions.iter().filter_map(|entry| {
+        let (role, holder) = ledger.iteration_to_return(entry)?;
+        Some((AwardedRole::of(entry, role, holder), entry.id.clone()))
+    });
+    actions.extend(returned.filter(|(awarded, _)| is_notice_due(awarded)).map(give_way));
     actions
 }
 

@@ -40,9 +40,14 @@ impl RobotState {
         }
     }
 
-    /// Returns a role in which the robot has not acted to a mission that waits for the robot.
+    /// Returns a role in which the robot has not acted to a mission that waits for the robot. For an earlier iteration of
+    /// a loop of the same mission it also returns a role in which it waits and has signalled no other role.
     async fn give_way(&mut self, epoch: Epoch, to: &MissionId, for_now: bool) -> Result<(), ActorProcessingErr> {
-        let may_give_way = |active: &mut ActivePlan| active.award.epoch == epoch && active.sequencer.is_untouched();
+        let may_give_way = |active: &mut ActivePlan| {
+            let only_waits = active.attempt.is_none() && active.sequencer.can_be_restarted();
+            active.award.epoch == epoch
+                && (active.sequencer.is_untouched() || (active.award.mission == *to && only_waits))
+        };
         if self.execution.continuing_plan().is_some_and(may_give_way) {
             let kind = if for_now { FailureKind::Postponed } else { FailureKind::GaveWay };
             let cause = format!("it gives way to {to}");

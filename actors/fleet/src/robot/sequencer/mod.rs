@@ -332,6 +332,14 @@ impl Sequencer {
         self.progress.ended().is_empty()
     }
 
+    /// Checks whether another robot can do the role from its start: no signal has been sent, and this role cannot
+    /// have received an item.
+    pub(crate) fn can_be_restarted(&self) -> bool {
+        let plan = self.progress.plan();
+        let mut ended = self.progress.ended().iter().filter_map(|step| plan.steps.get(*step as usize));
+        !self.may_have_custody() && !ended.any(|step| matches!(step.action, StepAction::Send(_)))
+    }
+
     /// Returns the tasks of an alternative.
     pub(crate) fn alternative_tasks(&self, number: usize) -> Vec<TaskId> {
         let tasks = alternative(self.progress.plan(), number).map_or(&[][..], |replacement| &replacement.tasks);
