@@ -164,6 +164,19 @@ fn a_guarded_step_waits_until_the_ledger_contains_its_predecessors() {
 }
 
 #[test]
+fn a_role_can_be_restarted_until_it_has_sent_a_signal() {
+    let open = json!({ "kind": "done", "task": "open", "from": "arm", "to": "r1" });
+    let steps = [task("drive", &[]), wait("open", &[0]), send("drive", &[1]), wait("lift", &[2])];
+    let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": steps })));
+    assert_eq!(run(&mut sequencer, &[]), ["drive"]);
+    assert!(!sequencer.is_untouched() && sequencer.can_be_restarted());
+    let received = sequencer.receive_signal(&serde_json::from_value(open).unwrap(), at(5), &Author::UNKNOWN);
+    assert_eq!(received, Ok(SignalEffect::Received));
+    assert_eq!(run(&mut sequencer, &[]), ["received open", "sent drive"]);
+    assert!(!sequencer.can_be_restarted());
+}
+
+#[test]
 fn a_stale_signal_is_rejected_and_an_unused_signal_is_discarded() {
     let signal: Signal =
         serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
