@@ -35,7 +35,7 @@ async fn submit(fleet: &Fleet, task: &str) -> MissionId {
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
 }
 
-/// Returns the reasons for which the robot was not eligible for the role of a mission, each with whether it is permanent.
+/// Returns the reasons for which the robot was not eligible for the role of a mission, and whether each is permanent.
 fn refusals(fleet: &Fleet, of: &MissionId) -> Vec<(String, bool)> {
     let records = fleet.events().into_iter().filter_map(|kind| match kind {
         EventKind::Closed { record, .. } if record.auction.mission == *of => Some(record),

@@ -187,8 +187,11 @@ mod tests {
         };
         assert_eq!(state(json!("completed")), ("mission", "m-1 is completed".to_owned(), false));
         assert_eq!(state(json!({ "canceled": { "by": "Nia" } })), ("mission", "m-1 canceled by Nia".to_owned(), true));
-        let rescue = json!({ "needs_intervention": { "cause": "lost", "items": [] } });
-        assert_eq!(state(rescue), ("mission", "m-1 needs intervention: lost".to_owned(), true));
+        let rescue = json!({ "needs_intervention": { "cause": "lost", "items": [], "class": "task" } });
+        // An event of an earlier release has no class.
+        let failed = json!({ "failed": { "cause": "lost" } });
+        assert_eq!(state(failed), ("mission", "m-1 failed: lost (robot)".to_owned(), true));
+        assert_eq!(state(rescue), ("mission", "m-1 needs intervention: lost (task)".to_owned(), true));
     }
 
     #[test]
