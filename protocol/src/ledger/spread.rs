@@ -77,6 +77,9 @@ impl Ledger {
             |verdict: &BidVerdict| matches!(verdict, BidVerdict::Refused { reason: RefusalReason::Busy { .. } });
         let asked = auction.entries.iter().filter(|asked| open.contains(&asked.role) && is_busy(&asked.verdict));
         let busy: BTreeSet<&RobotId> = asked.map(|asked| &asked.robot).collect();
+        if busy.is_empty() {
+            return None;
+        }
         let waits = StepWaits::of(entry);
         let waits_for_open = |role: &RoleId| {
             let before = waits.roles_before(role);
