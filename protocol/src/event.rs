@@ -88,7 +88,7 @@ pub enum EventKind {
         schedule: ScheduleId,
         /// The change.
         change: ScheduleChange,
-        /// The person; in a closed fleet the signer.
+        /// The responsible person; in a closed fleet with the signer.
         by: String,
     },
     /// An occurrence of a schedule was submitted.

@@ -44,7 +44,7 @@ pub(crate) struct WorkerBid {
 pub(crate) struct DryRunOutcome {
     /// Bids and refusals by role, in the order of the workers.
     pub bids: BTreeMap<RoleId, Vec<WorkerBid>>,
-    /// Assignment of roles: every role, except for roles of spread loops that stay open; or none.
+    /// Robot of each role. Roles of spread loops may be left open. Empty after a failure.
     pub holders: BTreeMap<RoleId, RobotId>,
     /// Reason if no role is assigned.
     pub failure: Option<String>,

@@ -96,8 +96,7 @@ pub struct PersonRequestEntry {
     pub subject: RequestSubject,
     /// Task of the person; for a question, the task in which the robot asks.
     pub task: TaskId,
-    /// Robots that the task names, by their roles: those that the person meets. For a question, the
-    /// robot that asks.
+    /// Robots that the person meets in the task, by role. For a question: the robot that asks.
     pub robots: BTreeMap<RoleId, RoleHolder>,
     /// Time of the request in milliseconds since 1970.
     pub asked_ms: u64,
@@ -339,18 +338,18 @@ impl PersonRequestEntry {
         self.is_open() && pending.zip(now_ms).is_some_and(|(escalation, now_ms)| escalation.due_ms <= now_ms)
     }
 
-    /// Returns the role to which it was escalated, if it was.
+    /// Returns the role to which the request was escalated; `None` before the escalation.
     pub fn escalated_to(&self) -> Option<&RoleId> {
         let escalation = self.escalation.as_ref().filter(|escalation| escalation.escalated_ms.is_some());
         escalation.map(|escalation| &escalation.to)
     }
 
-    /// Returns the roles whose people are asked.
+    /// Returns the roles of the people that are asked.
     pub fn asked_roles(&self) -> impl Iterator<Item = &RoleId> {
         [&self.role].into_iter().chain(self.escalated_to())
     }
 
-    /// Puts the request off: it expires and escalates so much later.
+    /// Postpones the request. It expires and escalates later by the added time.
     pub(super) fn postpone(&mut self, postponement: Postponement, at_ms: u64) {
         let PersonRequestPhase::Open { postponed } = &mut self.phase else { return };
         let since_ms = postponed.as_ref().map_or(at_ms, |former| former.until_ms.max(at_ms));

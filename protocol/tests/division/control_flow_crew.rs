@@ -44,7 +44,7 @@ pub(crate) struct Crew<'m> {
     losses: usize,
     orders: Vec<GlobalOrder<'m>>,
     parts: BTreeMap<RoleId, RolePart>,
-    /// Tasks with their decisions: true if executed. All roles and all successors decide alike.
+    /// Decision for each task: true if it is executed. All roles and all successors must decide the same.
     decisions: BTreeMap<TaskId, bool>,
     ended: BTreeSet<(TaskId, RoleId)>,
 }
@@ -56,7 +56,7 @@ struct RolePart {
     progress: PlanProgress,
     current: Option<StepIndex>,
     outcomes: TaskOutcomes,
-    /// Tasks whose outcomes the steps use.
+    /// Tasks whose outcomes each step uses.
     used: BTreeMap<StepIndex, BTreeSet<TaskId>>,
 }
 

@@ -25,10 +25,10 @@ pub(crate) const ROOMS: [&str; 12] = [
     "PC Room 7",
 ];
 
-/// Rooms without a nurse. A mission that fetches a sample from one of them cannot be completed.
+/// Rooms without a nurse. Missions that fetch a sample from such a room cannot be completed.
 pub(crate) const ROOMS_WITHOUT_NURSE: [&str; 2] = ["PC Room 4", "PC Room 8"];
 
-/// Role of a person who never answers.
+/// Role of a person that never answers.
 pub(super) const ABSENT: &str = "visitor";
 
 /// Missions of the clients: without and with a recovery branch for the loss of the sample.

@@ -1,9 +1,10 @@
 //! The dashboard of a closed fleet: a user signs in with a token, has the permissions of the token,
 //! and must sign in again after it has expired.
 
-use crate::browser::{Browser, SOON};
+use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access};
-use crate::support::{Closed, Folder, example, until};
+use crate::station::{dashboard_address, station_with_dashboard};
+use crate::support::{Closed, Folder};
 use std::time::Duration;
 
 /// Lifetime of the brief token: long enough to type it and check the page on a slow machine.
@@ -12,14 +13,9 @@ const BRIEF: Duration = Duration::from_secs(25);
 /// Starts a closed fleet. Returns it with the address of its dashboard.
 pub(crate) fn start_with_dashboard() -> (Closed, String) {
     let mut closed = Closed::new();
-    let mut station = example("station");
-    station.insert("dashboard".to_owned(), "127.0.0.1:0".into());
-    closed.start("station", station, &[]);
+    closed.start("station", station_with_dashboard(), &[]);
     closed.start_others();
-    let url = until("the address of the dashboard", SOON, || {
-        let output = closed.fleet.node("station-1").stdout();
-        Some(output.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
-    });
+    let url = dashboard_address(closed.fleet.node("station-1"));
     (closed, url)
 }
 

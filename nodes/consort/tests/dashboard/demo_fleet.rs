@@ -1,6 +1,7 @@
 //! The fleet of the demo on the page: views, requests, and the loss of the connection.
 
 use crate::browser::{Browser, SOON};
+use crate::station::dashboard_address;
 use crate::support::{Folder, Program, until};
 use serde_json::Value;
 use std::time::Duration;
@@ -319,9 +320,7 @@ fn a_page_shows_the_loss_of_its_node_and_reconnects() {
         Program::start(&folder, name, &[&arguments[..], &["--dashboard", dashboard]].concat())
     };
     let mut desk = station("desk", "127.0.0.1:0");
-    let url = until("the address of the dashboard", SOON, || {
-        Some(desk.stdout().lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
-    });
+    let url = dashboard_address(&mut desk);
     browser.open(&url);
     browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length === 8");
     browser.wait_until("a mission", "document.querySelectorAll('#missions tbody tr').length === 1");

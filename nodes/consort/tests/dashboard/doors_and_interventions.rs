@@ -1,11 +1,11 @@
 //! A fleet from the example files with a door in the ward. The page shows the door opening and
 //! closing. A mission is canceled while its robot has the sample, and the user resolves it.
 
-use crate::browser::{Browser, SOON};
+use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access, tab_to};
-use crate::support::{Fleet, Folder, example, until};
+use crate::station::{dashboard_address, station_with_dashboard, with};
+use crate::support::{Fleet, Folder, example};
 use std::time::Duration;
-use toml::Table;
 
 /// Limit for the robot to reach the nurse and receive the sample.
 const ON_ITS_WAY: Duration = Duration::from_secs(120);
@@ -18,18 +18,13 @@ fn ward(folder: &Folder) -> String {
     folder.write("ward.yaml", &format!("{map}\n{door}")).display().to_string()
 }
 
-fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
-    table.insert(key.to_owned(), value.into());
-    table
-}
-
 #[test]
 fn a_door_is_shown_opening_and_a_mission_is_resolved() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     let map = ward(&folder);
     let mut fleet = Fleet::new(&with(example("fleet"), "map", map.clone()));
-    fleet.start("station", with(example("station"), "dashboard", "127.0.0.1:0"), &[]);
+    fleet.start("station", station_with_dashboard(), &[]);
     let mut world = with(with(example("world"), "map", map), "speed", 3.0);
     // The nurse must stay where she is.
     let nurse = world["person"].as_array_mut().and_then(|people| people[0].as_table_mut()).expect("a nurse");
@@ -37,10 +32,7 @@ fn a_door_is_shown_opening_and_a_mission_is_resolved() {
     fleet.start("world", world, &["station-1"]);
     fleet.start("robot", example("robot"), &["station-1", "world"]);
     fleet.start("robot", example("arm"), &["station-1", "world"]);
-    let url = until("the address of the dashboard", SOON, || {
-        let output = fleet.node("station-1").stdout();
-        Some(output.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
-    });
+    let url = dashboard_address(fleet.node("station-1"));
     browser.open(&url);
     browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
     browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");

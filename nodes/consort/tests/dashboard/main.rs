@@ -16,6 +16,7 @@ mod recording;
 mod schedules;
 #[path = "../../../../tests/support/slots.rs"]
 mod slots;
+mod station;
 #[path = "../processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests of processes use the rest")]
 mod support;

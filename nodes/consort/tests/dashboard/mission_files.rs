@@ -1,9 +1,10 @@
 //! The user submits mission files with the form: YAML, and a flat iHTN with a person. The form offers the missions of
 //! the fleet.
 
-use crate::browser::{Browser, SOON};
+use crate::browser::Browser;
 use crate::demo_fleet::check_access;
-use crate::support::{Fleet, Folder, example, until};
+use crate::station::{dashboard_address, station_with_dashboard, with};
+use crate::support::{Fleet, Folder, example};
 use std::path::Path;
 
 const ROUNDS: &str = r#"
@@ -27,19 +28,12 @@ const VISIT: &str = r#"{
 fn mission_files_are_submitted_with_the_form() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let mut settings = example("fleet");
-    settings.insert("bootstrap_expect".to_owned(), 1.into());
-    settings.insert("missions".to_owned(), vec!["look.yaml"].into());
-    let mut fleet = Fleet::new(&settings);
+    let settings = with(example("fleet"), "bootstrap_expect", 1);
+    let mut fleet = Fleet::new(&with(settings, "missions", vec!["look.yaml"]));
     let look = ROUNDS.replace("mission: rounds", "mission: look");
     std::fs::write(fleet.path("look.yaml"), look).expect("the folder can be written to");
-    let mut station = example("station");
-    station.insert("dashboard".to_owned(), "127.0.0.1:0".into());
-    fleet.start("station", station, &[]);
-    let url = until("the address of the dashboard", SOON, || {
-        let output = fleet.node("station-1").stdout();
-        Some(output.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
-    });
+    fleet.start("station", station_with_dashboard(), &[]);
+    let url = dashboard_address(fleet.node("station-1"));
     browser.open(&url);
     browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
     browser.click("#new-mission");

@@ -4,9 +4,9 @@
 use crate::browser::{Browser, SOON};
 use crate::closed::start_with_dashboard;
 use crate::demo_fleet::{ENTER, check_access};
+use crate::station::with;
 use crate::support::{Closed, Fleet, Folder, example, free_port, until};
 use serde_json::{Value, json};
-use toml::Table;
 
 /// A doctor measures twice. The world has no simulated doctor, who would answer.
 const MISSION: &str = r"
@@ -34,11 +34,6 @@ root:
     - { task: come, type: navigation, roles: [r1], parameters: { to: Dock } }
     - { task: sign, type: attend, roles: [doctor], parameters: { at: Dock } }
 ";
-
-fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
-    table.insert(key.to_owned(), value.into());
-    table
-}
 
 /// Fills the form of the first open request with a pulse. Expects that the page shows it.
 fn fill(page: &str, pulse: u32) -> String {

@@ -2,6 +2,7 @@
 
 use crate::browser::{Browser, SOON};
 use crate::demo_fleet::check_access;
+use crate::station::dashboard_address;
 use crate::support::{Client, Folder, LONG, Program, hospital, until};
 use serde_json::{Value, json};
 
@@ -50,11 +51,8 @@ fn record(folder: &Folder) -> (String, String, String) {
 
 /// Starts a replay and returns its dashboard address.
 fn replay(folder: &Folder, name: &str, file: &str) -> (Program, String) {
-    let program = Program::start(folder, name, &["replay", file]);
-    let url = until("the address of the dashboard", SOON, || {
-        assert!(!program.stderr().contains("consort:"), "{}", program.stderr());
-        Some(program.stdout().lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
-    });
+    let mut program = Program::start(folder, name, &["replay", file]);
+    let url = dashboard_address(&mut program);
     (program, url)
 }
 

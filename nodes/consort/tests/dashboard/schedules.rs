@@ -1,8 +1,9 @@
 //! Schedules on the page: the user adds one with the form, pauses, resumes and removes it.
 
-use crate::browser::{Browser, SOON};
+use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access};
-use crate::support::{Fleet, Folder, example, until};
+use crate::station::start_station;
+use crate::support::Folder;
 use std::time::Duration;
 
 /// Limit for an occurrence of a schedule with occurrences every minute.
@@ -12,16 +13,7 @@ const OCCURRENCE: Duration = Duration::from_secs(120);
 fn schedules_are_changed_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let mut settings = example("fleet");
-    settings.insert("bootstrap_expect".to_owned(), 1.into());
-    let mut fleet = Fleet::new(&settings);
-    let mut station = example("station");
-    station.insert("dashboard".to_owned(), "127.0.0.1:0".into());
-    fleet.start("station", station, &[]);
-    let url = until("the address of the dashboard", SOON, || {
-        let output = fleet.node("station-1").stdout();
-        Some(output.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
-    });
+    let (fleet, url) = start_station();
     browser.open(&url);
     browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
     browser.click("#tab-calendar");

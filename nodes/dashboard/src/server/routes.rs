@@ -205,8 +205,7 @@ async fn answer(
     body: Bytes,
 ) -> Result<Response, Rejection> {
     let forwarder = forwarder(&shared)?;
-    let mut fields: Map<String, Value> = parse_body(&headers, &body)?;
-    fields.insert("request".to_owned(), id.into());
+    let fields = fields_about("request", id, &headers, &body)?;
     Ok(reply_of(forwarder.answer(&fields, client.as_ref()).await))
 }
 
@@ -218,9 +217,15 @@ async fn change_schedule(
     body: Bytes,
 ) -> Result<Response, Rejection> {
     let forwarder = forwarder(&shared)?;
-    let mut fields: Map<String, Value> = parse_body(&headers, &body)?;
-    fields.insert("schedule".to_owned(), id.into());
+    let fields = fields_about("schedule", id, &headers, &body)?;
     Ok(reply_of(forwarder.change_schedule(fields, client.as_ref()).await))
+}
+
+/// Parses the fields of a request, and adds the object that the path names.
+fn fields_about(object: &str, id: String, headers: &HeaderMap, body: &[u8]) -> Result<Map<String, Value>, Rejection> {
+    let mut fields: Map<String, Value> = parse_body(headers, body)?;
+    fields.insert(object.to_owned(), id.into());
+    Ok(fields)
 }
 
 /// Name of the responsible person; by default the dashboard. The coordinator adds the token's name.

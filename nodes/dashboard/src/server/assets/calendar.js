@@ -1,11 +1,12 @@
 // Schedules: a table with their actions, the next occurrences by day, and the form of a new schedule.
 
 import { confirmAndSend } from './action.js';
-import { byId, cells, make, redraw, rows, setText, state } from './dom.js';
-import { fillMissions, givenParameters, namedMissions, parameterFields, placesOf } from './mission_form.js';
+import { byId, cells, make, redraw, rows, state } from './dom.js';
+import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, showProblem } from './mission_form.js';
 import { send } from './request.js';
 import { announce } from './status.js';
 
+const FORM = 'add-schedule';
 /** Number of days on the calendar. */
 const DAYS = 7;
 const ACTIONS = {
@@ -15,13 +16,13 @@ const ACTIONS = {
 };
 
 let places = [];
-let missions = [];
 let choose = () => {};
 
 export function start(onChoose) {
   choose = onChoose;
-  const dialog = byId('add-schedule');
-  byId('new-schedule').onclick = open;
+  const dialog = byId(FORM);
+  addOptions(FORM);
+  byId('new-schedule').onclick = () => openForm(FORM, 'name', parameters);
   byId('add-schedule-close').onclick = () => dialog.close();
   dialog.onclose = () => byId('add-schedule-parameters').replaceChildren();
   byId('add-schedule-mission').onchange = parameters;
@@ -99,52 +100,27 @@ const time = (ms, zone) => format(ms, zone, { hour: '2-digit', minute: '2-digit'
 
 const date = (ms, zone) => format(ms, zone, { weekday: 'short', day: 'numeric', month: 'short' });
 
-async function open() {
-  showProblem('');
-  try {
-    missions = await namedMissions();
-    fillMissions(byId('add-schedule-mission'), missions);
-    parameters();
-  } catch (problem) {
-    showProblem(problem.message);
-  }
-  byId('add-schedule').showModal();
-  byId('add-schedule-name').focus();
-}
-
 function parameters() {
-  const chosen = missions.find(({ mission }) => mission === byId('add-schedule-mission').value);
-  byId('add-schedule-parameters').replaceChildren(...parameterFields(chosen?.parameters ?? {}, places));
+  byId('add-schedule-parameters').replaceChildren(...parameterFields(chosenMission(FORM)?.parameters ?? {}, places));
 }
 
 /** Adds the schedule of the form. The same schedule may be added again, so a request may be repeated. */
 async function add(event) {
   event.preventDefault();
-  showProblem('');
+  showProblem(FORM, '');
   const value = (field) => byId(`add-schedule-${field}`).value;
-  const submit = {
-    mission: value('mission'),
-    parameters: givenParameters(byId('add-schedule-parameters')),
-    priority: Number(value('priority') || 0),
-  };
-  if (value('deadline')) submit.deadline_s = Number(value('deadline'));
-  const request = { action: 'add', cron: value('cron'), zone: value('zone'), missed: value('missed'), submit };
+  const request = { action: 'add', cron: value('cron'), zone: value('zone'), missed: value('missed'), submit: givenMission(FORM) };
   if (value('until')) request.until = new Date(value('until')).toISOString();
   const button = byId('add-schedule-send');
   button.disabled = true;
   try {
     await send('POST', path(value('name')), request);
     announce(`${value('name')} is added`);
-    byId('add-schedule').close();
+    byId(FORM).close();
     byId('add-schedule-name').value = '';
   } catch (problem) {
-    showProblem(problem.message);
+    showProblem(FORM, problem.message);
   } finally {
     button.disabled = false;
   }
-}
-
-function showProblem(text) {
-  byId('add-schedule-problem').hidden = !text;
-  setText(byId('add-schedule-problem'), text);
 }

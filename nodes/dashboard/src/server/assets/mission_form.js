@@ -1,18 +1,46 @@
-// Fields for the parameters of a mission.
+// Fields of the forms that request missions. The ids of a form's elements begin with the id of its dialog.
 
-import { make, readable } from './dom.js';
+import { byId, make, readable, setText } from './dom.js';
 import { send } from './request.js';
 
 let named;
 
-/** Returns the missions that the user may submit by name, with their parameters. */
-export const namedMissions = async () => (named ??= (await send('GET', '/api/named-missions')).missions);
+/** Adds the fields for the priority and the deadline of a mission. */
+export function addOptions(form) {
+  const number = (name, text, properties) =>
+    make('label', { className: 'field' }, text, make('input', { type: 'number', id: `${form}-${name}`, step: '1', ...properties }));
+  const options = byId(`${form}-options`);
+  options.prepend(number('priority', 'Priority, −100 to 100 ', { min: '-100', max: '100', value: '0' }));
+  options.append(number('deadline', 'Deadline in seconds, optional ', { min: '1' }));
+}
 
-/** Fills an empty choice of missions. */
-export function fillMissions(choice, missions) {
+/** Opens a form with the missions that the user may submit by name, and draws the fields of the chosen mission. */
+export async function openForm(form, firstField, drawParameters) {
+  showProblem(form, '');
+  try {
+    named ??= (await send('GET', '/api/named-missions')).missions;
+    fillMissions(byId(`${form}-mission`));
+    drawParameters();
+  } catch (problem) {
+    showProblem(form, problem.message);
+  }
+  byId(form).showModal();
+  byId(`${form}-${firstField}`).focus();
+}
+
+function fillMissions(choice) {
   if (choice.options.length > 0) return;
-  choice.append(...missions.map(({ mission, title }) => make('option', { value: mission, title }, mission)));
-  choice.value = missions.some(({ mission }) => mission === 'lab-samples') ? 'lab-samples' : choice.value;
+  choice.append(...named.map(({ mission, title }) => make('option', { value: mission, title }, mission)));
+  choice.value = named.some(({ mission }) => mission === 'lab-samples') ? 'lab-samples' : choice.value;
+}
+
+/** Returns the mission that is chosen by name in a form. */
+export const chosenMission = (form) => named?.find(({ mission }) => mission === byId(`${form}-mission`).value);
+
+/** Shows a problem in a form; an empty text hides it. */
+export function showProblem(form, text) {
+  byId(`${form}-problem`).hidden = !text;
+  setText(byId(`${form}-problem`), text);
 }
 
 /** Returns the names of the places that a mission can use. */
@@ -29,6 +57,14 @@ export function parameterFields(parameters, places) {
     field.dataset.parameter = name;
     return make('label', { className: 'field' }, text, field);
   });
+}
+
+/** Returns the mission that a form requests. */
+export function givenMission(form) {
+  const value = (field) => byId(`${form}-${field}`).value;
+  const parameters = givenParameters(byId(`${form}-parameters`));
+  const given = { mission: value('mission'), parameters, priority: Number(value('priority') || 0) };
+  return value('deadline') ? { ...given, deadline_s: Number(value('deadline')) } : given;
 }
 
 /** Returns the values of the filled fields, by parameter. */

@@ -2,12 +2,11 @@
 
 import { confirmAndSend } from './action.js';
 import { byId, make, setText } from './dom.js';
-import { fillMissions, givenParameters, namedMissions, parameterFields, placesOf } from './mission_form.js';
+import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, showProblem } from './mission_form.js';
 import { lastKnownPlace } from './missions.js';
 import { newRequest, send } from './request.js';
 import { announce } from './status.js';
 
-let offered = [];
 let places = [];
 let request;
 /** The chosen mission file, as the node has read it. */
@@ -16,18 +15,8 @@ let file;
 export function start(onSubmitted) {
   startResolve();
   const dialog = byId('submit');
-  byId('new-mission').onclick = async () => {
-    showProblem('');
-    try {
-      offered = await namedMissions();
-      fillMissions(byId('submit-mission'), offered);
-      parameters();
-    } catch (problem) {
-      showProblem(problem.message);
-    }
-    dialog.showModal();
-    byId('submit-mission').focus();
-  };
+  addOptions('submit');
+  byId('new-mission').onclick = () => openForm('submit', 'mission', parameters);
   byId('submit-close').onclick = () => dialog.close();
   byId('submit-mission').onchange = () => {
     file = undefined;
@@ -39,22 +28,17 @@ export function start(onSubmitted) {
   byId('submit-form').oninput = () => { request = undefined; };
   byId('submit-form').onsubmit = async (event) => {
     event.preventDefault();
-    showProblem('');
+    showProblem('submit', '');
     const button = byId('submit-send');
     button.disabled = true;
     setText(button, 'Submitting …');
     request ??= newRequest();
-    const body = {
-      mission: file?.mission ?? byId('submit-mission').value,
-      parameters: givenParameters(byId('submit-parameters')),
-      request,
-      priority: Number(byId('submit-priority').value || 0),
-    };
+    const body = { ...givenMission('submit'), request };
+    if (file) body.mission = file.mission;
     const people = [...byId('submit-people').querySelectorAll('input:checked')].map((field) => field.value);
     if (file?.agents.length > 0) Object.assign(body, { name: file.name, people });
     const notBefore = byId('submit-not-before').value;
     if (notBefore) body.not_before = new Date(notBefore).toISOString();
-    if (byId('submit-deadline').value) body.deadline_s = Number(byId('submit-deadline').value);
     try {
       const { mission } = await send('POST', '/api/missions', body);
       request = undefined;
@@ -62,7 +46,7 @@ export function start(onSubmitted) {
       announce(`${mission} is acknowledged`);
       onSubmitted(mission);
     } catch (problem) {
-      showProblem(problem.message);
+      showProblem('submit', problem.message);
     } finally {
       button.disabled = false;
       setText(button, 'Submit');
@@ -83,7 +67,7 @@ export function resolve(id, mission) {
   setText(byId('resolve-head'), `Resolve ${id}`);
   setText(byId('resolve-cause'), mission.cause ?? '');
   byId('resolve-items').replaceChildren(...(mission.items ?? []).map((item) => make('li', {}, lastKnownPlace(item))));
-  showProblem('', 'resolve');
+  showProblem('resolve', '');
   dialog.showModal();
   byId('resolve-by').focus();
 }
@@ -96,13 +80,13 @@ function startResolve() {
     const { mission } = dialog.dataset;
     const button = byId('resolve-send');
     button.disabled = true;
-    showProblem('', 'resolve');
+    showProblem('resolve', '');
     try {
       await send('POST', `/api/missions/${encodeURIComponent(mission)}/resolve`, { by: byId('resolve-by').value });
       dialog.close();
       announce(`${mission} is resolved`);
     } catch (problem) {
-      showProblem(problem.message, 'resolve');
+      showProblem('resolve', problem.message);
     } finally {
       button.disabled = false;
     }
@@ -114,20 +98,20 @@ async function readFile() {
   const [chosen] = byId('submit-file').files;
   file = undefined;
   request = undefined;
-  showProblem('');
+  showProblem('submit', '');
   if (chosen) {
     try {
       file = await send('POST', '/api/mission-file', { name: chosen.name, text: await chosen.text() });
     } catch (problem) {
       byId('submit-file').value = '';
-      showProblem(problem.message);
+      showProblem('submit', problem.message);
     }
   }
   parameters();
 }
 
 function parameters() {
-  const chosen = file ?? offered.find((template) => template.mission === byId('submit-mission').value);
+  const chosen = file ?? chosenMission('submit');
   byId('submit-mission').disabled = file !== undefined;
   const agents = (file?.agents ?? []).map((agent) =>
     make('label', { className: 'field' }, make('input', { type: 'checkbox', value: agent }), ` ${agent}`));
@@ -135,9 +119,4 @@ function parameters() {
   byId('submit-people').replaceChildren(byId('submit-people').firstElementChild, ...agents);
   setText(byId('submit-title'), chosen?.title ?? '');
   byId('submit-parameters').replaceChildren(...parameterFields(chosen?.parameters ?? {}, places));
-}
-
-function showProblem(text, form = 'submit') {
-  byId(`${form}-problem`).hidden = !text;
-  setText(byId(`${form}-problem`), text);
 }
