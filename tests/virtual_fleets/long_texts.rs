@@ -1,12 +1,15 @@
-//! Texts of other nodes that are nearly as long as a message.
+//! Texts of other nodes and of clients that are nearly as long as a message.
 
 use crate::support::fleet;
 use consort_bus::{Bus as _, reply};
 use consort_protocol::auction::{BidRefusal, BidResponse, CallForBids, RefusalReason, RoleReply};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
+use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::Command;
 use consort_protocol::message::ClusterEnvelope;
-use consort_tests::{Fleet, for_each_seed};
+use consort_tests::{Fleet, Observation, for_each_seed};
+use serde_json::json;
 
 const ROOM: &str = "IC Room 6";
 
@@ -42,5 +45,25 @@ fn long_refusals_do_not_prevent_an_award() {
         fleet.network.cut("aster".parse().expect("a name"), "gorse".parse().expect("a name"));
         let mission = fleet.submit("a", ROOM).await;
         fleet.assert_completes(&mission).await;
+    });
+}
+
+#[test]
+fn the_log_contains_no_long_name_of_a_client() {
+    for_each_seed([131, 132], async |seed| {
+        let fleet = fleet(seed, ROOM).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let cancel = json!({ "mission": mission, "by": "Nia ".repeat(5_000) });
+        fleet.request_answered(ApiCall::Cancel, &cancel).await;
+        let entries = fleet.event_log.entries();
+        let commands = entries.iter().flat_map(|(_, entry)| match entry {
+            Observation::EntryApplied { commands, .. } => &commands[..],
+            _ => &[],
+        });
+        let canceling: Vec<_> = commands.filter(|command| matches!(command, Command::Cancel { .. })).collect();
+        assert!(!canceling.is_empty(), "seed {seed}");
+        for command in canceling {
+            assert_eq!(command.clone().limited(), *command, "seed {seed}");
+        }
     });
 }

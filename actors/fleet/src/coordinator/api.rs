@@ -139,7 +139,7 @@ impl ApiHandler {
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
         }
-        match self.replica.propose(Command::Submit(Box::new(submission)), COMMIT_TIMEOUT).await {
+        match self.propose(Command::Submit(Box::new(submission))).await {
             Ok(CommandOutcome::Submitted { mission, again }) => {
                 let state = self.replica.read(|ledger| ledger.mission_state(&mission).cloned());
                 let outcome = state.filter(|state| again && state.is_final());
@@ -227,7 +227,7 @@ impl ApiHandler {
         let answer = PersonAnswer { by: self.person(by), content, note, at_ms };
         let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&request.mission)));
         let command = Command::AnswerPerson { request: request.clone(), answer, places };
-        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+        match self.propose(command).await {
             Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
             Ok(_) => {
                 let phase = self.replica.read(|ledger| {
@@ -265,7 +265,7 @@ impl ApiHandler {
             ScheduleAction::Remove => Command::RemoveSchedule { schedule: id.clone() },
         };
         let change = self.replica.read(|ledger| schedule_change(action, ledger.schedule(&id)));
-        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+        match self.propose(command).await {
             Ok(CommandOutcome::Refused(refused)) => {
                 // A new ledger gets its version right after its creation.
                 let may_retry = self.replica.read(Ledger::wire).is_none();
@@ -354,7 +354,7 @@ impl ApiHandler {
                 .into())
             }
             (true, UpgradeStatus::Ready { next }) => {
-                let raised = self.replica.propose(Command::RaiseWireVersion { wire: next }, COMMIT_TIMEOUT).await;
+                let raised = self.propose(Command::RaiseWireVersion { wire: next }).await;
                 raised.map_err(|problem| not_committed(&problem))?;
                 Ok(self.upgrade_reply(next, &required_readers))
             }
@@ -390,7 +390,7 @@ impl ApiHandler {
     }
 
     async fn change(&self, mission: MissionId, command: Command) -> Result<MissionChangeReply, ApiError> {
-        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+        match self.propose(command).await {
             Ok(CommandOutcome::Refused(refused)) => Err(refused.to_string().into()),
             Ok(_) => {
                 let state = self.replica.read(|ledger| ledger.mission_state(&mission).cloned());
@@ -398,6 +398,11 @@ impl ApiHandler {
             }
             Err(problem) => Err(not_committed(&problem)),
         }
+    }
+
+    /// Proposes a command with the texts of the client shortened.
+    async fn propose(&self, command: Command) -> Result<CommandOutcome, ProposeError> {
+        self.replica.propose(command.limited(), COMMIT_TIMEOUT).await
     }
 }
 
