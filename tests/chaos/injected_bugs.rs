@@ -11,7 +11,7 @@ fn every_mutant_is_found_within_its_number_of_seeds() {
     let mut missed = vec![];
     for wanted in MUTANT_CHECKS {
         let found = check_mutant(wanted, jobs(), || ());
-        if found.seeds.is_none() {
+        if found.seed.is_none() {
             missed.push(found);
         }
     }

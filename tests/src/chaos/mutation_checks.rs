@@ -1,6 +1,7 @@
 //! The checks: one injected bug at a time, which chaos must find under the usual generated faults.
 
 use super::chaos_fleet::ChaosFleet;
+use super::control_flow::FIRST_SEED;
 use super::fault_kind::FaultKind;
 use super::generate::generate;
 use super::mutants::Mutant;
@@ -16,18 +17,25 @@ pub struct MutantCheck {
     pub mutant: Mutant,
     /// Kinds of generated faults.
     pub faults: &'static [FaultKind],
-    /// Number of seeds, from 1 on, within which chaos must find the bug.
-    pub seeds_max: u64,
+    /// First seed.
+    pub first_seed: u64,
+    /// Last seed: chaos must find the bug at this seed or before.
+    pub last_seed: u64,
 }
 
 impl MutantCheck {
-    const fn new(mutant: Mutant, seeds_max: u64) -> MutantCheck {
-        MutantCheck { mutant, faults: &FaultKind::FAULTS, seeds_max }
+    const fn new(mutant: Mutant, last_seed: u64) -> MutantCheck {
+        MutantCheck::under(mutant, &FaultKind::FAULTS, last_seed)
     }
 
     /// Creates a check with few kinds of faults, which are more frequent then.
-    const fn under(mutant: Mutant, faults: &'static [FaultKind], seeds_max: u64) -> MutantCheck {
-        MutantCheck { mutant, faults, seeds_max }
+    const fn under(mutant: Mutant, faults: &'static [FaultKind], last_seed: u64) -> MutantCheck {
+        MutantCheck { mutant, faults, first_seed: 1, last_seed }
+    }
+
+    /// Creates a check over `seeds` seeds whose runs may have a schedule and missions with control flow.
+    const fn with_schedules(mutant: Mutant, seeds: u64) -> MutantCheck {
+        MutantCheck { first_seed: FIRST_SEED, last_seed: FIRST_SEED + seeds - 1, ..MutantCheck::new(mutant, 0) }
     }
 }
 
@@ -37,9 +45,9 @@ pub(crate) const MINUTES: f64 = 3.0;
 /// Nodes of the fleet in a check.
 pub(crate) const NODES: usize = 7;
 
-/// All injected bugs with the number of seeds within which chaos must find each: about three times
+/// All injected bugs with the seeds within which chaos must find each: about three times
 /// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
-/// repeats the request under the same name.
+/// repeats the request under the same name. Half of the runs with schedules have none.
 pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::new(Mutant::SkipFsync, 20),
     MutantCheck::new(Mutant::DoubleVote, 20),
@@ -69,6 +77,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::under(Mutant::KeptTooLong, &[FaultKind::LeaseEnd], 39),
     MutantCheck::under(Mutant::IdentityKept, &[FaultKind::StaleMajority], 3),
     MutantCheck::under(Mutant::StoppedWithBus, &[FaultKind::BlockedBus], 15),
+    MutantCheck::with_schedules(Mutant::OccurrenceRepeated, 12),
 ];
 
 /// Result of a mutation check.
@@ -76,10 +85,10 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
 pub struct MutantResult {
     /// The injected bug.
     pub mutant: &'static str,
-    /// Number of seeds within which chaos must find the bug.
-    pub seeds_max: u64,
-    /// Number of seeds it took, if the bug was found.
-    pub seeds: Option<u64>,
+    /// Last seed at which chaos may find the bug.
+    pub last_seed: u64,
+    /// Seed at which the bug was found, if it was.
+    pub seed: Option<u64>,
     /// The violated invariant.
     pub invariant: Option<String>,
     /// Reason of the violation.
@@ -103,10 +112,10 @@ pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> 
             generate(seed, &composition, MINUTES, check.faults),
         )
     };
-    let mut first = 1;
+    let mut first = check.first_seed;
     let found = loop {
         let mutated =
-            SeedSweep { seeds: first..=check.seeds_max, jobs, config: &|seed| config(seed, Some(check.mutant)) };
+            SeedSweep { seeds: first..=check.last_seed, jobs, config: &|seed| config(seed, Some(check.mutant)) };
         let Some(found) = mutated.run(|_| each()) else { break None };
         let seeds = found.seed..=found.seed;
         let holds_without_mutant =
@@ -115,15 +124,15 @@ pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> 
             break Some(found);
         }
         first = found.seed + 1;
-        if first > check.seeds_max {
+        if first > check.last_seed {
             break None;
         }
     };
     let violation = found.as_ref().and_then(|outcome| outcome.violation.clone());
     MutantResult {
         mutant: check.mutant.name(),
-        seeds_max: check.seeds_max,
-        seeds: found.map(|outcome| outcome.seed),
+        last_seed: check.last_seed,
+        seed: found.map(|outcome| outcome.seed),
         invariant: violation.as_ref().map(|violation| violation.invariant.clone()),
         reason: violation.map(|violation| violation.reason),
     }
@@ -131,11 +140,15 @@ pub fn check_mutant(check: MutantCheck, jobs: usize, mut each: impl FnMut()) -> 
 
 #[cfg(test)]
 mod tests {
-    use super::super::control_flow::FIRST_SEED;
     use super::*;
 
     #[test]
-    fn no_check_has_missions_with_control_flow() {
-        assert!(MUTANT_CHECKS.iter().all(|check| check.seeds_max < FIRST_SEED));
+    fn only_checks_of_schedules_have_schedules_and_missions_with_control_flow() {
+        for check in MUTANT_CHECKS {
+            let with_schedules = check.first_seed == FIRST_SEED && check.last_seed >= FIRST_SEED;
+            let without = check.first_seed == 1 && (1..FIRST_SEED).contains(&check.last_seed);
+            let is_expected = if check.mutant == Mutant::OccurrenceRepeated { with_schedules } else { without };
+            assert!(is_expected, "{check:?}");
+        }
     }
 }

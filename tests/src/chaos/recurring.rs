@@ -44,15 +44,19 @@ pub(super) fn add_schedule(seed: u64, kinds: &[FaultKind], end_ms: u64, steps: &
     }
 }
 
-/// Returns the request for a change. The mission is a rest of 1 s every minute.
+/// Returns the mission of the schedule: a rest of 1 s.
+pub(super) fn mission() -> Value {
+    let rest = json!({ "task": "rest", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "1" } });
+    json!({ "mission": "rest", "roles": { "r1": { "kind": "managed" } }, "root": rest })
+}
+
+/// Returns the request for a change. The mission is due every minute.
 pub(super) fn request(change: ScheduleAction, missed: MissedOccurrences) -> Value {
     let change = json!({ "schedule": SCHEDULE, "action": change });
     if change["action"] != "add" {
         return change;
     }
-    let rest = json!({ "task": "rest", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "1" } });
-    let mission = json!({ "mission": "rest", "roles": { "r1": { "kind": "managed" } }, "root": rest });
-    let submit = json!({ "mission": mission });
+    let submit = json!({ "mission": mission() });
     json!({ "schedule": SCHEDULE, "action": "add", "cron": "* * * * *", "missed": missed, "submit": submit })
 }
 

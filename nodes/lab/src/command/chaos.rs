@@ -236,24 +236,24 @@ impl Args {
 /// Hunts every injected bug.
 fn run_hunts(args: &Args) -> Result<(), Failure> {
     let bar = ProgressBar::new_spinner();
-    let mut rows = vec![["mutant", "must be found within", "found by seed", "by"].map(str::to_owned).to_vec()];
+    let mut rows = vec![["mutant", "must be found by seed", "found at seed", "by"].map(str::to_owned).to_vec()];
     let mut missed = vec![];
     for wanted in MUTANT_CHECKS {
         let mut runs = 0;
         let found = check_mutant(wanted, args.jobs(), || {
             runs += 1;
-            bar.set_message(format!("{}: {runs} of {} seeds", wanted.mutant, wanted.seeds_max));
+            bar.set_message(format!("{}: {runs} runs, up to seed {}", wanted.mutant, wanted.last_seed));
             bar.tick();
         });
         if args.json {
             output::json(&found)?;
         }
-        if found.seeds.is_none() {
+        if found.seed.is_none() {
             missed.push(found.mutant);
         }
         let or = |text: Option<String>| text.unwrap_or_else(|| "not found".to_owned());
-        let seeds = or(found.seeds.map(|seeds| seeds.to_string()));
-        rows.push(vec![found.mutant.to_owned(), found.seeds_max.to_string(), seeds, or(found.invariant)]);
+        let seed = or(found.seed.map(|seed| seed.to_string()));
+        rows.push(vec![found.mutant.to_owned(), found.last_seed.to_string(), seed, or(found.invariant)]);
     }
     bar.finish_and_clear();
     if !args.json {

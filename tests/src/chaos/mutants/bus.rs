@@ -1,4 +1,4 @@
-//! Bus of a node with a bug: the bus changes messages that the node sends or receives.
+//! Bus of a node with a bug: the bus changes messages that the node sends or receives, or adds a request.
 
 use super::Mutant;
 use super::driver::{CanceledGoals, without_time_limit};
@@ -6,6 +6,8 @@ use super::known_ledger::KnownLedger;
 use super::message::{decode_report, encoded};
 use super::refusals::{RefusalPassage, merged};
 use super::reports::{ReportBug, with_all_signals};
+use crate::chaos::recurring::{self, SCHEDULE};
+use crate::slug;
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
@@ -18,6 +20,7 @@ use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys, RaftCall};
 use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::Ledger;
 use consort_protocol::message::{AwardNotice, Beacon, ClusterEnvelope, Exchange, ReportReply};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -25,6 +28,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::mpsc;
+
+/// Timeout of a request that an injected bug makes.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Layer over the bus of a node that injects a bug into the node.
 pub(super) struct FaultyBus {
@@ -139,6 +145,16 @@ impl FaultyBus {
         }))
     }
 
+    /// Submits the latest occurrence of the schedule again.
+    async fn repeat_occurrence(&self) -> Result<(), BusError> {
+        let Some(request) = self.ledger.read(repeated_occurrence) else { return Ok(()) };
+        let key = self.keys.write(&Key::Api(ApiCall::Submit));
+        let mut replies = self.inner.query(&key, request.to_string().into(), REQUEST_TIMEOUT).await?;
+        // Without its stream the query would be canceled.
+        tokio::spawn(async move { while replies.recv().await.is_some() {} });
+        Ok(())
+    }
+
     fn change_incoming(&self, queries: Stream<Query>) -> Stream<Query> {
         let (mutant, keys, ledger) = (self.mutant, self.keys.clone(), self.ledger.clone());
         let report_bug = ReportBug::of(mutant);
@@ -201,6 +217,16 @@ fn forget_request(query: Query, ledger: &KnownLedger, forgotten: &mut u64) -> Qu
     Query { payload: request.to_string().into(), ..query }
 }
 
+/// Returns a request for the latest occurrence of the schedule, unless the ledger contains this request.
+fn repeated_occurrence(ledger: &Ledger) -> Option<Value> {
+    let entry = ledger.schedule(&slug(SCHEDULE))?;
+    let due_ms = entry.last.as_ref()?.due_ms;
+    // The next number of a request of the schedule.
+    let request = format!("{SCHEDULE}.{due_ms}.{}", entry.submitted);
+    let is_new = ledger.mission_of_request(&slug(&request)).is_none();
+    is_new.then(|| json!({ "mission": recurring::mission(), "request": request }))
+}
+
 /// Removes the records of all other owners from an exchange of gossip.
 fn retain_records_of(owner: &NodeId, payload: Bytes) -> Bytes {
     let Ok(mut exchange) = codec::decode_any_version::<Exchange>(&payload) else { return payload };
@@ -237,6 +263,10 @@ impl Bus for FaultyBus {
         encoding: Encoding,
         delivery: Delivery,
     ) -> Result<(), BusError> {
+        // Only a coordinator publishes beacons.
+        if let (Mutant::OccurrenceRepeated, Some(Key::Beacon)) = (self.mutant, self.keys.read(key)) {
+            self.repeat_occurrence().await?;
+        }
         self.inner.publish_with_attachment(key, payload, attachment, encoding, delivery).await
     }
 

@@ -88,11 +88,13 @@ pub enum Mutant {
     IdentityKept,
     /// A node notices no end of a lease or command while it waits for its bus.
     StoppedWithBus,
+    /// The coordinator submits an occurrence of a schedule again, under another request.
+    OccurrenceRepeated,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 28] = [
+    pub const ALL: [Mutant; 29] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -121,6 +123,7 @@ impl Mutant {
         Mutant::KeptTooLong,
         Mutant::IdentityKept,
         Mutant::StoppedWithBus,
+        Mutant::OccurrenceRepeated,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -162,6 +165,7 @@ impl Mutant {
             Mutant::KeptTooLong => "kept-too-long",
             Mutant::IdentityKept => "identity-kept",
             Mutant::StoppedWithBus => "stopped-with-bus",
+            Mutant::OccurrenceRepeated => "occurrence-repeated",
         }
     }
 }
