@@ -186,6 +186,50 @@ fn the_view_of_a_robot_contains_its_readings() {
     });
 }
 
+/// The feedback that an action declares is in the view of its robot while a goal is in progress.
+#[test]
+fn the_view_of_a_robot_contains_the_feedback_of_its_goal() {
+    let domain = r#"{
+        "domain": "laundry",
+        "actions": {
+            "soak": {
+                "feedback": { "soaked": { "type": "number", "minimum": 0, "maximum": 1 } },
+                "simulate": { "duration_s": [40, 40] }
+            }
+        },
+        "tasks": { "soak": { "action": "soak" } }
+    }"#;
+    for_each_seed([124], async |seed| {
+        let form = serde_json::from_str(domain).expect("a domain");
+        let domain = DomainFile::check(form, &BTreeMap::new(), &[]).expect("a valid domain");
+        let members = vec![RobotSpec::carrier("gorse", "Dock").with_skill("soak")];
+        let mut fleet = Fleet::hospital_of_domain(seed, members, &["aster"], domain).await;
+        fleet.wait_for_coordinator().await;
+        let none = json!({});
+        fleet.poll_until("no feedback", SOON, async |fleet| feedback(fleet).await.filter(|now| *now == none)).await;
+        let mission = json!({
+            "mission": "wash", "roles": { "r1": { "kind": "managed" } },
+            "root": { "task": "soak", "type": "soak", "roles": ["r1"] },
+        });
+        let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
+        let id = slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}")));
+        let soaked = async |fleet: &Fleet, above: f64| {
+            let soaked = feedback(fleet).await?["soaked"].as_f64()?;
+            (above < soaked && soaked < 1.0).then_some(soaked)
+        };
+        let first = fleet.poll_until("feedback", SOON, async |fleet| soaked(fleet, 0.0).await).await;
+        fleet.poll_until("later feedback", SOON, async |fleet| soaked(fleet, first).await).await;
+        let state = fleet.wait_for_end(&id).await;
+        assert_eq!(state, MissionState::Completed, "seed {seed}");
+        fleet.poll_until("no feedback", SOON, async |fleet| feedback(fleet).await.filter(|now| *now == none)).await;
+    });
+}
+
+/// Returns the feedback in the view of a robot.
+async fn feedback(fleet: &Fleet) -> Option<Value> {
+    Some(fleet.view("robot/gorse").await.get("robot/gorse")?["feedback"].clone())
+}
+
 /// Reads a value by its type, and checks that writing it again gives the same value.
 fn check_type<T: Serialize + DeserializeOwned>(name: &str, value: &Value) {
     let read: T = serde_json::from_value(value.clone()).unwrap_or_else(|problem| panic!("{name}: {problem}: {value}"));

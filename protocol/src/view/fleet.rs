@@ -146,6 +146,10 @@ pub struct RobotView {
     /// reply to a key expression that covers other views too, as `view/**`.
     #[serde(default)]
     pub readings: Option<BTreeMap<String, Scalar>>,
+    /// Latest values of the feedback of the goal in progress, by name; empty without such a goal, or if its action
+    /// declares no feedback. Null in the cases in which the readings are null.
+    #[serde(default)]
+    pub feedback: Option<BTreeMap<String, Scalar>>,
 }
 
 /// The ensembles of a fleet.

@@ -4,14 +4,14 @@ use crate::messages::{OfferedAction, PROTOCOL_VERSION};
 use consort_protocol::ids::ActionName;
 use consort_protocol::mission::ValueKind;
 use consort_protocol::scalar::Scalar;
-use consort_skills::actions::{ActionError, ErrorCode};
+use consort_skills::actions::{ActionError, ErrorCode, GoalResult};
 use consort_skills::domain::standard_domain;
 use consort_skills::domain_file::{ActionForm, CancelForm, DomainFile, ParameterForm};
 use consort_text::{AllowedNames, shorten};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Maximum size of the name or the value of a reading in an error, in bytes.
+/// Maximum size of the name or the value of a reading or a feedback in an error, in bytes.
 const SHOWN_BYTES_MAX: usize = 80;
 
 /// The actions and the readings that domain files declare, the standard domain included.
@@ -44,6 +44,39 @@ pub enum ReadingError {
     },
 }
 
+/// Values of a feedback were dropped. The goal continues, with the other values.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum FeedbackError {
+    /// The action does not declare the value.
+    #[error("feedback: values.{name}: the action {action} declares no such feedback; {allowed}")]
+    Undeclared {
+        /// The action.
+        action: ActionName,
+        /// The name.
+        name: String,
+        /// The allowed names, with the nearest.
+        allowed: String,
+    },
+    /// The value does not fit the declaration.
+    #[error("feedback: values.{name}: `{value}`; the action {action} declares {kind}")]
+    Value {
+        /// The action.
+        action: ActionName,
+        /// The name.
+        name: String,
+        /// The value, as text.
+        value: String,
+        /// The declared values, as text.
+        kind: String,
+    },
+    /// The declared values together are too long.
+    #[error("feedback: values: {bytes} bytes of JSON; at most {} are allowed", GoalResult::BYTES_MAX)]
+    TooLong {
+        /// Size.
+        bytes: usize,
+    },
+}
+
 /// The hello of a driver was rejected: its goals are not started.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ContractError {
@@ -63,12 +96,12 @@ pub enum ContractError {
         /// The allowed names, with the nearest.
         allowed: String,
     },
-    /// A parameter or a result differs from the declaration.
+    /// A parameter, a result or a feedback differs from the declaration.
     #[error("hello: actions.{action}.{place}: {problem}")]
     Value {
         /// The action.
         action: ActionName,
-        /// `parameters.NAME` or `results.NAME`.
+        /// `parameters.NAME`, `results.NAME` or `feedback.NAME`.
         place: String,
         /// The problem, and what is allowed.
         problem: String,
@@ -104,6 +137,45 @@ impl Contract {
         })
     }
 
+    /// Returns the values of a feedback that the action declares, in the declared types, and the problems of the
+    /// others. Without a problem these are all values.
+    pub(crate) fn accept_feedback(
+        &self,
+        action: &ActionName,
+        values: &BTreeMap<String, Scalar>,
+    ) -> (BTreeMap<String, Scalar>, Vec<FeedbackError>) {
+        let (mut accepted, mut problems) = (BTreeMap::new(), vec![]);
+        for (name, value) in values {
+            match self.accept_feedback_value(action, name, value) {
+                Ok(value) => drop(accepted.insert(name.clone(), value)),
+                Err(problem) => problems.push(problem),
+            }
+        }
+        let bytes = serde_json::to_string(&accepted).map_or(usize::MAX, |text| text.len());
+        if bytes > GoalResult::BYTES_MAX {
+            accepted.clear();
+            problems.push(FeedbackError::TooLong { bytes });
+        }
+        (accepted, problems)
+    }
+
+    fn accept_feedback_value(&self, action: &ActionName, name: &str, value: &Scalar) -> Result<Scalar, FeedbackError> {
+        let shown = |text: &str| shorten(text, SHOWN_BYTES_MAX).into_owned();
+        let declared = self.declared.get(action);
+        let Some(form) = declared.and_then(|form| form.feedback.get(name)) else {
+            let names = declared.into_iter().flat_map(|form| form.feedback.keys());
+            let allowed = AllowedNames::suggest_for(name, names).to_string();
+            return Err(FeedbackError::Undeclared { action: action.clone(), name: shown(name), allowed });
+        };
+        let kind = form.value_kind();
+        kind.accept(value).ok_or_else(|| FeedbackError::Value {
+            action: action.clone(),
+            name: name.to_owned(),
+            value: shown(&value.to_string()),
+            kind: kind.to_string(),
+        })
+    }
+
     /// Returns the results of an action.
     pub(crate) fn results(&self, action: &ActionName) -> impl Iterator<Item = (&String, &ParameterForm)> {
         self.declared.get(action).into_iter().flat_map(|form| &form.results)
@@ -131,8 +203,9 @@ impl Contract {
                 let allowed = AllowedNames::suggest_for(name.as_str(), self.declared.keys()).to_string();
                 return Err(ContractError::Undeclared { action: name.clone(), allowed });
             };
-            check_values("parameter", &declared.parameters, offered.parameters.as_ref())
-                .and_then(|()| check_values("result", &declared.results, offered.results.as_ref()))
+            check_values(["parameters", "parameter"], &declared.parameters, offered.parameters.as_ref())
+                .and_then(|()| check_values(["results", "result"], &declared.results, offered.results.as_ref()))
+                .and_then(|()| check_values(["feedback"; 2], &declared.feedback, offered.feedback.as_ref()))
                 .map_err(|(place, problem)| ContractError::Value { action: name.clone(), place, problem })?;
         }
         Ok(())
@@ -156,15 +229,16 @@ impl Contract {
     }
 }
 
-/// Compares the parameters or the results of an action, if the driver states them: every declared one is
-/// offered, with the same type. An error is the place and the problem.
+/// Compares the parameters, the results or the feedback of an action, if the driver states them: every declared
+/// one is offered, with the same type. An error is the place and the problem. The first argument is the key of the
+/// values, and the word for one of them.
 fn check_values(
-    what: &str,
+    [key, what]: [&str; 2],
     declared: &BTreeMap<String, ParameterForm>,
     offered: Option<&BTreeMap<String, ParameterForm>>,
 ) -> Result<(), (String, String)> {
     let Some(offered) = offered else { return Ok(()) };
-    let place = |name: &String| format!("{what}s.{name}");
+    let place = |name: &String| format!("{key}.{name}");
     for (name, parameter) in offered {
         let Some(form) = declared.get(name) else {
             let allowed = AllowedNames::suggest_for(name, declared.keys());
@@ -194,6 +268,13 @@ mod tests {
                 "vacuum": {
                     "parameters": { "passes": { "type": "integer" } },
                     "results": { "dust_g": { "type": "number" } },
+                    "feedback": {
+                        "cleaned": { "type": "number", "minimum": 0, "maximum": 1 },
+                        "round": { "type": "integer" },
+                        "note": { "type": "text" },
+                        "remark": { "type": "text" },
+                        "hint": { "type": "text" },
+                    },
                     "failures": { "bag_full": { "class": "precondition", "moved_nothing": true } },
                 },
             },
@@ -257,11 +338,46 @@ mod tests {
         );
         let without_result = check(json!({ "vacuum": { "results": {} } })).unwrap_err();
         assert_eq!(without_result, "hello: actions.vacuum.results.dust_g: is missing; the domain declares it");
+        let feedback = json!({ "cleaned": { "type": "text" } });
+        let wrong_feedback = check(json!({ "vacuum": { "feedback": feedback } })).unwrap_err();
+        assert_eq!(wrong_feedback, "hello: actions.vacuum.feedback.cleaned: type: the domain declares \"number\"");
         let undeclared = check(json!({ "vacum": {} })).unwrap_err();
         assert!(undeclared.starts_with("hello: actions.vacum: no domain declares this action; allowed: "));
         assert!(undeclared.ends_with("did you mean `vacuum`?"), "{undeclared}");
         assert_eq!(contract().check(2, &BTreeMap::new()), Err(ContractError::Protocol(2)));
         assert_eq!(contract().check(1, &BTreeMap::new()), Err(ContractError::NoActions));
+    }
+
+    #[test]
+    fn declared_feedback_is_accepted_and_other_feedback_is_dropped() {
+        let accept = |action: &str, values: &[(&str, Scalar)]| {
+            let values = values.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect();
+            let (accepted, problems) = contract().accept_feedback(&action.parse().unwrap(), &values);
+            (accepted, problems.iter().map(ToString::to_string).collect::<Vec<_>>())
+        };
+        let named = |name: &str, value| BTreeMap::from([(name.to_owned(), value)]);
+        let (accepted, problems) = accept(
+            "vacuum",
+            &[("cleaned", Scalar::Integer(1)), ("clened", Scalar::Number(0.5)), ("round", Scalar::Number(1.5))],
+        );
+        assert_eq!(accepted, named("cleaned", Scalar::Number(1.0)), "a whole number is a number, too");
+        let allowed = "allowed: cleaned, hint, note, remark, round; did you mean `cleaned`?";
+        assert_eq!(
+            problems,
+            [
+                format!("feedback: values.clened: the action vacuum declares no such feedback; {allowed}"),
+                "feedback: values.round: `1.5`; the action vacuum declares a whole number".to_owned(),
+            ]
+        );
+        let (accepted, problems) = accept("wait", &[("cleaned", Scalar::Bool(true))]);
+        let undeclared = "feedback: values.cleaned: the action wait declares no such feedback; no names are available";
+        assert_eq!((accepted, problems), (BTreeMap::new(), vec![undeclared.to_owned()]));
+        let long = Scalar::Text("x".repeat(250));
+        let (accepted, problems) = accept("vacuum", &[("note", long.clone()), ("remark", long.clone())]);
+        let bytes = r#"{"note":"","remark":""}"#.len() + 500;
+        assert_eq!(problems, [format!("feedback: values: {bytes} bytes of JSON; at most 512 are allowed")]);
+        assert_eq!(accepted, BTreeMap::new());
+        assert_eq!(accept("vacuum", &[("note", long.clone())]), (named("note", long), vec![]));
     }
 
     #[test]

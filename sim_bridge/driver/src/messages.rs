@@ -106,6 +106,10 @@ pub enum DriverMessage {
         /// Remaining time in seconds, if the driver can estimate it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         time_remaining_s: Option<Seconds>,
+        /// Values of the feedback that the action declares, by name, in the declared types. They replace those of
+        /// the message before.
+        #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+        values: BTreeMap<String, Scalar>,
     },
     /// A goal has ended, once for each goal. The robot stands still.
     Result {
@@ -178,6 +182,9 @@ pub struct OfferedAction {
     /// Results, in the form of the domain file, to be compared with it; not compared if they are omitted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub results: Option<BTreeMap<String, ParameterForm>>,
+    /// Feedback, in the form of the domain file, to be compared with it; not compared if it is omitted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub feedback: Option<BTreeMap<String, ParameterForm>>,
     /// Parameters with which `consort driver check` tries the action: a goal of about 2 s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub example: Option<JsonObject>,

@@ -2,10 +2,13 @@
 
 use super::error::{ActionError, ErrorCode};
 use consort_protocol::ids::ActionName;
+use consort_protocol::mission::RESULTS_MAX;
+use consort_protocol::scalar::{Scalar, check_named_scalars};
 use consort_protocol::units::{Metres, Seconds};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// Identifies a goal among all goals that a robot ever sends. Later goals have larger numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -79,7 +82,7 @@ impl Goal {
     }
 }
 
-/// Parameters, feedback or result of an action: a JSON object.
+/// Parameters or result of an action: a JSON object.
 pub type JsonObject = serde_json::Map<String, Value>;
 
 /// Result of a completed goal: values by name; empty for most actions.
@@ -171,7 +174,7 @@ impl GoalStatus {
 }
 
 /// Feedback of an active goal.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Feedback {
     /// Remaining distance; zero for a goal without a drive.
     pub distance_remaining: Metres,
@@ -179,13 +182,24 @@ pub struct Feedback {
     pub time_remaining: Seconds,
     /// Progress in the goal's own terms, as in Nav2.
     pub progress: GoalProgress,
+    /// Latest values of the feedback that the action declares, by name: as many as results.
+    #[serde(default, deserialize_with = "feedback_values")]
+    pub values: BTreeMap<String, Scalar>,
 }
 
 impl Feedback {
-    /// Creates the feedback of a goal without terms of its own.
+    /// Creates the feedback of a goal without terms of its own and without declared values.
     pub fn remaining(distance_remaining: Metres, time_remaining: Seconds) -> Feedback {
-        Feedback { distance_remaining, time_remaining, progress: GoalProgress::Unspecified }
+        let (progress, values) = (GoalProgress::Unspecified, BTreeMap::new());
+        Feedback { distance_remaining, time_remaining, progress, values }
     }
+}
+
+/// Decodes the values of a feedback within their limits.
+fn feedback_values<'de, D: Deserializer<'de>>(source: D) -> Result<BTreeMap<String, Scalar>, D::Error> {
+    let values = BTreeMap::deserialize(source)?;
+    check_named_scalars("feedback value", &values, RESULTS_MAX).map_err(de::Error::custom)?;
+    Ok(values)
 }
 
 /// Progress of an active goal, in the goal's own terms.
@@ -256,6 +270,25 @@ mod tests {
         let result: GoalResult = serde_json::from_value(json.clone()).unwrap();
         assert_eq!(codec::decode::<GoalResult>(&codec::encode(&result).unwrap()).unwrap(), result);
         assert_eq!(serde_json::to_value(&result).unwrap(), json);
+    }
+
+    #[test]
+    fn feedback_keeps_its_declared_values_within_their_limits() {
+        let sent = |values: Vec<(String, Scalar)>| {
+            let remaining = Feedback::remaining(Metres::ZERO, Seconds::new(2.5).unwrap());
+            GoalStatus::Executing(Feedback { values: values.into_iter().collect(), ..remaining })
+        };
+        let text = |size: usize| Scalar::Text("x".repeat(size));
+        let soaked = sent(vec![("soaked".to_owned(), Scalar::Number(0.5)), ("phase".to_owned(), text(256))]);
+        assert_eq!(codec::decode::<GoalStatus>(&codec::encode(&soaked).unwrap()).unwrap(), soaked);
+        let many = (0..17).map(|number| (format!("f{number}"), Scalar::Bool(true))).collect();
+        for (wrong, part) in [
+            (sent(many), "17 feedback values; at most 16 are allowed"),
+            (sent(vec![("phase".to_owned(), text(257))]), "the feedback value `phase` is a text of 257 bytes"),
+        ] {
+            let error = codec::decode::<GoalStatus>(&codec::encode(&wrong).unwrap()).unwrap_err().to_string();
+            assert!(error.contains(part), "{error}");
+        }
     }
 
     #[test]

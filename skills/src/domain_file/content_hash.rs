@@ -37,6 +37,7 @@ fn without_texts(mut form: DomainForm) -> DomainForm {
         action.description.clear();
         strip(&mut action.parameters);
         strip(&mut action.results);
+        strip(&mut action.feedback);
     }
     for task in form.tasks.values_mut() {
         task.description.clear();

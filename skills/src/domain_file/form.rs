@@ -67,6 +67,10 @@ pub struct ActionForm {
     /// Values that a completed goal returns, by name. Their types are those of parameters without `place`
     /// and `role`.
     pub results: BTreeMap<String, ParameterForm>,
+    /// Values that a driver sends while it executes a goal, by name: the latest ones are shown to people. Their types
+    /// are those of results.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub feedback: BTreeMap<String, ParameterForm>,
     /// True if a repetition of a completed goal has no further effect. Default false: a completed goal is
     /// never sent again.
     pub repeatable: bool,
@@ -280,6 +284,10 @@ pub struct SimulatedAction {
     pub failures: BTreeMap<String, f64>,
     /// Results, by name. Default: a value within the declared range.
     pub results: BTreeMap<String, SimulatedResult>,
+    /// Feedback, by name: during a goal a range passes from its first to its second number, and a list through its
+    /// values. Default: the declared range, or the declared texts.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub feedback: BTreeMap<String, SimulatedResult>,
     /// Changes of readings when a goal succeeds, by the name of the reading.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, SimulatedEffect>,
@@ -326,7 +334,7 @@ pub enum ItemHolder {
 /// Maximum number of whole numbers among which the simulator chooses a result that is not described.
 const SIMULATED_INTEGERS_MAX: usize = 100;
 
-/// Value in the simulator: a result of a goal, or a reading.
+/// Value in the simulator: a result or the feedback of a goal, or a reading.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum SimulatedResult {
@@ -358,15 +366,15 @@ pub struct Addition {
 
 impl Default for SimulatedAction {
     fn default() -> Self {
-        let (failures, results, effects) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         SimulatedAction {
             system: None,
             goal_kind: None,
             duration_s: (2.0, 2.0),
             failure_rate: 0.0,
-            failures,
-            results,
-            effects,
+            failures: BTreeMap::new(),
+            results: BTreeMap::new(),
+            feedback: BTreeMap::new(),
+            effects: BTreeMap::new(),
             moves: None,
         }
     }

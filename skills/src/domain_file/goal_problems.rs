@@ -1,7 +1,10 @@
-//! Checks of the items that a goal moves, and of its cancel.
+//! Checks of the feedback of a goal, of the items that it moves, and of its cancel.
 
 use super::form::{ActionForm, CancelForm, ItemHolder, ParameterForm, ParameterKind, SimulatedMove};
-use super::{DomainProblem, problem};
+use super::reading_problems::value_problem;
+use super::{DomainProblem, problem, returned_problems};
+use consort_protocol::mission::RESULTS_MAX;
+use consort_protocol::scalar::NAME_BYTES_MAX;
 use consort_text::AllowedNames;
 
 /// Returns the problem of the `cancel` of an action. The upper limit bounds the time for which a robot that has lost
@@ -10,6 +13,32 @@ pub(super) fn cancel_problem(place: &str, action: &ActionForm) -> Option<DomainP
     let CancelForm { within_s } = action.cancel.as_ref()?;
     let allowed = || problem(format!("{place}.cancel.within_s"), "allowed are seconds from 0.1 to 60");
     (!(0.1..=60.0).contains(within_s)).then(allowed)
+}
+
+/// Returns the problems of the feedback of an action.
+pub(super) fn feedback_problems(place: &str, action: &ActionForm) -> Vec<DomainProblem> {
+    let (feedback, simulated) = (&action.feedback, &action.simulate.feedback);
+    let mut problems = returned_problems(&format!("{place}.feedback"), "feedback", feedback);
+    for name in feedback.keys().filter(|name| name.len() > NAME_BYTES_MAX) {
+        let allowed = format!("allowed are at most {NAME_BYTES_MAX} letters");
+        problems.push(problem(format!("{place}.feedback.{name}"), allowed));
+    }
+    if feedback.len() > RESULTS_MAX {
+        let wrong = format!("{} values; at most {RESULTS_MAX} are allowed", feedback.len());
+        problems.push(problem(format!("{place}.feedback"), wrong));
+    }
+    if action.by_people && !feedback.is_empty() {
+        problems.push(problem(format!("{place}.feedback"), "people perform the action, and only robots have feedback"));
+    }
+    for (name, value) in simulated {
+        let wrong = match (&action.simulate.system, feedback.get(name)) {
+            (Some(system), _) => Some(format!("the system {system} determines the feedback; omit it")),
+            (None, Some(form)) => value_problem("feedback", form, value),
+            (None, None) => Some(format!("no such feedback; {}", AllowedNames::suggest_for(name, feedback.keys()))),
+        };
+        problems.extend(wrong.map(|wrong| problem(format!("{place}.simulate.feedback.{name}"), wrong)));
+    }
+    problems
 }
 
 /// Returns the problems of the items that an action moves.

@@ -7,6 +7,7 @@
 //!     description: waters the plant at the robot's place
 //!     parameters: { litres: { type: number, unit: l, minimum: 0, maximum: 5 } }
 //!     results: { poured: { type: number, unit: l } }
+//!     feedback: { flow: { type: number, unit: l/min, minimum: 0, maximum: 9 } }
 //!     simulate:
 //!       duration_s: [6, 10]
 //!       failure_rate: 0.02
@@ -58,7 +59,7 @@ use consort_protocol::mission::{DomainHash, DomainReference, IhtnNames, RESULTS_
 use consort_text::AllowedNames;
 use content_hash::content_hash;
 use estimate::DeclaredEstimate;
-use goal_problems::{cancel_problem, move_problems};
+use goal_problems::{cancel_problem, feedback_problems, move_problems};
 use reading_problems::{effect_problems, reading_problems, value_problem};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -324,6 +325,7 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
     problems.extend(cancel_problem(&place, action));
     problems.extend(move_problems(&place, action));
     problems.extend(result_problems(&place, &action.results));
+    problems.extend(feedback_problems(&place, action));
     for (result, simulated) in &action.simulate.results {
         let wrong = match action.results.get(result) {
             Some(form) => value_problem("result", form, simulated),
@@ -365,11 +367,14 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
     problems
 }
 
-/// Returns the action with all its results in `simulate`.
+/// Returns the action with all its results and all its feedback in `simulate`.
 fn simulated(action: &ActionForm) -> ActionForm {
     let mut complete = action.clone();
     for (name, result) in &action.results {
         complete.simulate.results.entry(name.clone()).or_insert_with(|| result.simulated());
+    }
+    for (name, value) in &action.feedback {
+        complete.simulate.feedback.entry(name.clone()).or_insert_with(|| value.simulated());
     }
     complete
 }
@@ -390,18 +395,24 @@ fn declared_by(form: &DomainForm, task: &TaskForm, domain: Option<DomainReferenc
 }
 
 fn result_problems(place: &str, results: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
-    let mut problems = value_problems(&format!("{place}.results"), results.iter());
-    for (name, result) in results {
-        let place = format!("{place}.results.{name}");
-        if result.kind == ParameterKind::Place || !result.kind.is_value() {
-            problems.push(problem(&place, "allowed are seconds, number, integer, bool and text"));
-        }
-        if result.optional {
-            problems.push(problem(&place, "a result is not `optional`"));
-        }
-    }
+    let mut problems = returned_problems(&format!("{place}.results"), "a result", results);
     if results.len() > RESULTS_MAX {
         problems.push(problem(place, format!("{} results; at most {RESULTS_MAX} are allowed", results.len())));
+    }
+    problems
+}
+
+/// Returns the problems of values that a goal returns. `what` is the word for one of them.
+fn returned_problems(place: &str, what: &str, values: &BTreeMap<String, ParameterForm>) -> Vec<DomainProblem> {
+    let mut problems = value_problems(place, values.iter());
+    for (name, value) in values {
+        let place = format!("{place}.{name}");
+        if value.kind == ParameterKind::Place || !value.kind.is_value() {
+            problems.push(problem(&place, "allowed are seconds, number, integer, bool and text"));
+        }
+        if value.optional {
+            problems.push(problem(&place, format!("{what} is not `optional`")));
+        }
     }
     problems
 }

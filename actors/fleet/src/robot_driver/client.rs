@@ -122,6 +122,12 @@ impl RobotDriver {
         self.lock().telemetry().map(|telemetry| telemetry.readings.clone())
     }
 
+    /// Returns the latest feedback of the goal in progress; `None` before the first state.
+    pub(crate) fn feedback(&self) -> Option<BTreeMap<String, Scalar>> {
+        let tracker = self.lock();
+        tracker.telemetry().map(|_| tracker.feedback())
+    }
+
     /// Returns the age of the latest telemetry in milliseconds; 0 before the first.
     pub(crate) fn telemetry_age_ms(&self) -> u64 {
         let reported_at = self.lock().last_report_at();

@@ -4,6 +4,7 @@ use super::CLIENT_TIMEOUT;
 use super::messages::{DriverCommand, DriverState, GoalRequest, Permit};
 use super::state_order::StateOrder;
 use consort_protocol::lease::keep_for;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalId, GoalResult, GoalStatus, Telemetry};
 use std::collections::{BTreeMap, BTreeSet};
@@ -107,6 +108,15 @@ impl GoalTracker {
     /// Returns the status of a goal, if it is still kept.
     pub(super) fn status(&self, goal: GoalId) -> Option<&GoalStatus> {
         self.goals.get(&goal)
+    }
+
+    /// Returns the latest values of the feedback of the goal in progress; empty without such a goal.
+    pub(super) fn feedback(&self) -> BTreeMap<String, Scalar> {
+        let values = self.goals.values().rev().find_map(|status| match status {
+            GoalStatus::Executing(feedback) => Some(feedback.values.clone()),
+            _ => None,
+        });
+        values.unwrap_or_default()
     }
 
     /// Returns the id of the next goal.
@@ -319,6 +329,22 @@ mod tests {
         assert_eq!(tracker.command(start.clone(), at(600)), expected);
         assert_eq!(tracker.command(start, at(1_500)), heartbeat, "the lease has run out");
         assert_eq!(tracker.command(None, at(1_500)), heartbeat);
+    }
+
+    #[test]
+    fn the_feedback_is_that_of_the_goal_in_progress() {
+        let values = BTreeMap::from([("soaked".to_owned(), Scalar::Number(0.5))]);
+        let remaining = Feedback::remaining(consort_protocol::units::Metres::ZERO, Seconds::ZERO);
+        let soaking = GoalStatus::Executing(Feedback { values: values.clone(), ..remaining });
+        let mut tracker = GoalTracker::new(100);
+        for _ in 0..2 {
+            tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
+        }
+        assert_eq!(tracker.feedback(), BTreeMap::new(), "no goal has begun");
+        tracker.apply_state(state(1, &[(100, GoalStatus::succeeded()), (101, soaking)]), at(0));
+        assert_eq!(tracker.feedback(), values);
+        tracker.apply_state(state(2, &[(101, GoalStatus::succeeded())]), at(0));
+        assert_eq!(tracker.feedback(), BTreeMap::new(), "the goal has ended");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::Views;
 use super::cluster_status::ClusterStatus;
 use super::health::{Blocking, HealthInputs, health};
 use super::mission::{auctions, ended_mission, mission, missions, schedules};
+use crate::robot_driver::RobotDriver;
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
 use consort_protocol::ensemble::{Ensemble, KnowledgeExchange, MemberValues, Membership};
@@ -35,9 +36,18 @@ pub(super) struct ViewContext<'a> {
     pub(super) status: ClusterStatus,
     /// A majority has confirmed this node's copy of the ledger for this request.
     pub(super) linearizable: bool,
-    /// Readings of the robots of other nodes, from these nodes.
-    pub(super) received_readings: BTreeMap<NodeId, BTreeMap<String, Scalar>>,
+    /// Values of the drivers of the robots of other nodes, from these nodes.
+    pub(super) received_values: BTreeMap<NodeId, DriverValues>,
     pub(super) now: NodeTime,
+}
+
+/// Values that the driver of a robot has published, by name; `None` if they are not known.
+#[derive(Clone, Default)]
+pub(super) struct DriverValues {
+    /// Latest readings.
+    pub(super) readings: Option<BTreeMap<String, Scalar>>,
+    /// Latest feedback of the goal in progress.
+    pub(super) feedback: Option<BTreeMap<String, Scalar>>,
 }
 
 impl ViewContext<'_> {
@@ -225,21 +235,18 @@ impl ViewContext<'_> {
     /// Returns the JSON of a robot's node. The age and the version are those of its record.
     fn robot(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
         let Provenance { coordinator, term, at_ms, .. } = self.provenance();
-        json(RobotView {
-            node: self.node(node, stored, statuses),
-            coordinator,
-            term,
-            at_ms,
-            readings: self.readings(node),
-        })
+        let DriverValues { readings, feedback } = self.driver_values(node);
+        json(RobotView { node: self.node(node, stored, statuses), coordinator, term, at_ms, readings, feedback })
     }
 
-    /// Returns the readings of a node's robot, if they are known here.
-    fn readings(&self, node: &NodeId) -> Option<BTreeMap<String, Scalar>> {
+    /// Returns the values of the driver of a node's robot, if they are known here.
+    fn driver_values(&self, node: &NodeId) -> DriverValues {
         if *node == self.views.node {
-            return self.views.driver.get()?.readings();
+            let driver = self.views.driver.get();
+            let (readings, feedback) = (driver.and_then(RobotDriver::readings), driver.and_then(RobotDriver::feedback));
+            return DriverValues { readings, feedback };
         }
-        self.received_readings.get(node).cloned()
+        self.received_values.get(node).cloned().unwrap_or_default()
     }
 
     /// Returns a single node. The caller passes the statuses, because the knowledge is locked while

@@ -5,7 +5,7 @@
 //!  client ── get view/** ──▶ the nearest node ── from its knowledge, its copy of the ledger, its map
 //!                               │
 //!                               ├─ seen/{voter}/** ───▶ a voter of the ledger, if it has no copy itself
-//!                               ├─ seen/{robot}/robot/{robot} ─▶ the node of each requested robot, for its readings
+//!                               ├─ seen/{robot}/robot/{robot} ─▶ the node of each requested robot, for its driver's values
 //!                               ├─ seen/{member}/ensemble/{ensemble} ─▶ a member, for the values that members exchange
 //!                               └─ wire/world ────────▶ the driver server
 //! ```
@@ -46,11 +46,10 @@ use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::{EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
-use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{MapView, RobotView};
 use consort_raft::{RaftId, Replica};
-use draw::{ViewContext, json, millis};
+use draw::{DriverValues, ViewContext, json, millis};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -70,8 +69,8 @@ const VOTERS_QUERIED_MAX: usize = 3;
 /// Timeout for the driver server to return the state of its world.
 const WORLD_TIMEOUT: Duration = Duration::from_millis(400);
 
-/// Timeout for the node of a robot to return the robot's readings.
-const READINGS_TIMEOUT: Duration = Duration::from_millis(400);
+/// Timeout for the node of a robot to return the values of the robot's driver.
+const DRIVER_VALUES_TIMEOUT: Duration = Duration::from_millis(400);
 
 /// Timeout for a member of an ensemble to return the values that members exchange.
 const MEMBER_TIMEOUT: Duration = Duration::from_millis(400);
@@ -213,23 +212,23 @@ impl ViewService {
         robots.into_iter().filter(is_asked).collect()
     }
 
-    /// Returns the readings of the robots of other nodes that reply. The nodes are queried at once.
-    async fn readings_from(&self, nodes: Vec<NodeId>) -> BTreeMap<NodeId, BTreeMap<String, Scalar>> {
+    /// Returns the values of the drivers of the robots of other nodes that reply. The nodes are queried at once.
+    async fn driver_values_from(&self, nodes: Vec<NodeId>) -> BTreeMap<NodeId, DriverValues> {
         let mut queries = JoinSet::new();
         for node in nodes {
             let service = self.clone();
-            queries.spawn(async move { service.readings_of(node).await });
+            queries.spawn(async move { service.driver_values_of(node).await });
         }
         queries.join_all().await.into_iter().flatten().collect()
     }
 
-    /// Returns the readings of the robot of another node.
-    async fn readings_of(&self, node: NodeId) -> Option<(NodeId, BTreeMap<String, Scalar>)> {
+    /// Returns the values of the driver of the robot of another node.
+    async fn driver_values_of(&self, node: NodeId) -> Option<(NodeId, DriverValues)> {
         let view = Key::ViewRobot(RobotId::from(node.clone()));
         let key = self.views.keys.write(&Key::Seen(node.clone(), Box::new(view)));
-        let mut replies = self.views.bus.query(&key, Bytes::new(), READINGS_TIMEOUT).await.ok()?;
+        let mut replies = self.views.bus.query(&key, Bytes::new(), DRIVER_VALUES_TIMEOUT).await.ok()?;
         let view: RobotView = serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()?;
-        Some((node, view.readings?))
+        Some((node, DriverValues { readings: view.readings, feedback: view.feedback }))
     }
 
     /// Returns the requested views of this node alone.
@@ -258,7 +257,7 @@ impl ViewService {
     async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
         let wanted = |key: &Key| self.is_requested(requested, key);
         let mut context = self.context().await;
-        context.received_readings = self.readings_from(self.requested_robots(requested)).await;
+        context.received_values = self.driver_values_from(self.requested_robots(requested)).await;
         let named = self.named_mission(requested);
         let mut views = context.draw(&wanted, named.as_ref());
         let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
@@ -380,7 +379,7 @@ impl ViewService {
             views: &self.views,
             status: self.status(coordinator_status, now),
             linearizable: false,
-            received_readings: BTreeMap::new(),
+            received_values: BTreeMap::new(),
             now,
         }
     }

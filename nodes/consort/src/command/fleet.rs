@@ -1,4 +1,4 @@
-//! `consort fleet`: shows the nodes of a fleet, the readings of its robots, and its coordinator.
+//! `consort fleet`: shows the nodes of a fleet, the feedback and the readings of its robots, and its coordinator.
 
 use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
@@ -11,10 +11,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Show the nodes of a fleet, the readings of its robots, and its coordinator
+/// Show the nodes of a fleet, the feedback and the readings of its robots, and its coordinator
 ///
 /// The data comes from the nearest node; each row has the age of its last contact. The nearest node
-/// queries the nodes of the robots for the readings.
+/// queries the nodes of the robots for the readings, and for the feedback of the goals in progress.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -32,11 +32,13 @@ struct FleetStatus<Fleet = FleetView, Coordinator = WithProvenance<CoordinatorVi
     fleet: Fleet,
     coordinator: Coordinator,
     /// Readings of the robots that have any.
-    readings: FleetReadings,
+    readings: ValuesByNode,
+    /// Feedback of the goals in progress, of the robots that have any.
+    feedback: ValuesByNode,
 }
 
-/// Readings by robot's node and name.
-type FleetReadings = BTreeMap<NodeId, BTreeMap<String, Scalar>>;
+/// Values of the drivers of robots, by the robot's node and name.
+type ValuesByNode = BTreeMap<NodeId, BTreeMap<String, Scalar>>;
 
 /// Runs the command.
 ///
@@ -47,19 +49,26 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let fleet = client.query_view(&Key::ViewFleet).await?;
         let coordinator = client.query_view(&Key::ViewCoordinator).await?;
         let robots = client.query_views(&client.keys().any_robot_view()).await;
-        Ok(output::to_value(&FleetStatus::<Value, Value> { fleet, coordinator, readings: readings(robots) }))
+        let (readings, feedback) = driver_values(robots);
+        Ok(output::to_value(&FleetStatus::<Value, Value> { fleet, coordinator, readings, feedback }))
     };
     args.ask.print(look, format_fleet)
 }
 
-/// Returns the readings in views of robots.
-fn readings(robots: Vec<Value>) -> FleetReadings {
-    let views = robots.into_iter().filter_map(|view| RobotView::deserialize(view).ok());
-    let readings = views.filter_map(|view| Some((view.node.node, view.readings?)));
-    readings.filter(|(_, readings)| !readings.is_empty()).collect()
+/// Returns the readings and the feedback in views of robots.
+fn driver_values(robots: Vec<Value>) -> (ValuesByNode, ValuesByNode) {
+    let (mut readings, mut feedback) = (ValuesByNode::new(), ValuesByNode::new());
+    for view in robots.into_iter().filter_map(|view| RobotView::deserialize(view).ok()) {
+        let node = view.node.node;
+        for (all, own) in [(&mut readings, view.readings), (&mut feedback, view.feedback)] {
+            let own = own.filter(|values| !values.is_empty());
+            all.extend(own.map(|values| (node.clone(), values)));
+        }
+    }
+    (readings, feedback)
 }
 
-fn format_fleet(FleetStatus { fleet, coordinator, readings }: &FleetStatus) -> String {
+fn format_fleet(FleetStatus { fleet, coordinator, readings, feedback }: &FleetStatus) -> String {
     let mut heads = vec![
         "NODE",
         "ALIVE",
@@ -73,23 +82,21 @@ fn format_fleet(FleetStatus { fleet, coordinator, readings }: &FleetStatus) -> S
         "SKILLS",
         "ATTRIBUTES",
     ];
-    if !readings.is_empty() {
-        heads.push("READINGS");
-    }
+    let columns = [("FEEDBACK", feedback), ("READINGS", readings)].into_iter().filter(|(_, values)| !values.is_empty());
+    let columns: Vec<(&str, &ValuesByNode)> = columns.collect();
+    heads.extend(columns.iter().map(|(head, _)| *head));
     let rows = fleet.nodes.iter().map(|node| {
-        let mut cells = row(node, fleet, &coordinator.content);
-        if !readings.is_empty() {
-            cells.push(readings.get(&node.node).map_or_else(|| "-".to_owned(), format_readings));
-        }
-        cells
+        let values = columns.iter().map(|(_, values)| values.get(&node.node));
+        let values = values.map(|values| values.map_or_else(|| "-".to_owned(), format_values));
+        row(node, fleet, &coordinator.content).into_iter().chain(values).collect::<Vec<String>>()
     });
     let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
     format!("{}\n{}", format_coordinator(coordinator), output::table(&rows))
 }
 
-/// Formats readings: `dust_g 12.5, door open`.
-fn format_readings(readings: &BTreeMap<String, Scalar>) -> String {
-    readings.iter().map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join(", ")
+/// Formats values: `dust_g 12.5, door open`.
+fn format_values(values: &BTreeMap<String, Scalar>) -> String {
+    values.iter().map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join(", ")
 }
 
 fn format_coordinator(WithProvenance { provenance, content: view }: &WithProvenance<CoordinatorView>) -> String {

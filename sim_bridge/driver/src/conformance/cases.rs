@@ -71,6 +71,7 @@ cases! {
     goal_succeeds: "it ends a goal as `succeeded`",
     goal_returns_its_results: "a completed goal returns the results that its action declares",
     goal_sends_feedback: "it sends feedback during a goal",
+    feedback_is_declared: "its feedback has only values that its action declares, with their types",
     goal_has_a_single_result: "it sends a single result for a goal",
     next_goal_succeeds: "it executes another goal after the first",
     repeated_goal_starts_nothing: "a goal with the id of the goal in progress starts nothing",
@@ -271,6 +272,24 @@ async fn goal_sends_feedback(trial: &Trial) -> Result<(), CaseFailure> {
     match probe.follow(1, "feedback", GOAL_LIMIT, find).await? {
         true => Ok(()),
         false => failed("the goal has ended without feedback"),
+    }
+}
+
+async fn feedback_is_declared(trial: &Trial) -> Result<(), CaseFailure> {
+    let (mut probe, goal) = Probe::with_sample(trial).await?;
+    probe.start_goal(1, &goal).await?;
+    let mut wrong = None;
+    let mut find = |message: &DriverMessage| {
+        if let DriverMessage::Feedback { values, .. } = message {
+            let (_, problems) = trial.contract.accept_feedback(&goal.action, values);
+            wrong = wrong.take().or_else(|| problems.into_iter().next());
+        }
+        matches!(message, DriverMessage::Result { id: GoalId(1), .. }).then_some(())
+    };
+    probe.follow(1, "result", GOAL_LIMIT, &mut find).await?;
+    match wrong {
+        Some(problem) => failed(problem.to_string()),
+        None => Ok(()),
     }
 }
 

@@ -164,7 +164,7 @@ impl Goals {
 
     pub(super) fn status(&self, id: GoalId) -> Option<GoalStatus> {
         if let Some(current) = self.current.as_ref().filter(|current| current.id == id) {
-            return Some(GoalStatus::Executing(current.feedback));
+            return Some(GoalStatus::Executing(current.feedback.clone()));
         }
         self.ended.iter().find(|(ended, ..)| *ended == id).map(|(.., status)| status.clone())
     }

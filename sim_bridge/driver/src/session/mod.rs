@@ -352,9 +352,13 @@ impl DriverSession {
     fn handle_report(&mut self, message: DriverMessage) -> Vec<SessionAction> {
         match message {
             DriverMessage::Hello { .. } => return self.log_wrong_line("a second hello is ignored".to_owned()),
-            DriverMessage::Feedback { id, distance_remaining_m, time_remaining_s } => {
+            DriverMessage::Feedback { id, distance_remaining_m, time_remaining_s, values } => {
+                let Some(goal) = self.goals.content(id).filter(|_| self.goals.is_current(id)) else { return vec![] };
                 let distance = distance_remaining_m.unwrap_or(Metres::ZERO);
-                self.goals.report(id, Feedback::remaining(distance, time_remaining_s.unwrap_or(Seconds::ZERO)));
+                let remaining = Feedback::remaining(distance, time_remaining_s.unwrap_or(Seconds::ZERO));
+                let (values, problems) = self.contract.accept_feedback(&goal.action, &values);
+                self.goals.report(id, Feedback { values, ..remaining });
+                return problems.iter().flat_map(|problem| self.log_wrong_line(problem.to_string())).collect();
             }
             DriverMessage::Result { id, status, code, message, results } => {
                 if !self.goals.is_current(id) {

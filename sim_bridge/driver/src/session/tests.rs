@@ -40,7 +40,12 @@ fn ended(how: &str) -> SessionEvent {
 fn new() -> DriverSession {
     let form = json!({
         "domain": "cleaning",
-        "actions": { "press": { "cancel": { "within_s": 5.5 } } },
+        "actions": {
+            "press": {
+                "cancel": { "within_s": 5.5 },
+                "feedback": { "force_n": { "type": "number", "minimum": 0 }, "phase": { "type": "text" } },
+            },
+        },
         "readings": { "dust": { "type": "number", "minimum": 0 }, "bag": { "type": "text" } },
     });
     let form = serde_json::from_value(form).unwrap();
@@ -215,8 +220,8 @@ fn a_driver_that_ignores_a_cancel_is_killed() {
     assert_eq!(session.take_ended(), outcome(7, GoalStatus::Canceled));
 }
 
-#[test]
-fn an_action_declares_how_long_its_cancel_takes() {
+/// Returns a session at time 0, with goal 7 of the declared action.
+fn pressing() -> DriverSession {
     let mut session = new();
     session.tick(&dock(), at(0));
     let actions = BTreeMap::from([("press".parse().unwrap(), OfferedAction::default())]);
@@ -225,6 +230,44 @@ fn an_action_declares_how_long_its_cancel_takes() {
     session.permit(GoalId(7), KEEP, at(0));
     let press = serde_json::from_value(json!({ "action": "press" })).unwrap();
     assert_eq!(session.start(GoalId(7), press, at(0)).len(), 1);
+    session
+}
+
+#[test]
+fn the_latest_feedback_of_a_goal_is_its_status() {
+    let mut session = pressing();
+    let report = |session: &mut DriverSession, line: &str| {
+        let logs = session.handle(SessionEvent::Message(DriverMessage::parse(line).unwrap()), at(5));
+        match session.status(GoalId(7)) {
+            Some(GoalStatus::Executing(feedback)) => (feedback, logs),
+            other => panic!("the goal has ended: {other:?}"),
+        }
+    };
+    let line = r#"{"type":"feedback","id":"7","time_remaining_s":3,"values":{"force_n":2,"phase":"contact"}}"#;
+    let remaining = Feedback::remaining(Metres::ZERO, Seconds::new(3.0).unwrap());
+    let phase = ("phase".to_owned(), Scalar::Text("contact".to_owned()));
+    let values = BTreeMap::from([("force_n".to_owned(), Scalar::Number(2.0)), phase.clone()]);
+    let expected = Feedback { values, ..remaining.clone() };
+    assert_eq!(report(&mut session, line), (expected.clone(), vec![]));
+    let of_another = r#"{"type":"feedback","id":"8","values":{"force_n":5,"nonsense":1}}"#;
+    assert_eq!(report(&mut session, of_another), (expected, vec![]), "it is of no goal in progress");
+    let wrong =
+        r#"{"type":"feedback","id":"7","time_remaining_s":3,"values":{"force_n":-1,"fase":"x","phase":"contact"}}"#;
+    let logs = [
+        "feedback: values.fase: the action press declares no such feedback; allowed: force_n, phase; did you mean \
+         `phase`?",
+        "feedback: values.force_n: `-1`; the action press declares a number, 0 or more",
+    ];
+    let logs = logs.map(|text| SessionAction::Log(text.to_owned())).to_vec();
+    let expected = Feedback { values: BTreeMap::from([phase]), ..remaining };
+    assert_eq!(report(&mut session, wrong), (expected, logs), "the goal continues");
+    session.handle(result(7, ResultStatus::Succeeded), at(9));
+    assert_eq!(session.take_ended(), outcome(7, GoalStatus::succeeded()));
+}
+
+#[test]
+fn an_action_declares_how_long_its_cancel_takes() {
+    let mut session = pressing();
     assert_eq!(sent(session.cancel(GoalId(7), at(100))), [NodeMessage::Cancel { id: GoalId(7) }]);
     let late = session.tick(&dock(), at(3_200));
     assert_eq!(late, [SessionAction::Send(NodeMessage::Heartbeat { sequence: 1 })], "it is not killed after 3 s");

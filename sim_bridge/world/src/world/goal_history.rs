@@ -22,6 +22,8 @@ pub(super) struct ActiveGoal {
     pub(super) executed: Goal,
     /// `None` for a goal that its system ends.
     pub(super) ends: Option<TimerId>,
+    /// Times of the beginning, and of the end without a cancel, in seconds of world time.
+    pub(super) planned: (f64, f64),
     /// The system that executes the goal.
     pub(super) system: SystemIndex,
     /// The goal was canceled and ends at `ends`.
@@ -44,6 +46,13 @@ impl GoalHistory {
     /// Checks whether the active goal makes the robot leave its place or turn.
     pub(crate) fn moves_robot(&self) -> bool {
         self.active.as_ref().is_some_and(|active| active.executed.moves_robot())
+    }
+
+    /// Returns the elapsed share of the planned time of the active goal, from 0 to 1; 0 without a planned end.
+    pub(crate) fn elapsed_share(&self, now: f64) -> f64 {
+        self.active.as_ref().map_or(0.0, |ActiveGoal { planned: (began, ends), .. }| {
+            if ends > began { ((now - began) / (ends - began)).clamp(0.0, 1.0) } else { 1.0 }
+        })
     }
 
     pub(super) fn is_known(&self, id: GoalId) -> bool {

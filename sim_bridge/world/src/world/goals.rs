@@ -28,9 +28,10 @@ impl World {
             Ok(Started { system, executed, ends }) => {
                 let state = &mut self.state;
                 state.log_event(WorldEvent::GoalStarted { robot: state.robot_id(robot), id, goal: goal.clone() });
+                let planned = (state.now, ends);
                 let ends = ends.is_finite().then(|| state.queue.schedule(ends, ScheduledEvent::GoalEnds(robot)));
                 state.get_mut::<GoalHistory>(robot).active =
-                    Some(ActiveGoal { id, goal, executed, ends, system, is_canceled: false });
+                    Some(ActiveGoal { id, goal, executed, ends, planned, system, is_canceled: false });
             }
             Err(error) => {
                 let event = self.state.record(robot, id, goal, GoalStatus::Aborted(error));

@@ -1,3 +1,4 @@
+mod feedback;
 mod requirements;
 
 use super::*;

@@ -364,7 +364,7 @@ impl RobotBackend for Nav2Driver {
         if let Some(current) = self.current.as_ref().filter(|current| current.id == id) {
             return Some(GoalStatus::Executing(match &current.activity {
                 Activity::Driving { feedback, following, .. } => {
-                    Feedback { progress: waypoint_progress(&current.goal, following.len()), ..*feedback }
+                    Feedback { progress: waypoint_progress(&current.goal, following.len()), ..feedback.clone() }
                 }
                 Activity::Waiting(until) => {
                     let left = Seconds::new(until - self.now.as_secs()).unwrap_or(Seconds::ZERO);

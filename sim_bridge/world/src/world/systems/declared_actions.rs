@@ -1,9 +1,10 @@
-//! Actions and readings that domain files declare. An action takes a random time; at its end it fails, or
-//! returns random results, changes the readings of its robot and moves an item. People do declared tasks in the same
-//! way, without changes of readings and items.
+//! Actions and readings that domain files declare. An action takes a random time, in which its feedback passes through
+//! its values; at its end it fails, or returns random results, changes the readings of its robot and moves an item.
+//! People do declared tasks in the same way, without feedback and without changes of readings and items.
 
 use crate::component_types;
 use crate::world::components::{CoPresence, DepartureCount, DrawerOpen, PersonInfo, SampleLabel, SimRobot};
+use crate::world::goal_history::GoalHistory;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
@@ -13,7 +14,7 @@ use crate::world::system::System;
 use crate::world::system_access::ComponentType;
 use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::scalar::Scalar;
-use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalResult};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalResult};
 use consort_skills::domain_file::{ActionForm, Addition, ParameterForm, ReadingForm, SimulatedEffect, SimulatedResult};
 use hecs::Entity;
 use rand::seq::IndexedRandom;
@@ -54,7 +55,16 @@ impl System for DeclaredActions {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        component_types![CoPresence, SimRobot, DepartureCount, DrawerOpen, SampleLabel, RobotLocation, PersonInfo]
+        component_types![
+            CoPresence,
+            SimRobot,
+            DepartureCount,
+            DrawerOpen,
+            SampleLabel,
+            RobotLocation,
+            PersonInfo,
+            GoalHistory
+        ]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
@@ -95,6 +105,17 @@ impl System for DeclaredActions {
             state.place_sample(item, to);
         }
         Ok(results)
+    }
+
+    fn feedback(&self, state: &SimState, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+        let models = state.resource::<ActionModels>();
+        let Some(action) = models.actions.get(&goal.action) else { return usual };
+        let share = state.get::<GoalHistory>(robot).elapsed_share(state.now);
+        let value = |(name, simulated): (&String, &SimulatedResult)| {
+            let value = of_type(action.feedback.get(name)?, value_at(simulated, share))?;
+            Some((name.clone(), value))
+        };
+        Feedback { values: action.simulate.feedback.iter().filter_map(value).collect(), ..usual }
     }
 }
 
@@ -181,7 +202,19 @@ fn draw(simulated: &SimulatedResult, chance: &mut ChaCha8Rng) -> Option<Scalar> 
     }
 }
 
-/// Returns a drawn value in the type of a reading or a result, and within its range.
+/// Returns the value of a feedback after a share of the goal's time: a range and a list are passed through evenly.
+fn value_at(simulated: &SimulatedResult, share: f64) -> Option<Scalar> {
+    match simulated {
+        SimulatedResult::Range([first, last]) => Some(Scalar::Number(first + share * (last - first))),
+        SimulatedResult::OneOf(values) => {
+            let passed = (share * values.len() as f64) as usize;
+            values.get(passed.min(values.len().saturating_sub(1))).cloned()
+        }
+        SimulatedResult::Value(value) => Some(value.clone()),
+    }
+}
+
+/// Returns a value in the type of a reading, a result or a feedback, and within its range.
 fn of_type(form: &ParameterForm, drawn: Option<Scalar>) -> Option<Scalar> {
     let drawn = drawn?;
     number(&drawn).and_then(|number| form.nearest(number)).or_else(|| form.value_kind().accept(&drawn))

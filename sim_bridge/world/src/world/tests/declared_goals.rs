@@ -1,4 +1,4 @@
-//! Goals of declared actions that move items, and their cancels.
+//! Goals of declared actions: their feedback, the items that they move, and their cancels.
 
 use super::*;
 use crate::world::actions::{ApproachRobot, OperateDrawer};
@@ -23,6 +23,14 @@ actions:
     simulate: { moves: { from: drawer, to: other_drawer, robot: to } }
   spill: { simulate: { failure_rate: 1, moves: { from: table, to: drawer } } }
   press: { cancel: { within_s: 3 }, simulate: { duration_s: [10, 10] } }
+  wash:
+    cancel: { within_s: 2 }
+    feedback:
+      water_l: { type: number, minimum: 0, maximum: 4 }
+      turns: { type: integer }
+      phase: { type: text, one_of: [fill, rinse, wash] }
+      hot: { type: bool }
+    simulate: { duration_s: [10, 10], feedback: { turns: [0, 100], phase: [fill, wash], hot: true } }
 "#;
 
 fn thing(name: &str, weight_kg: f64) -> ObjectSetup {
@@ -128,6 +136,31 @@ fn a_declared_goal_that_fails_moves_nothing() {
         panic!("it has the tray, too")
     };
     assert_eq!(error.class, CauseClass::Task, "the precondition is checked at the end, too");
+}
+
+#[test]
+fn declared_feedback_passes_from_its_first_to_its_last_value() {
+    let mut world = store(2);
+    world.start(&robot("r1"), GoalId(1), goal("wash", json!({})));
+    let feedback = |world: &mut World, time_s: f64| {
+        world.advance(at(time_s));
+        match world.status(&robot("r1"), GoalId(1)) {
+            Some(GoalStatus::Executing(feedback)) => json!(feedback.values),
+            other => panic!("after {time_s} s: {other:?}"),
+        }
+    };
+    for (time_s, water_l, turns, phase) in [(0.0, 0.0, 0, "fill"), (2.5, 1.0, 25, "fill"), (7.5, 3.0, 75, "wash")] {
+        let expected = json!({ "water_l": water_l, "turns": turns, "phase": phase, "hot": true });
+        assert_eq!(feedback(&mut world, time_s), expected, "after {time_s} s");
+    }
+    // A cancel does not change the plan of the goal.
+    world.cancel(&robot("r1"), GoalId(1));
+    assert_eq!(feedback(&mut world, 9.0)["turns"], json!(90));
+    // An action without a declaration has none.
+    world.advance(at(20.0));
+    world.start(&robot("r1"), GoalId(2), goal("press", json!({})));
+    let Some(GoalStatus::Executing(plain)) = world.status(&robot("r1"), GoalId(2)) else { panic!("it is active") };
+    assert!(plain.values.is_empty(), "{plain:?}");
 }
 
 #[test]
