@@ -49,6 +49,10 @@ pub struct TaskSchema {
     /// Domain file that declares the task type; `None` for a type without a file.
     #[serde(default)]
     pub domain: Option<DomainReference>,
+    /// False if certainly no robot hands an item over in a task of this type, true if it may; `None` for a type without
+    /// a file.
+    #[serde(default)]
+    pub hands_over: Option<bool>,
 }
 
 /// Schema of a parameter.
@@ -341,6 +345,11 @@ impl Domain {
     /// Returns the parameters of a task type, if the domain has the type.
     pub fn get(&self, task_type: &TaskType) -> Option<&TaskSchema> {
         self.types.get(task_type)
+    }
+
+    /// Returns the task types in which a robot may hand an item over, in the order of their names.
+    pub(super) fn handing_over(&self) -> impl Iterator<Item = &TaskType> {
+        self.types.iter().filter(|(_, schema)| schema.hands_over != Some(false)).map(|(name, _)| name)
     }
 
     /// Returns the task types, in the order of their names.

@@ -129,6 +129,11 @@ pub struct FailureForm {
 }
 
 impl ActionForm {
+    /// Checks whether a goal may move items: as declared, or else if a repetition has a further effect.
+    pub(super) fn may_move_items(&self) -> bool {
+        self.hands_over.unwrap_or(!self.repeatable)
+    }
+
     /// Returns the error of a goal that failed for a declared reason; `None` for any other reason.
     pub fn failure(&self, reason: &str, message: &str) -> Option<ActionError> {
         let FailureForm { class, moved_nothing, .. } = *self.failures.get(reason)?;
@@ -488,15 +493,15 @@ impl ReadingForm {
 }
 
 impl TaskForm {
-    /// Returns the parameters and the results for missions. The results are those of the `action` if the
-    /// task declares none.
+    /// Returns the parameters and the results for missions, without what depends on the tree. The results are those
+    /// of the `action` if the task declares none.
     pub(super) fn schema(&self, action: Option<&ActionForm>, domain: Option<DomainReference>) -> TaskSchema {
         let schema = |(name, parameter): (&String, &ParameterForm)| {
             (name.clone(), ParameterSchema { kind: parameter.value_kind(), required: !parameter.optional })
         };
         let results = self.results(action).iter().map(|(name, result)| (name.clone(), result.value_kind()));
         let (parameters, results) = (self.parameters.iter().map(schema).collect(), results.collect());
-        TaskSchema { parameters, results, domain }
+        TaskSchema { parameters, results, domain, hands_over: None }
     }
 
     /// Returns the results: those of the `action` if the task declares none.

@@ -53,7 +53,7 @@ pub(super) fn move_problems(place: &str, action: &ActionForm) -> Vec<DomainProbl
     if action.by_people {
         problems.push(problem(&place, "people perform the action, and only robots have `moves`"));
     }
-    if !action.hands_over.unwrap_or(!action.repeatable) {
+    if !action.may_move_items() {
         problems.push(problem(&place, "an action that moves items needs `hands_over: true`"));
     }
     if from == to {

@@ -54,6 +54,7 @@ use crate::bt::xml::read_xml;
 use crate::bt::{NodeKind, NodeSpec, TreeError, TreeErrorKind, TreeSpec};
 use crate::descriptor::DescriptorRegistry;
 use crate::library::{DeclaredBy, SkillLibrary};
+use crate::skill::ASK_PERSON;
 use consort_protocol::ids::{ActionName, DomainId, TaskType};
 use consort_protocol::mission::{DomainHash, DomainReference, IhtnNames, RESULTS_MAX, TaskSchema};
 use consort_text::AllowedNames;
@@ -75,6 +76,8 @@ pub struct DomainFile {
     trees: BTreeMap<TaskType, TreeSpec>,
     /// Readings of this domain and of those that it was checked with, by name.
     readings: BTreeMap<String, ParameterForm>,
+    /// The task types with a tree in which an item may be handed over.
+    handing_over: BTreeSet<TaskType>,
     hash: DomainHash,
     /// The standard domain is part of the program, so its tasks do not refer to it.
     is_standard: bool,
@@ -144,7 +147,10 @@ impl DomainFile {
         }
         let readings: BTreeMap<String, ParameterForm> =
             readings.into_iter().map(|(name, reading)| (name.to_owned(), reading.value.clone())).collect();
-        let mut checked = BTreeMap::new();
+        let known_forms = standard.into_iter().chain(known.iter().copied()).map(|domain| &domain.form);
+        let actions: BTreeMap<&ActionName, &ActionForm> =
+            known_forms.chain([&form]).flat_map(|form| &form.actions).collect();
+        let (mut checked, mut handing_over) = (BTreeMap::new(), BTreeSet::new());
         for (name, task) in &form.tasks {
             problems.extend(task_problems(&form, standard, name, task, &readings));
             let declares = |domain: &&&DomainFile| domain.form.tasks.contains_key(name);
@@ -154,12 +160,14 @@ impl DomainFile {
                     format!("the domain {} has a task type of this name", domain.name()),
                 ));
             }
-            let domains = standard.into_iter().chain(known.iter().copied()).map(|domain| &domain.form).chain([&form]);
             match tree_of(&form, name, task, trees) {
                 Ok(Some(tree)) => {
-                    let actions = domains.flat_map(|form| &form.actions);
-                    let of_people = task.tree.as_ref().and_then(|_| action_of_people(&tree, actions));
+                    let declared = || actions.iter().map(|(name, action)| (*name, *action));
+                    let of_people = task.tree.as_ref().and_then(|_| action_of_people(&tree, declared()));
                     problems.extend(of_people.map(|error| problem("", error.to_string())));
+                    if may_hand_over(&tree, declared()) {
+                        handing_over.insert(name.clone());
+                    }
                     match library.register_declared(name.clone(), &tree, declared_by(&form, task, None)) {
                         Ok(()) => {
                             checked.insert(name.clone(), tree);
@@ -176,7 +184,7 @@ impl DomainFile {
             return Err(problems);
         }
         let hash = content_hash(&form, trees);
-        Ok(DomainFile { form, trees: checked, readings, hash, is_standard: standard.is_none() })
+        Ok(DomainFile { form, trees: checked, readings, handing_over, hash, is_standard: standard.is_none() })
     }
 
     /// Returns the name of the domain.
@@ -194,12 +202,12 @@ impl DomainFile {
         (!self.is_standard).then(|| self.reference())
     }
 
-    /// Returns the task types with their parameters.
+    /// Returns the task types with their parameters, and whether they hand items over.
     pub fn task_types(&self) -> impl Iterator<Item = (TaskType, TaskSchema)> {
-        self.form
-            .tasks
-            .iter()
-            .map(|(name, task)| (name.clone(), task.schema(action_of(&self.form, task), self.tasks_reference())))
+        self.form.tasks.iter().map(|(name, task)| {
+            let schema = task.schema(action_of(&self.form, task), self.tasks_reference());
+            (name.clone(), TaskSchema { hands_over: Some(self.handing_over.contains(name)), ..schema })
+        })
     }
 
     /// Returns the meaning of names in flat iHTNs.
@@ -285,6 +293,13 @@ pub fn action_of_people<'a>(
     let node = tree.trees.values().find_map(|root| node_of(root, &by_people))?;
     let kind = Box::new(TreeErrorKind::ActionOfPeople { id: node.id.clone() });
     Some(TreeError { source: tree.source.clone(), line: node.line, node: None, kind })
+}
+
+/// Checks whether a robot may hand an item over in a tree, or a person whom it asks.
+fn may_hand_over<'a>(tree: &TreeSpec, actions: impl IntoIterator<Item = (&'a ActionName, &'a ActionForm)>) -> bool {
+    let of_robots = actions.into_iter().filter(|(_, form)| !form.by_people && form.may_move_items());
+    let moving = of_robots.map(|(name, _)| name.as_str()).chain([ASK_PERSON]).collect();
+    tree.trees.values().any(|root| node_of(root, &moving).is_some())
 }
 
 /// Returns the first node with one of these ids.

@@ -9,7 +9,7 @@ use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::mission::{Escalation, PATIENCE_MAX_S};
 
 /// Name of the node.
-pub(super) const ASK_PERSON: &str = "AskPerson";
+pub(crate) const ASK_PERSON: &str = "AskPerson";
 
 pub(super) const ROLE: &str = "role";
 pub(super) const MESSAGE: &str = "message";

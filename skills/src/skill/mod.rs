@@ -16,6 +16,7 @@ mod roles;
 mod stated_question;
 mod value_condition;
 
+pub(crate) use ask_person::ASK_PERSON;
 pub use context::{SkillContext, TaskContext};
 pub use goal_leaf::GoalLeaf;
 pub use member_value::member_value_errors;

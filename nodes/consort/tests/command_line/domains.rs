@@ -21,6 +21,29 @@ fn the_example_domain_and_its_mission_are_valid() {
     assert!(ran.code == Some(1) && ran.out.contains("unknown task type `water_plant`"), "{}", ran.out);
 }
 
+#[test]
+fn a_task_that_moves_an_item_hands_over() {
+    let text = std::fs::read_to_string(plants("rounds.yaml")).expect("an example");
+    let moving = text.replace("litres: \"1.5\" } }", "litres: \"1.5\" }, acquires: { tray: gardener } }");
+    assert_ne!(moving, text);
+    let mission = test_file("moving_rounds.yaml", &moving);
+    let domain = plants("domain.yaml");
+    // Watering is not repeatable, so it may move items.
+    let ran = run(&["check", &mission, "--domain", &domain]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let text = std::fs::read_to_string(&domain).expect("an example");
+    let still = text.replace("  water:\n", "  water:\n    hands_over: false\n");
+    assert_ne!(still, text);
+    let still = still.replace("tree: water_plant.xml", "tree: still_plants.xml");
+    let tree = std::fs::read_to_string(plants("water_plant.xml")).expect("an example");
+    test_file("still_plants.xml", &tree);
+    let domain = test_file("still_plants.yaml", &still);
+    let ran = run(&["check", &mission, "--domain", &domain]);
+    let expected = "/first_plant: moves the item `tray`, but no action of `water_plant` hands items over: it needs \
+                    `hands_over: true`; allowed: deposit, grasp, pick_up\n";
+    assert!(ran.code == Some(1) && ran.out.starts_with(&mission) && ran.out.contains(expected), "{}", ran.out);
+}
+
 /// Robots and a simulated world that know nothing of plants water them, and a robot takes over from a
 /// killed coordinator.
 #[test]

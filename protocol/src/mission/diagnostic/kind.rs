@@ -254,6 +254,18 @@ pub enum MissionErrorKind {
         /// The item.
         item: ItemId,
     },
+    /// A task of robots moves an item, and no action of its type hands items over.
+    #[error(
+        "moves the item `{item}`, but no action of `{task_type}` hands items over: it needs `hands_over: true`; {allowed}"
+    )]
+    HandsNothingOver {
+        /// The item.
+        item: ItemId,
+        /// Type of the task.
+        task_type: TaskType,
+        /// The task types with such an action.
+        allowed: AllowedNames,
+    },
     /// Two tasks that move the same item are unordered, so that custody would be undefined.
     #[error("touches the item `{item}`, as does {other}, and the two tasks are unordered; put them in sequence")]
     ItemUnordered {

@@ -5,7 +5,7 @@
 use super::diagnostic::{MissionErrorKind, MissionErrors};
 use super::domain::{Domain, ValueKind};
 use super::limits::{ROLES_MAX, TASKS_MAX};
-use super::model::{Mission, TaskSpec};
+use super::model::{Mission, RoleKind, TaskSpec};
 use super::order::GlobalOrder;
 use super::policies::policy_problems;
 use super::references::reference_problems;
@@ -39,7 +39,7 @@ impl Mission {
     }
 }
 
-/// Checks the type and the parameters of a task.
+/// Checks the type, the parameters and the items of a task.
 pub(super) fn check_task(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<MissionErrorKind> {
     let Some(schema) = domain.get(&spec.task_type) else {
         let allowed = AllowedNames::suggest_for(spec.task_type.as_str(), domain.task_types());
@@ -47,6 +47,20 @@ pub(super) fn check_task(mission: &Mission, spec: &TaskSpec, domain: &Domain) ->
     };
     let task_type = || spec.task_type.to_string();
     let mut found = Vec::new();
+    // A person may hand an item over in any task.
+    let is_of_robots = || {
+        let mut roles = spec.roles.iter().map(|role| mission.roles.get(role));
+        roles.all(|role| role.is_some_and(|role| role.kind == RoleKind::Managed))
+    };
+    if schema.hands_over == Some(false)
+        && let Some(item) = spec.items().next()
+        && is_of_robots()
+    {
+        let names = domain.handing_over().map(ToString::to_string).collect();
+        let allowed = AllowedNames { names, nearest: None };
+        let (item, task_type) = (item.clone(), spec.task_type.clone());
+        found.push(MissionErrorKind::HandsNothingOver { item, task_type, allowed });
+    }
     for (name, parameter) in &schema.parameters {
         if parameter.required && !spec.parameters.contains_key(name) {
             let kind = parameter.kind.to_string();

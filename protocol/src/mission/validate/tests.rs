@@ -1,5 +1,6 @@
 use super::*;
-use crate::ids::{RoleId, TaskId, TaskType};
+use crate::ids::{ItemId, RoleId, TaskId, TaskType};
+use crate::mission::TaskSchema;
 use crate::mission::limits::DEPTH_MAX;
 use crate::mission::model::{Method, Role, RoleKind, TaskBody, TaskNode, TaskOrder};
 use crate::mission::test_data::domain;
@@ -45,6 +46,39 @@ fn diagnostics(mission: &Mission) -> Vec<String> {
 fn a_valid_mission_passes() {
     let tasks = vec![refined("top", &[1]), elementary("go", "navigation", &["r1"], &[("to", "Laboratory")])];
     assert_eq!(diagnostics(&mission(R1, tasks)), Vec::<String>::new());
+}
+
+#[test]
+fn robots_move_items_only_in_tasks_that_hand_over() {
+    /// What the domain knows of `wait`. Nothing is known of the other types.
+    fn with(hands_over: Option<bool>) -> Domain {
+        let (domain, wait) = (domain(), TaskType::new("wait").unwrap());
+        let schema = TaskSchema { hands_over, ..domain.get(&wait).unwrap().clone() };
+        domain.with(wait, schema)
+    }
+    let wait = |id: &str, by: &str, releases: bool, acquires: bool| {
+        let mut node = elementary(id, "wait", &[by], &[("seconds", "1")]);
+        if let TaskBody::Elementary(spec) = &mut node.body {
+            spec.releases.extend(releases.then(|| ItemId::new("parcel").unwrap()));
+            spec.acquires.extend(acquires.then(|| (ItemId::new("parcel").unwrap(), role("r1"))));
+        }
+        node
+    };
+    let wrong = "root/stay: moves the item `parcel`, but no action of `wait` hands items over: it needs \
+                 `hands_over: true`; allowed: approach, deposit, navigation, operate_box, pick_up";
+    for (releases, acquires) in [(true, false), (false, true)] {
+        let moving = mission(R1, vec![refined("top", &[1]), wait("stay", "r1", releases, acquires)]);
+        let errors = moving.check(&with(Some(false))).unwrap_err();
+        assert_eq!(errors.diagnostics.iter().map(ToString::to_string).collect::<Vec<_>>(), [wrong]);
+        for known in [None, Some(true)] {
+            assert_eq!(moving.check(&with(known)), Ok(()));
+        }
+    }
+    let still = mission(R1, vec![refined("top", &[1]), wait("stay", "r1", false, false)]);
+    assert_eq!(still.check(&with(Some(false))), Ok(()), "it moves nothing");
+    let roles = &[("r1", RoleKind::Managed), ("clerk", RoleKind::Unmanaged)];
+    let tasks = vec![refined("top", &[1, 2]), wait("come", "r1", false, false), wait("give", "clerk", false, true)];
+    assert_eq!(mission(roles, tasks).check(&with(Some(false))), Ok(()), "a person may hand it over");
 }
 
 #[test]
