@@ -77,8 +77,9 @@ mod tests {
     use super::*;
     use std::sync::Arc;
 
-    /// The only skill with tasks that drive from place to place.
-    const NAVIGATION: &str = "navigation";
+    fn navigation() -> TaskType {
+        TaskType::new("navigation").unwrap()
+    }
 
     fn place(name: &str) -> PlaceId {
         PlaceId::new(name).unwrap()
@@ -86,7 +87,7 @@ mod tests {
 
     fn drive(from: &str, to: &str, factor: f64) -> Observation {
         Observation {
-            skill: TaskType::new(NAVIGATION).unwrap(),
+            skill: navigation(),
             from: Some(place(from)),
             to: Some(place(to)),
             predicted_s: 10.0,
@@ -109,15 +110,16 @@ mod tests {
     fn a_rare_leg_uses_its_slower_end_or_all_drives() {
         let learned = learned();
         let close = |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-9, "{found}, not {wanted}");
-        let leg = learned.leg_factor(&place("A"), &place("B")).unwrap();
+        let factor = |from: &str, to: &str| learned.leg_factor(&navigation(), &place(from), &place(to));
+        let leg = factor("A", "B").unwrap();
         close(leg.mean, 2.0);
         close(leg.upper, 2.4);
         assert_eq!(leg.count, 11);
-        close(learned.leg_factor(&place("C"), &place("B")).unwrap().upper, 1.0);
+        close(factor("C", "B").unwrap().upper, 1.0);
         // Too few drives from A to C: the drives from A are used, including the drive to C.
-        close(learned.leg_factor(&place("A"), &place("C")).unwrap().mean, 31.0 / 12.0);
-        close(learned.leg_factor(&place("X"), &place("Y")).unwrap().mean, 36.0 / 17.0);
-        assert_eq!(calibrate(&[], 0.9).leg_factor(&place("A"), &place("B")), None);
+        close(factor("A", "C").unwrap().mean, 31.0 / 12.0);
+        close(factor("X", "Y").unwrap().mean, 36.0 / 17.0);
+        assert_eq!(calibrate(&[], 0.9).leg_factor(&navigation(), &place("A"), &place("B")), None);
     }
 
     #[test]

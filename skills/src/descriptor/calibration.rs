@@ -4,7 +4,8 @@
 //! estimates of time and energy by the mean factor, and uses its standard deviation as the
 //! uncertainty. The robot then keeps a reserve: a bid is viable only if the battery lasts for an
 //! upper quantile of the energy of the whole plan, not only for the mean. A leg with too few drives
-//! uses all drives to or from the same place, and failing that all drives.
+//! uses all drives to or from the same place, and failing that all drives of the same skill. The
+//! [destination](SkillDescriptor::destination) of a descriptor says whether its tasks are drives.
 //!
 //! The evaluation computes the factors from trials; this module only applies them.
 
@@ -18,9 +19,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-
-/// The only skill with tasks that drive from place to place.
-const NAVIGATION: &str = "navigation";
 
 /// Ratio of actual to estimated duration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -96,17 +94,13 @@ impl Calibration {
         errors
     }
 
-    /// Returns the factor of a drive; `None` without any observed drives.
-    pub fn leg_factor(&self, from: &PlaceId, to: &PlaceId) -> Option<TimeFactor> {
+    /// Returns the factor of a drive in a task of this skill; `None` without observed drives.
+    pub fn leg_factor(&self, skill: &TaskType, from: &PlaceId, to: &PlaceId) -> Option<TimeFactor> {
         let leg = self.legs.iter().find(|leg| leg.from == *from && leg.to == *to).map(|leg| leg.factor);
         // Of the two ends the slower determines the factor.
         let ends = [self.to.get(to), self.from.get(from)].into_iter().flatten();
         let end = ends.max_by(|a, b| a.mean.total_cmp(&b.mean)).copied();
-        leg.or(end).or_else(|| self.skill(NAVIGATION))
-    }
-
-    fn skill(&self, name: &str) -> Option<TimeFactor> {
-        self.skills.iter().find(|(skill, _)| skill.as_str() == name).map(|(_, factor)| *factor)
+        leg.or(end).or_else(|| self.skills.get(skill).copied())
     }
 
     /// Returns the distance of the quantile from the mean in standard deviations, for plans with
@@ -118,8 +112,7 @@ impl Calibration {
     /// Returns the standard descriptors with these factors, and with a reserve for the quantile.
     pub fn descriptors(self: &Arc<Calibration>) -> DescriptorRegistry {
         let correct = |descriptor: Box<dyn SkillDescriptor>| -> Box<dyn SkillDescriptor> {
-            let name = descriptor.task_type();
-            let is_observed = name.as_str() == NAVIGATION || self.skills.contains_key(name);
+            let is_observed = descriptor.destination().is_some() || self.skills.contains_key(descriptor.task_type());
             // Tasks with a given duration are not corrected.
             match is_observed && !descriptor.is_given() {
                 true => Box::new(Calibrated { inner: descriptor, calibration: Arc::clone(self) }),
@@ -145,6 +138,10 @@ impl SkillDescriptor for Calibrated {
         self.inner.required_descriptors()
     }
 
+    fn destination(&self) -> Option<&str> {
+        self.inner.destination()
+    }
+
     fn estimate(
         &self,
         task: &TaskSpec,
@@ -152,10 +149,9 @@ impl SkillDescriptor for Calibrated {
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         let uncorrected = self.inner.estimate(task, context, environment)?;
-        let factor = if self.task_type().as_str() == NAVIGATION {
-            self.calibration.leg_factor(&context.place, &uncorrected.ends_at)
-        } else {
-            self.calibration.skill(self.task_type().as_str())
+        let factor = match self.destination() {
+            Some(_) => self.calibration.leg_factor(self.task_type(), &context.place, &uncorrected.ends_at),
+            None => self.calibration.skills.get(self.task_type()).copied(),
         };
         let Some(factor) = factor else { return Ok(uncorrected) };
         let time = Seconds::new(uncorrected.time.get() * factor.mean).unwrap_or(uncorrected.time);
@@ -238,15 +234,19 @@ mod tests {
         PlaceId::new(name).unwrap()
     }
 
+    fn skill(name: &str) -> TaskType {
+        TaskType::new(name).unwrap()
+    }
+
     fn factor(mean: f64) -> TimeFactor {
         TimeFactor { count: 11, mean, sd: 0.11_f64.sqrt(), upper: mean + 0.4 }
     }
 
-    /// Returns factors of 2 for drives from A to B, 3 for all drives from A, and 1.5 for others.
+    /// Returns factors of 2 for drives from A to B, and 3 for all drives from A; for others 1.5, and 4 with an item.
     fn learned() -> Arc<Calibration> {
         Arc::new(Calibration {
             quantile: 0.9,
-            skills: [(TaskType::new(NAVIGATION).unwrap(), factor(1.5))].into(),
+            skills: [(skill("navigation"), factor(1.5)), (skill("carry"), factor(4.0))].into(),
             to: [(place("B"), factor(1.0))].into(),
             from: [(place("A"), factor(3.0))].into(),
             legs: vec![LegFactor { from: place("A"), to: place("B"), factor: factor(2.0) }],
@@ -255,12 +255,16 @@ mod tests {
 
     #[test]
     fn a_leg_without_a_factor_uses_its_slower_end_or_all_drives() {
-        let mean = |from, to| learned().leg_factor(&place(from), &place(to)).unwrap().mean;
+        let of = |calibration: &Calibration, name, from, to| {
+            calibration.leg_factor(&skill(name), &place(from), &place(to)).map(|factor| factor.mean)
+        };
+        let mean = |from, to| of(&learned(), "navigation", from, to).unwrap();
         assert_eq!([mean("A", "B"), mean("A", "C"), mean("C", "B"), mean("X", "Y")], [2.0, 3.0, 1.0, 1.5]);
+        assert_eq!(of(&learned(), "carry", "X", "Y"), Some(4.0), "all drives of the same skill");
         let slower_end = Calibration { legs: vec![], ..(*learned()).clone() };
-        assert_eq!(slower_end.leg_factor(&place("A"), &place("B")), Some(factor(3.0)));
+        assert_eq!(of(&slower_end, "navigation", "A", "B"), Some(3.0));
         let none = Calibration { skills: BTreeMap::new(), ..(*learned()).clone() };
-        assert_eq!(none.leg_factor(&place("X"), &place("Y")), None);
+        assert_eq!(of(&none, "navigation", "X", "Y"), None);
     }
 
     #[test]
@@ -280,9 +284,11 @@ mod tests {
             attributes: Attributes::default(),
             readings: None,
         };
-        let mut task = TaskSpec::of(TaskType::new(NAVIGATION).unwrap(), vec!["r1".parse().unwrap()]);
-        task.parameters.insert("to".to_owned(), "B".to_owned());
-        let estimate = estimator.estimate(&task, &context).unwrap();
+        let task = |name: &str| {
+            let parameters = [("to".to_owned(), "B".to_owned())].into();
+            TaskSpec { parameters, ..TaskSpec::of(skill(name), vec!["r1".parse().unwrap()]) }
+        };
+        let estimate = estimator.estimate(&task("navigation"), &context).unwrap();
         let close =
             |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-6, "{found}, not {wanted}: {estimate:?}");
         close(estimate.time.get(), 40.0);
@@ -291,6 +297,11 @@ mod tests {
         // distribution.
         close(estimate.energy_sd, 0.02 * 0.11_f64.sqrt());
         close(estimator.margin_sds(), 1.281_552);
+        assert_eq!(estimator.estimate(&task("carry"), &context).unwrap(), estimate, "it is a drive, too");
+        let destination = |name| estimator.destination(&task(name));
+        let drives = ["navigation", "carry", "disinfect", "follow_path"].map(|name| destination(name).is_some());
+        assert_eq!(drives, [true, true, false, false]);
+        assert_eq!(destination("carry"), Some(place("B")));
     }
 
     #[test]

@@ -126,6 +126,11 @@ pub trait SkillDescriptor: Send + Sync {
         false
     }
 
+    /// Returns the parameter with the destination, if a task is a drive to a place and nothing else.
+    fn destination(&self) -> Option<&str> {
+        None
+    }
+
     /// Estimates the cost of `task` for the robot of `context`.
     ///
     /// # Errors

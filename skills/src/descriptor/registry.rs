@@ -204,6 +204,12 @@ impl Estimator {
         self.margin_sds
     }
 
+    /// Returns the destination of a task that is a drive to a place and nothing else.
+    pub fn destination(&self, task: &TaskSpec) -> Option<PlaceId> {
+        let parameter = self.descriptors.get(&task.task_type)?.destination()?;
+        task.parameters.get(parameter)?.parse().ok()
+    }
+
     /// Estimates a task.
     ///
     /// # Errors

@@ -286,6 +286,14 @@ impl SkillDescriptor for DeclaredEstimate {
         matches!(self.time_s, Formula::Parameter(_))
     }
 
+    /// The time is that of a drive to a place, and the task ends there.
+    fn destination(&self) -> Option<&str> {
+        match (&self.time_s, &self.ends_at) {
+            (Formula::TravelTime(to), Some(end)) if to == end => Some(to),
+            _ => None,
+        }
+    }
+
     fn estimate(
         &self,
         task: &TaskSpec,

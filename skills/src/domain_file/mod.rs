@@ -78,6 +78,8 @@ pub struct DomainFile {
     readings: BTreeMap<String, ParameterForm>,
     /// The task types with a tree in which an item may be handed over.
     handing_over: BTreeSet<TaskType>,
+    /// Kinds of the goals with which systems of the simulator do that, by task type.
+    handover_kinds: BTreeMap<TaskType, ActionName>,
     hash: DomainHash,
     /// The standard domain is part of the program, so its tasks do not refer to it.
     is_standard: bool,
@@ -150,7 +152,7 @@ impl DomainFile {
         let known_forms = standard.into_iter().chain(known.iter().copied()).map(|domain| &domain.form);
         let actions: BTreeMap<&ActionName, &ActionForm> =
             known_forms.chain([&form]).flat_map(|form| &form.actions).collect();
-        let (mut checked, mut handing_over) = (BTreeMap::new(), BTreeSet::new());
+        let (mut checked, mut handing_over, mut handover_kinds) = (BTreeMap::new(), BTreeSet::new(), BTreeMap::new());
         for (name, task) in &form.tasks {
             problems.extend(task_problems(&form, standard, name, task, &readings));
             let declares = |domain: &&&DomainFile| domain.form.tasks.contains_key(name);
@@ -168,6 +170,7 @@ impl DomainFile {
                     if may_hand_over(&tree, declared()) {
                         handing_over.insert(name.clone());
                     }
+                    handover_kinds.extend(handover_kind(&tree, declared()).map(|kind| (name.clone(), kind)));
                     match library.register_declared(name.clone(), &tree, declared_by(&form, task, None)) {
                         Ok(()) => {
                             checked.insert(name.clone(), tree);
@@ -184,7 +187,8 @@ impl DomainFile {
             return Err(problems);
         }
         let hash = content_hash(&form, trees);
-        Ok(DomainFile { form, trees: checked, readings, handing_over, hash, is_standard: standard.is_none() })
+        let (trees, is_standard) = (checked, standard.is_none());
+        Ok(DomainFile { form, trees, readings, handing_over, handover_kinds, hash, is_standard })
     }
 
     /// Returns the name of the domain.
@@ -241,12 +245,15 @@ impl DomainFile {
     }
 
     /// Returns the task types for simulated people, each with its action: `simulate` contains all results of
-    /// the task. A task with a tree declares no time, so the simulator determines it.
+    /// the task. A task with a tree declares no time, so the simulator determines it. The kind is that of the goal with
+    /// which a robot hands an item over in the task.
     pub fn simulated_tasks(&self) -> impl Iterator<Item = (TaskType, ActionForm)> {
         self.form.tasks.iter().map(|(name, task)| {
             let action = action_of(&self.form, task);
             let results = task.results(action).clone();
-            (name.clone(), simulated(&ActionForm { results, ..action.cloned().unwrap_or_else(played_by_people) }))
+            let mut played = simulated(&ActionForm { results, ..action.cloned().unwrap_or_else(played_by_people) });
+            played.simulate.goal_kind = self.handover_kinds.get(name).cloned();
+            (name.clone(), played)
         })
     }
 
@@ -297,9 +304,28 @@ pub fn action_of_people<'a>(
 
 /// Checks whether a robot may hand an item over in a tree, or a person whom it asks.
 fn may_hand_over<'a>(tree: &TreeSpec, actions: impl IntoIterator<Item = (&'a ActionName, &'a ActionForm)>) -> bool {
-    let of_robots = actions.into_iter().filter(|(_, form)| !form.by_people && form.may_move_items());
-    let moving = of_robots.map(|(name, _)| name.as_str()).chain([ASK_PERSON]).collect();
+    let moving = moving_actions(actions).map(|(name, _)| name.as_str()).chain([ASK_PERSON]).collect();
     tree.trees.values().any(|root| node_of(root, &moving).is_some())
+}
+
+/// Returns the kind of the first goal with which a system of the simulator hands an item over in a tree.
+fn handover_kind<'a>(
+    tree: &TreeSpec,
+    actions: impl IntoIterator<Item = (&'a ActionName, &'a ActionForm)>,
+) -> Option<ActionName> {
+    let of_systems = moving_actions(actions).filter(|(_, form)| form.simulate.system.is_some());
+    let kinds: BTreeMap<&str, &ActionName> =
+        of_systems.map(|(name, form)| (name.as_str(), form.simulate.goal_kind.as_ref().unwrap_or(name))).collect();
+    let ids = kinds.keys().copied().collect();
+    let node = tree.trees.values().find_map(|root| node_of(root, &ids))?;
+    kinds.get(node.id.as_str()).map(|kind| (*kind).clone())
+}
+
+/// Returns the actions with which robots may hand items over.
+fn moving_actions<'a>(
+    actions: impl IntoIterator<Item = (&'a ActionName, &'a ActionForm)>,
+) -> impl Iterator<Item = (&'a ActionName, &'a ActionForm)> {
+    actions.into_iter().filter(|(_, form)| !form.by_people && form.may_move_items())
 }
 
 /// Returns the first node with one of these ids.

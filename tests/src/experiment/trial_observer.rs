@@ -8,7 +8,7 @@ use consort_evaluation::travel::TravelModel;
 use consort_fleet::observe::Observer;
 use consort_protocol::auction::{AuctionRecord, BidVerdict};
 use consort_protocol::event::{Event, EventKind};
-use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId, TaskId, TaskType};
+use consort_protocol::ids::{NodeId, RobotId, RoleId, TaskId, TaskType};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, MissionState};
 use consort_protocol::mission::TaskSpec;
@@ -20,9 +20,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 use tokio::time::Instant;
-
-/// The only skill with tasks that drive from place to place.
-const NAVIGATION: &str = "navigation";
 
 /// Settings of an observer.
 pub(super) struct ObserverSettings {
@@ -195,8 +192,7 @@ impl TrialObserver {
         };
         let context_here =
             EstimateContext { place: report.place.clone(), pose: Some(report.pose), ..start_context(scenario_robot) };
-        let to = spec.parameters.get("to").filter(|_| spec.task_type.as_str() == NAVIGATION);
-        let to = to.and_then(|to| to.parse::<PlaceId>().ok());
+        let to = self.settings.estimator.destination(spec);
         if let Some(to) = &to {
             let mut rng = generator(self.settings.seed, &["drive", robot.as_str(), report.place.as_str(), to.as_str()]);
             let factor = self.settings.travel.factor(&report.place, to, &mut rng);

@@ -50,6 +50,40 @@ fn the_approached_nurse_hands_over() {
     assert_eq!(world.advance(at(99.0)), [], "a repeated ask changes nothing");
 }
 
+const COUNTER: &str = r#"
+domain: counter
+actions:
+  put_in: { simulate: { system: arm, as: deposit } }
+  take_out: { parameters: { from: { type: robot } }, simulate: { system: arm, as: pick_up } }
+tasks:
+  hand_in: { action: put_in }
+  lay_in: { tree: lay_in.xml, estimate: { time_s: "2.0" } }
+  look_in: { tree: look_in.xml, estimate: { time_s: "2.0" } }
+"#;
+
+/// The domain declares which task types are handovers: by an action of its own, or in a tree.
+#[test]
+fn a_handover_has_any_name() {
+    let tree = |name: &str, node: &str| {
+        let text = format!(r#"<root BTCPP_format="4"><BehaviorTree ID="{name}">{node}</BehaviorTree></root>"#);
+        (format!("{name}.xml"), text)
+    };
+    let trees = [tree("lay_in", "<deposit/>"), tree("look_in", r#"<take_out from="r2"/>"#)].into();
+    let counter = DomainFile::check(yaml::parse(COUNTER).unwrap(), &trees, &[]).unwrap();
+    for (task_type, moved) in [("deposit", true), ("hand_in", true), ("lay_in", true), ("look_in", false)] {
+        let setup = hospital(3).domain(&counter).robot(carrier("r1", "PC Room 2"));
+        let mut world = World::new(setup.person(nurse("Bea", "PC Room 2", "s2"))).unwrap();
+        run_to_success(&mut world, "r1", 1, approach());
+        run_to_success(&mut world, "r1", 2, open());
+        let mut request = deposit("r1");
+        request.task.task_type = TaskType::new(task_type).unwrap();
+        world.request_person(GoalId(7), request);
+        assert_eq!(world.advance(at(60.0)), [answer(7, Ok(()))], "{task_type}");
+        let holder = if moved { SampleHolder::Drawer(robot("r1")) } else { SampleHolder::Person("Bea".into()) };
+        assert_eq!(sample_holders(&world), [holder], "{task_type}");
+    }
+}
+
 #[test]
 fn a_request_waits_for_the_open_drawer() {
     let setup = hospital(3).robot(carrier("r1", "PC Room 2")).person(nurse("Bea", "PC Room 2", "s2"));

@@ -1,6 +1,7 @@
 //! People, and the tasks requested of them.
 //!
-//! A request for a handover waits until a robot that holds a role of the mission has approached a person
+//! A task type is a handover if a robot would do it with a goal of the kind [`Deposit`], by the declarations of the
+//! domain. A request for a handover waits until a robot that holds a role of the mission has approached a person
 //! in the requested role and stands there with an open drawer. The approached person hands over: of
 //! several nurses, the nurse at the robot's place. A handover takes time. If the robot leaves or
 //! closes its drawer meanwhile, the person keeps the sample and the request waits on. Any other task is
@@ -16,6 +17,7 @@ mod requests;
 pub(crate) use requests::PersonRequests;
 
 use crate::component_types;
+use crate::world::actions::Deposit;
 use crate::world::components::{CoPresence, DrawerOpen, HandsBusy, PersonInfo, PersonRng, SampleLabel, SimRobot};
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
@@ -31,16 +33,15 @@ use crate::world::system_access::{ComponentType, SystemTimer};
 use crate::world::systems::declared_actions::{ActionModels, declared_duration_s, draw_end};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId, TaskType};
-use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, GoalId, PersonRequest, PersonResult};
+use consort_skills::actions::{
+    ActionError, ActionParameters as _, BackendEvent, ErrorCode, GoalId, PersonRequest, PersonResult,
+};
 use hecs::Entity;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use requests::{Handover, Request, RequestNumber, Work};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Task type of a handover.
-const HANDOVER: &str = "deposit";
 
 /// Task parameter with the duration of a task that is no handover, in seconds.
 const SECONDS: &str = "seconds";
@@ -103,7 +104,12 @@ impl System for People {
     }
 
     fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
-        state.insert_resource(PersonRequests::default());
+        let is_handover = |task: &TaskType| {
+            let kind = setup.tasks.get(task).and_then(|form| form.simulate.goal_kind.as_ref());
+            kind.is_some_and(|kind| kind.as_str() == Deposit::ACTION)
+        };
+        let handovers = setup.tasks.keys().filter(|task| is_handover(task)).cloned().collect();
+        state.insert_resource(PersonRequests::new(handovers));
         for (index, person) in setup.people.iter().enumerate() {
             let mut rng = ChaCha8Rng::seed_from_u64(setup.seed);
             rng.set_stream(index as u64);
@@ -230,7 +236,7 @@ impl SimState {
             let message = format!("{waiting} person requests are open already");
             return Err(action_error(ErrorCode::Busy, message));
         }
-        if request.task.task_type.as_str() != HANDOVER {
+        if !self.resource::<PersonRequests>().is_handover(&request.task.task_type) {
             let seconds = request.task.parameters.get(SECONDS).and_then(|text| text.parse().ok());
             return Ok(Work::Task { seconds: seconds.filter(|seconds| (0.0..=f64::MAX).contains(seconds)) });
         }

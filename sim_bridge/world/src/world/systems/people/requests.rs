@@ -13,6 +13,8 @@ pub(super) struct RequestNumber(pub(super) u64);
 /// The open requests, and the ids of those that ended lately.
 #[derive(Default)]
 pub(crate) struct PersonRequests {
+    /// Task types with which a person puts a sample into the drawer of a robot.
+    handovers: BTreeSet<TaskType>,
     pub(super) open: BTreeMap<RequestNumber, Request>,
     pub(super) ids: BTreeMap<GoalId, RequestNumber>,
     /// Ended requests with their results; `None` for a canceled request.
@@ -53,6 +55,11 @@ pub(super) struct Handover {
 }
 
 impl PersonRequests {
+    /// Creates an empty list, with the task types that are handovers.
+    pub(super) fn new(handovers: BTreeSet<TaskType>) -> PersonRequests {
+        PersonRequests { handovers, ..PersonRequests::default() }
+    }
+
     pub(super) fn is_known(&self, id: GoalId) -> bool {
         self.ids.contains_key(&id) || self.ended.contains_key(&id)
     }
@@ -62,6 +69,11 @@ impl PersonRequests {
         self.next += 1;
         self.ids.insert(request.id, number);
         self.open.insert(number, request);
+    }
+
+    /// Checks whether a person hands a sample over in a task of this type.
+    pub(super) fn is_handover(&self, task: &TaskType) -> bool {
+        self.handovers.contains(task)
     }
 
     pub(super) fn under_way(&self, id: GoalId) -> Option<Handover> {
