@@ -296,7 +296,8 @@ pub struct SimulatedAction {
     /// Changes of readings when a goal succeeds, by the name of the reading.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, SimulatedEffect>,
-    /// Move of an item when a goal succeeds. A goal that cannot move it is rejected, or fails at its end.
+    /// Move of an item when a goal succeeds: `from: nothing` creates it, and `to: nothing` consumes it. A goal that
+    /// cannot move it is rejected, or fails at its end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moves: Option<SimulatedMove>,
 }
@@ -310,7 +311,7 @@ pub struct SimulatedMove {
     /// Holder of the item afterwards.
     pub to: ItemHolder,
     /// Parameter of type `text` with the name of the item. Default: the item that `from` has had for the longest
-    /// time.
+    /// time; for a new item, the name of the action and a number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub item: Option<String>,
     /// Parameter of type `robot` with the robot of `other_drawer`.
@@ -334,6 +335,8 @@ pub enum ItemHolder {
     Arm,
     /// The open drawer of another robot at the same place, after one of the two has approached the other.
     OtherDrawer,
+    /// No holder: the item does not exist.
+    Nothing,
 }
 
 /// Maximum number of whole numbers among which the simulator chooses a result that is not described.

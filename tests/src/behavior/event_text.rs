@@ -92,7 +92,8 @@ pub(super) fn world_event(what: &InWorld) -> Option<String> {
         }
         InWorld::PersonLeft { person } => line(person.as_str(), "walks away".to_owned()),
         InWorld::PersonReturned { person } => line(person.as_str(), "comes back".to_owned()),
-        InWorld::SampleMoved { sample, to, .. } => {
+        InWorld::SampleConsumed { sample, .. } => line(sample.as_str(), "is used up".to_owned()),
+        InWorld::SampleMoved { sample, to, .. } | InWorld::SampleCreated { sample, holder: to } => {
             let (who, how) = match to {
                 SampleHolder::Table(place) => (place.as_str(), "lies here"),
                 SampleHolder::Drawer(robot) => (robot.as_str(), "is in its drawer"),

@@ -184,6 +184,20 @@ pub enum WorldEvent {
         /// Robot.
         robot: RobotId,
     },
+    /// A goal created a sample.
+    SampleCreated {
+        /// Sample.
+        sample: SampleId,
+        /// Holder.
+        holder: SampleHolder,
+    },
+    /// A goal consumed a sample.
+    SampleConsumed {
+        /// Sample.
+        sample: SampleId,
+        /// Previous holder.
+        from: SampleHolder,
+    },
 }
 
 /// Holder of a sample.

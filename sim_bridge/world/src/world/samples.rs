@@ -7,6 +7,7 @@ use super::components::{PersonInfo, SampleLabel, SimRobot};
 use super::event::{SampleHolder, WorldEvent};
 use super::location::RobotLocation;
 use super::names::SampleId;
+use super::setup::environment::sample_kg;
 use super::sim_state::SimState;
 use crate::map::PlaceIndex;
 use consort_protocol::ids::PlaceId;
@@ -68,6 +69,28 @@ impl SimState {
         self.insert(sample, load);
         self.insert(sample, Custody { holder, since, earlier: VecDeque::new() });
         self.samples.insert(id, sample);
+    }
+
+    /// Creates a sample during the run of the world.
+    pub(crate) fn create_sample(&mut self, id: SampleId, holder: HolderEntity) {
+        self.spawn_sample(id.clone(), holder, PayloadData { weight_kg: sample_kg(), distance_m: 0.0 });
+        let holder = self.sample_holder(holder);
+        self.log_event(WorldEvent::SampleCreated { sample: id, holder });
+    }
+
+    /// Removes a sample from the world.
+    pub(crate) fn consume_sample(&mut self, sample: Entity) {
+        let (id, holder) = (self.get::<SampleLabel>(sample).0.clone(), self.get::<Custody>(sample).holder);
+        self.samples.remove(&id);
+        self.despawn(sample);
+        let from = self.sample_holder(holder);
+        self.log_event(WorldEvent::SampleConsumed { sample: id, from });
+    }
+
+    /// Returns the first name of this form that no sample has: `name 1`, `name 2` and so on.
+    pub(crate) fn free_sample_id(&self, name: &str, first: usize) -> SampleId {
+        let mut ids = (first..).map(|number| SampleId::from(format!("{name} {number}").as_str()));
+        ids.find(|id| !self.samples.contains_key(id)).expect("the number of samples is bounded")
     }
 
     fn next_handover(&mut self) -> u64 {

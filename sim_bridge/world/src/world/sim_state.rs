@@ -131,10 +131,15 @@ impl SimState {
         self.store.spawn(())
     }
 
+    /// Removes an entity with its components.
+    pub(crate) fn despawn(&mut self, entity: Entity) {
+        self.store.despawn(entity).expect("the entity is in the world");
+    }
+
     /// Sets a component of an entity, replacing any of the same type.
     pub fn insert<T: Component>(&mut self, entity: Entity, component: T) {
         self.check(ComponentType::of::<T>(), true);
-        self.store.insert_one(entity, component).expect("entities are never removed");
+        self.store.insert_one(entity, component).expect("the entity is in the world");
     }
 
     /// Reads a component that the entity always has.

@@ -170,6 +170,22 @@ fn the_content_of_a_domain_is_compared_without_texts_for_people() {
 }
 
 #[test]
+fn items_come_from_nothing_and_go_to_nothing() {
+    let moves = |options: &str, from: &str, to: &str| {
+        check(&format!(
+            "domain: d\nactions: {{ a: {{ {options} simulate: {{ moves: {{ from: {from}, to: {to} }} }} }} }}"
+        ))
+    };
+    assert!(moves("", "nothing", "table").is_ok());
+    assert!(moves("", "drawer", "nothing").is_ok());
+    let place = "actions.a.simulate.moves";
+    let same = format!("{place}: `from` and `to` are the same; allowed are two different holders");
+    assert_eq!(moves("", "nothing", "nothing").unwrap_err(), [same]);
+    let unmoved = format!("{place}: an action that moves items needs `hands_over: true`");
+    assert_eq!(moves("repeatable: true,", "arm", "nothing").unwrap_err(), [unmoved]);
+}
+
+#[test]
 fn a_task_type_hands_items_over_if_an_action_of_it_does() {
     let domain = r#"
 domain: loading

@@ -114,6 +114,8 @@ impl Invariant for UnderLease {
             | InWorld::PersonReturned { .. }
             | InWorld::HandoverStarted { .. }
             | InWorld::SampleMoved { .. }
+            | InWorld::SampleCreated { .. }
+            | InWorld::SampleConsumed { .. }
             | InWorld::DoorRequested { .. }
             | InWorld::DoorEntered { .. }
             | InWorld::DoorLeft { .. }

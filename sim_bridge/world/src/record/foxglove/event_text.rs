@@ -41,6 +41,8 @@ pub(super) fn log_line(event: &WorldEvent) -> (u8, String, String) {
         WorldEvent::SampleMoved { sample, from, to } => {
             info(sample, format!("{} → {}", holder_text(from), holder_text(to)))
         }
+        WorldEvent::SampleCreated { sample, holder } => info(sample, format!("new → {}", holder_text(holder))),
+        WorldEvent::SampleConsumed { sample, from } => info(sample, format!("{} → used up", holder_text(from))),
         WorldEvent::DoorRequested { robot, door } => info(robot, format!("waits at {door}")),
         WorldEvent::DoorEntered { robot, door } => info(robot, format!("passes through {door}")),
         WorldEvent::DoorLeft { robot, door } => info(robot, format!("has left {door}")),
@@ -72,10 +74,10 @@ pub(super) fn changes_state_of(event: &WorldEvent, of: &RobotId) -> bool {
         | WorldEvent::Docked { robot, .. }
         | WorldEvent::Collided { robot, .. }
         | WorldEvent::Stranded { robot } => robot == of,
-        WorldEvent::SampleMoved { from, to, .. } => [from, to].iter().any(|holder_text| match holder_text {
-            SampleHolder::Drawer(robot) | SampleHolder::Arm(robot) => robot == of,
-            SampleHolder::Table(_) | SampleHolder::Person(_) => false,
-        }),
+        WorldEvent::SampleMoved { from, to, .. } => is_held_by(from, of) || is_held_by(to, of),
+        WorldEvent::SampleCreated { holder, .. } | WorldEvent::SampleConsumed { from: holder, .. } => {
+            is_held_by(holder, of)
+        }
         WorldEvent::GoalStarted { .. }
         | WorldEvent::Approached { .. }
         | WorldEvent::MissionCanceled { .. }
@@ -92,6 +94,13 @@ pub(super) fn changes_state_of(event: &WorldEvent, of: &RobotId) -> bool {
         | WorldEvent::LiftLeft { .. }
         | WorldEvent::LaneBlocked { .. }
         | WorldEvent::LaneCleared { .. } => false,
+    }
+}
+
+fn is_held_by(holder: &SampleHolder, of: &RobotId) -> bool {
+    match holder {
+        SampleHolder::Drawer(robot) | SampleHolder::Arm(robot) => robot == of,
+        SampleHolder::Table(_) | SampleHolder::Person(_) => false,
     }
 }
 

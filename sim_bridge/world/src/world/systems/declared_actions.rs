@@ -1,13 +1,15 @@
 //! Actions and readings that domain files declare. An action takes a random time, in which its feedback passes through
-//! its values; at its end it fails, or returns random results, changes the readings of its robot and moves an item.
-//! People do declared tasks in the same way, without feedback and without changes of readings and items.
+//! its values. At its end it fails, or returns random results, changes the readings of its robot, and moves, creates or
+//! consumes an item. People do declared tasks in the same way, without feedback and without changes of readings and
+//! items.
 
 use crate::component_types;
 use crate::world::components::{CoPresence, DepartureCount, DrawerOpen, PersonInfo, SampleLabel, SimRobot};
+use crate::world::declared_moves::ItemChange;
 use crate::world::goal_history::GoalHistory;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
-use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
+use crate::world::samples::{Custody, HandoverCount, PayloadData};
 use crate::world::setup::{RobotSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
@@ -55,20 +57,11 @@ impl System for DeclaredActions {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        component_types![
-            CoPresence,
-            SimRobot,
-            DepartureCount,
-            DrawerOpen,
-            SampleLabel,
-            RobotLocation,
-            PersonInfo,
-            GoalHistory
-        ]
+        component_types![CoPresence, SimRobot, DepartureCount, DrawerOpen, RobotLocation, PersonInfo, GoalHistory]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        component_types![ActionModels, Readings, Custody, HandoverCount, PayloadData]
+        component_types![ActionModels, Readings, Custody, HandoverCount, PayloadData, SampleLabel]
     }
 
     fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
@@ -100,9 +93,9 @@ impl System for DeclaredActions {
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
-        let (results, moved) = state.end_declared_goal(robot, goal)?;
-        if let Some((item, to)) = moved {
-            state.place_sample(item, to);
+        let (results, change) = state.end_declared_goal(robot, goal)?;
+        if let Some(change) = change {
+            state.change_item(change);
         }
         Ok(results)
     }
@@ -122,15 +115,11 @@ impl System for DeclaredActions {
 impl SimState {
     /// Draws the end of a goal and changes the readings of its robot. Returns the results, and the item to move with its
     /// new holder.
-    fn end_declared_goal(
-        &self,
-        robot: Entity,
-        goal: &Goal,
-    ) -> Result<(GoalResult, Option<(Entity, HolderEntity)>), ActionError> {
+    fn end_declared_goal(&self, robot: Entity, goal: &Goal) -> Result<(GoalResult, Option<ItemChange>), ActionError> {
         let mut models = self.resource_mut::<ActionModels>();
         let ActionModels { actions, readings, chance, .. } = &mut *models;
         let Some(action) = actions.get(&goal.action) else { return Ok((GoalResult::default(), None)) };
-        let moved = self.declared_move(robot, goal, action)?;
+        let change = self.declared_move(robot, goal, action)?;
         let results = draw_end(action, chance, || format!("{} failed at {}", self.robot_id(robot), goal.action))?;
         let results = GoalResult(results.into_iter().map(|(name, value)| (name, json!(value))).collect());
         let current = &mut self.get_mut::<Readings>(robot).0;
@@ -146,7 +135,7 @@ impl SimState {
                 current.insert(name.clone(), value);
             }
         }
-        Ok((results, moved))
+        Ok((results, change))
     }
 
     /// Returns a reading of a robot, if a domain declares it. No declaration of components is necessary.

@@ -1,7 +1,7 @@
 //! Goals of declared actions: their feedback, the items that they move, and their cancels.
 
 use super::*;
-use crate::world::actions::{ApproachRobot, OperateDrawer};
+use crate::world::actions::{ApproachPerson, ApproachRobot, OperateDrawer};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::yaml;
 use consort_skills::domain_file::DomainFile;
@@ -22,6 +22,13 @@ actions:
     parameters: { to: { type: robot } }
     simulate: { moves: { from: drawer, to: other_drawer, robot: to } }
   spill: { simulate: { failure_rate: 1, moves: { from: table, to: drawer } } }
+  cook: { simulate: { duration_s: [2, 2], moves: { from: nothing, to: drawer } } }
+  print:
+    parameters: { thing: { type: text } }
+    failures: { no_paper: { class: task, moved_nothing: true } }
+    simulate: { duration_s: [2, 2], moves: { from: nothing, to: table, item: thing, otherwise: no_paper } }
+  eat: { simulate: { duration_s: [2, 2], moves: { from: drawer, to: nothing } } }
+  burn: { parameters: { thing: { type: text } }, simulate: { moves: { from: table, to: nothing, item: thing } } }
   press: { cancel: { within_s: 3 }, simulate: { duration_s: [10, 10] } }
   wash:
     cancel: { within_s: 2 }
@@ -39,13 +46,17 @@ fn thing(name: &str, weight_kg: f64) -> ObjectSetup {
 
 /// Two robots at a table with a tray, a cup and a crate. Only r1 has an arm.
 fn store(drawer_slots: usize) -> World {
+    World::new(store_setup(drawer_slots)).unwrap()
+}
+
+fn store_setup(drawer_slots: usize) -> WorldSetup {
     let domain = DomainFile::check(yaml::parse(LOADING).unwrap(), &BTreeMap::new(), &[]).unwrap();
     let setup = hospital(1).domain(&domain);
     let porter = RobotSetup { has_arm: true, ..carrier("r1", "Laboratory") };
     let mut setup = setup.robot(porter).robot(carrier("r2", "Laboratory"));
     setup.objects = vec![thing("tray", 1.5), thing("cup", 0.5), thing("crate", 2.5)];
     setup.limits.drawer_slots = drawer_slots;
-    World::new(setup).unwrap()
+    setup
 }
 
 fn goal(action: &str, parameters: Value) -> Goal {
@@ -136,6 +147,88 @@ fn a_declared_goal_that_fails_moves_nothing() {
         panic!("it has the tray, too")
     };
     assert_eq!(error.class, CauseClass::Task, "the precondition is checked at the end, too");
+}
+
+fn names(world: &World) -> Vec<String> {
+    world.samples().into_iter().map(|sample| sample.id.to_string()).collect()
+}
+
+#[test]
+fn a_declared_goal_creates_and_consumes_items() {
+    let mut world = store(1);
+    let (table, drawer) = (SampleHolder::Table(place("Laboratory")), SampleHolder::Drawer(robot("r1")));
+    run_to_success(&mut world, "r1", 1, goal("cook", json!({})));
+    assert_eq!(holder(&world, "cook 1"), drawer, "it has the name of its action");
+    let full = aborted(ErrorCode::ContainerState, "the drawer of r1 is full: it holds cook 1");
+    assert_eq!(rejected_status(&mut world, "r1", 2, goal("cook", json!({}))), full);
+    run_to_success(&mut world, "r1", 3, goal("eat", json!({})));
+    assert_eq!(names(&world), ["crate", "cup", "tray"], "it is used up");
+    let empty = aborted(ErrorCode::ContainerState, "no object is in the drawer of r1; objects there: nothing");
+    assert_eq!(rejected_status(&mut world, "r1", 4, goal("eat", json!({}))), empty);
+    run_to_success(&mut world, "r1", 5, goal("print", json!({ "thing": "label" })));
+    assert_eq!(holder(&world, "label"), table);
+    run_to_success(&mut world, "r2", 1, goal("load_thing", json!({ "thing": "label" })));
+    assert_eq!(holder(&world, "label"), SampleHolder::Drawer(robot("r2")), "it moves like any item");
+    run_to_success(&mut world, "r1", 6, goal("burn", json!({ "thing": "cup" })));
+    assert_eq!(names(&world), ["crate", "label", "tray"]);
+    let changes = logged(&mut world, |event| match event {
+        WorldEvent::SampleCreated { sample, holder } => Some((sample.to_string(), true, holder.clone())),
+        WorldEvent::SampleConsumed { sample, from } => Some((sample.to_string(), false, from.clone())),
+        _ => None,
+    });
+    let changes: Vec<_> = changes.into_iter().map(|(_, change)| change).collect();
+    let expected = [
+        ("cook 1", true, drawer.clone()),
+        ("cook 1", false, drawer),
+        ("label", true, table.clone()),
+        ("cup", false, table),
+    ];
+    assert_eq!(changes, expected.map(|(name, created, holder)| (name.to_owned(), created, holder)));
+}
+
+#[test]
+fn a_new_item_has_a_free_name_and_space_in_the_world() {
+    let mut setup = store_setup(1);
+    setup.limits.entities_max = 4;
+    let mut world = World::new(setup).unwrap();
+    let mut refused = |id: u64, name: &str, problem: &str| {
+        let status = rejected_status(&mut world, "r1", id, goal("print", json!({ "thing": name })));
+        let declared = ActionError::rejected(ErrorCode::Failed, format!("no_paper: {problem}"));
+        assert_eq!(status, GoalStatus::Aborted(ActionError { class: CauseClass::Task, ..declared }), "{name:?}");
+    };
+    refused(1, "tray", "the name \"tray\" is that of another item; allowed is any other name");
+    let allowed = "is invalid; allowed are 1 to 64 characters, without control characters";
+    refused(2, "", &format!("the name \"\" {allowed}"));
+    // Two robots print the same label. The later one finds that it exists.
+    world.start(&robot("r1"), GoalId(3), goal("print", json!({ "thing": "label" })));
+    world.start(&robot("r2"), GoalId(1), goal("print", json!({ "thing": "label" })));
+    world.advance(at(world.now().as_secs() + 9.0));
+    assert_eq!(world.status(&robot("r1"), GoalId(3)), Some(GoalStatus::succeeded()));
+    assert!(matches!(world.status(&robot("r2"), GoalId(1)), Some(GoalStatus::Aborted(_))));
+    let many = aborted(ErrorCode::Busy, "the world has 4 items; at most 4 are allowed");
+    assert_eq!(rejected_status(&mut world, "r1", 4, goal("cook", json!({}))), many);
+    run_to_success(&mut world, "r1", 5, goal("burn", json!({ "thing": "label" })));
+    world.start(&robot("r1"), GoalId(6), goal("cook", json!({})));
+    world.cancel(&robot("r1"), GoalId(6));
+    world.advance(at(world.now().as_secs() + 9.0));
+    assert_eq!(names(&world), ["crate", "cup", "tray"], "a canceled goal creates nothing");
+}
+
+/// The samples that such a person makes are bounded, and a consumed one is replaced.
+#[test]
+fn a_person_with_endless_samples_replaces_consumed_ones() {
+    let person = PersonSetup { samples: vec![], endless_samples: true, ..nurse("Ana", "Laboratory", "s1") };
+    let mut world = World::new(store_setup(1).person(person)).unwrap();
+    run_to_success(&mut world, "r1", 1, Goal::from(ApproachPerson { role: role("nurse") }));
+    run_to_success(&mut world, "r1", 2, Goal::from(OperateDrawer { open: true }));
+    for turn in 3..30 {
+        world.request_person(GoalId(turn), deposit("r1"));
+        world.advance(at(world.now().as_secs() + 9.0));
+        assert_eq!(world.person_result(GoalId(turn)), Some(Ok(BTreeMap::new())), "turn {turn}");
+        assert_eq!(names(&world), ["Ana 1", "crate", "cup", "tray"], "turn {turn}");
+        run_to_success(&mut world, "r1", turn, goal("eat", json!({})));
+    }
+    assert_eq!(names(&world), ["crate", "cup", "tray"]);
 }
 
 #[test]

@@ -22,7 +22,7 @@ use crate::world::components::{CoPresence, DrawerOpen, HandsBusy, PersonInfo, Pe
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
 use crate::world::location::RobotLocation;
-use crate::world::names::{PersonName, SampleId};
+use crate::world::names::PersonName;
 use crate::world::preconditions::action_error;
 use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
 use crate::world::setup::environment::sample_kg;
@@ -423,24 +423,27 @@ impl SimState {
     /// Returns a new sample of a person with endless samples: one that has ended up on a table, once there
     /// are [`SUPPLY_MAX`], so that their number stays bounded.
     fn supplied_sample(&mut self, person: Entity) -> Option<Entity> {
-        let made = {
+        let mut made = {
             let supply = self.get::<SampleSupply>(person);
             if !supply.endless {
                 return None;
             }
             supply.made.clone()
         };
+        // Goals may have consumed some.
+        made.retain(|sample| self.find::<Custody>(*sample).is_some());
         if made.len() >= SUPPLY_MAX
             && let Some(used) = self.first_on_a_table(&made)
         {
             self.transfer_sample(used, HolderEntity::Hands(person));
             return Some(used);
         }
-        let id = SampleId::from(format!("{} {}", self.get::<PersonInfo>(person).name, made.len() + 1).as_str());
+        let id = self.free_sample_id(self.get::<PersonInfo>(person).name.as_str(), made.len() + 1);
         let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
         self.spawn_sample(id.clone(), HolderEntity::Hands(person), load);
         let sample = self.samples.get(&id).copied()?;
-        self.get_mut::<SampleSupply>(person).made.push(sample);
+        made.push(sample);
+        self.get_mut::<SampleSupply>(person).made = made;
         Some(sample)
     }
 
