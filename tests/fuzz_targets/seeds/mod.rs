@@ -11,7 +11,7 @@ use std::path::Path;
 
 /// A line of each message of a driver.
 const DRIVER_LINES: &str = r#"{"type":"hello","protocol":1,"driver":"test 1.0","actions":{"wait":{"parameters":{"seconds":{"type":"seconds"}},"example":{"seconds":2}}},"resumes":true}
-{"type":"feedback","id":"7","distance_remaining_m":1.5,"time_remaining_s":3}
+{"type":"feedback","id":"7","distance_remaining_m":1.5,"time_remaining_s":3,"values":{"share":0.5,"phase":"rinse"}}
 {"type":"result","id":"7","status":"aborted","code":"blocked","message":"a chair"}
 {"type":"result","id":"1152921504606846976","status":"succeeded","results":{"dust_g":2.5,"full":true}}
 {"type":"pose","x_m":1.25,"y_m":-3.5,"yaw_rad":0.1,"place":"IC Room 6"}

@@ -126,6 +126,16 @@ fn a_driver_with_undeclared_readings_fails_the_case_of_readings() {
 }
 
 #[test]
+fn a_driver_with_undeclared_feedback_fails_the_case_of_feedback() {
+    let distance = "distance_remaining_m=math.dist(self.at, self.target)";
+    let driver = variant("undeclared_feedback.py", distance, &format!("{distance}, values={{\"dust\": 1}}"));
+    let ran = check(&driver, &["goal_succeeds", "goal_sends_feedback", "feedback_is_declared"], &[]);
+    let expected = "ok      goal_succeeds\nok      goal_sends_feedback\nFAILED  feedback_is_declared: feedback: values.dust: \
+                    the action vacuum declares no such feedback; no names are available\n";
+    assert_eq!((ran.code, ran.out.as_str()), (Some(1), expected), "{}", ran.err);
+}
+
+#[test]
 fn a_driver_that_floods_fails_the_case_of_bounded_output() {
     let report = "if now - self.reported >= 0.5: self.report()";
     let driver = variant("floods.py", report, "[self.report() for _ in range(50)]");
