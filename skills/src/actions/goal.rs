@@ -3,7 +3,7 @@
 use super::error::{ActionError, ErrorCode};
 use consort_protocol::ids::ActionName;
 use consort_protocol::mission::RESULTS_MAX;
-use consort_protocol::scalar::{Scalar, check_named_scalars};
+use consort_protocol::scalar::{NamedScalarsError, Scalar, check_named_scalars};
 use consort_protocol::units::{Metres, Seconds};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
@@ -167,6 +167,17 @@ impl GoalStatus {
         GoalStatus::Aborted(ActionError::new(ErrorCode::Failed, message))
     }
 
+    /// Returns the status without the values of a feedback that is beyond the limits of a message. The goal continues.
+    #[must_use]
+    pub fn within_limits(self) -> GoalStatus {
+        match self {
+            GoalStatus::Executing(feedback) if check_feedback(&feedback.values).is_err() => {
+                GoalStatus::Executing(Feedback { values: BTreeMap::new(), ..feedback })
+            }
+            status => status,
+        }
+    }
+
     /// Checks whether the goal has ended.
     pub fn is_final(&self) -> bool {
         matches!(self, GoalStatus::Succeeded(_) | GoalStatus::Canceled | GoalStatus::Aborted(_))
@@ -198,8 +209,12 @@ impl Feedback {
 /// Decodes the values of a feedback within their limits.
 fn feedback_values<'de, D: Deserializer<'de>>(source: D) -> Result<BTreeMap<String, Scalar>, D::Error> {
     let values = BTreeMap::deserialize(source)?;
-    check_named_scalars("feedback value", &values, RESULTS_MAX).map_err(de::Error::custom)?;
+    check_feedback(&values).map_err(de::Error::custom)?;
     Ok(values)
+}
+
+fn check_feedback(values: &BTreeMap<String, Scalar>) -> Result<(), NamedScalarsError> {
+    check_named_scalars("feedback value", values, RESULTS_MAX)
 }
 
 /// Progress of an active goal, in the goal's own terms.
@@ -281,6 +296,7 @@ mod tests {
         let text = |size: usize| Scalar::Text("x".repeat(size));
         let soaked = sent(vec![("soaked".to_owned(), Scalar::Number(0.5)), ("phase".to_owned(), text(256))]);
         assert_eq!(codec::decode::<GoalStatus>(&codec::encode(&soaked).unwrap()).unwrap(), soaked);
+        assert_eq!(soaked.clone().within_limits(), soaked);
         let many = (0..17).map(|number| (format!("f{number}"), Scalar::Bool(true))).collect();
         for (wrong, part) in [
             (sent(many), "17 feedback values; at most 16 are allowed"),
@@ -288,6 +304,7 @@ mod tests {
         ] {
             let error = codec::decode::<GoalStatus>(&codec::encode(&wrong).unwrap()).unwrap_err().to_string();
             assert!(error.contains(part), "{error}");
+            assert_eq!(wrong.within_limits(), sent(vec![]), "the goal continues");
         }
     }
 

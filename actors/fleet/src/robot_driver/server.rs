@@ -354,7 +354,8 @@ impl DriverServerState {
         let telemetry = self.world.telemetry(robot)?;
         let status = |id: GoalId| {
             let unknown_goal = || ActionError::new(ErrorCode::Unknown, format!("goal {} is unknown here", id.0));
-            (id, self.world.status(robot, id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal())))
+            let status = self.world.status(robot, id).unwrap_or_else(|| GoalStatus::Aborted(unknown_goal()));
+            (id, status.within_limits())
         };
         let goals: Vec<(GoalId, GoalStatus)> = self.goals.goals(robot)?.map(status).collect();
         let completed = |(id, status): &(GoalId, GoalStatus)| match status {

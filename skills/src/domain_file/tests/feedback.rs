@@ -77,7 +77,7 @@ actions:
 fn feedback_is_a_part_of_the_content_if_there_is_any() {
     let reference = |text: &str| check(text).unwrap().reference();
     let domain = reference(SOAKING);
-    assert_eq!(reference(&SOAKING.replace(r#"unit: "1", "#, "").replace("description: share", "")), domain);
+    assert_eq!(reference(&SOAKING.replace(r#"unit: "1", "#, "").replace(", description: share", "")), domain);
     for (part, changed) in [("maximum: 1", "maximum: 2"), ("phase: [rest", "phase: [fill")] {
         assert_ne!(reference(&SOAKING.replace(part, changed)), domain, "{changed}");
     }
