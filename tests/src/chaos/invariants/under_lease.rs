@@ -23,21 +23,25 @@ pub(super) struct UnderLease {
     last: BTreeMap<String, Part>,
     /// Active goals in the world, with the role they were begun for.
     at_work: BTreeMap<(String, u64), Option<Part>>,
+    /// Roles of people. Remembered, since there is no ledger while all nodes are down.
+    of_people: BTreeSet<Part>,
 }
 
 impl UnderLease {
+    /// `roles` are those of the mission, if there is a ledger that contains it.
     fn acts(
-        &self,
+        &mut self,
         node: &NodeId,
-        mission: &MissionId,
-        role: &RoleId,
+        part: Part,
         what: &str,
-        fleet: &Fleet,
+        is_robot: bool,
+        roles: Option<BTreeMap<RoleId, RoleKind>>,
     ) -> Result<(), InvariantViolation> {
+        let people = roles.into_iter().flatten().filter(|(_, kind)| *kind == RoleKind::Unmanaged);
+        self.of_people.extend(people.map(|(role, _)| (part.0.clone(), role)));
         // The coordinator, on any node, acts in the roles of people.
-        let kind = |ledger: &Ledger| Some(ledger.mission(mission)?.roles.get(role)?.kind);
-        let of_robot = fleet.ledger(kind).flatten() != Some(RoleKind::Unmanaged);
-        if of_robot && fleet.is_robot(node) && !self.active.contains(&(node.clone(), (mission.clone(), role.clone()))) {
+        if is_robot && !self.of_people.contains(&part) && !self.active.contains(&(node.clone(), part.clone())) {
+            let (mission, role) = part;
             return Err(format!("{node} {what} as {role} of {mission}, in which it is not active").into());
         }
         Ok(())
@@ -67,6 +71,14 @@ impl Invariant for UnderLease {
         if let Observation::TestAction { action: "killed" | "ended", .. } = entry {
             self.active.retain(|(who, _)| who != node);
         }
+        let mut acts = |mission: &MissionId, role: &RoleId, what: &str| {
+            let kinds = |ledger: &Ledger| {
+                let roles = &ledger.mission(mission)?.roles;
+                Some(roles.iter().map(|(role, declared)| (role.clone(), declared.kind)).collect())
+            };
+            let roles = fleet.ledger(kinds).flatten();
+            self.acts(node, (mission.clone(), role.clone()), what, fleet.is_robot(node), roles)
+        };
         match entry.event_kind() {
             Some(EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role }) => {
                 self.begins(node, (mission.clone(), role.clone()))
@@ -80,19 +92,13 @@ impl Invariant for UnderLease {
                 self.active.remove(&(node.clone(), (mission.clone(), role.clone())));
                 Ok(())
             }
-            Some(EventKind::TaskBegan { mission, role, task }) => {
-                self.acts(node, mission, role, &format!("begins {task}"), fleet)
-            }
+            Some(EventKind::TaskBegan { mission, role, task }) => acts(mission, role, &format!("begins {task}")),
             Some(EventKind::Sent { mission, signal }) => {
-                self.acts(node, mission, &signal.from, &format!("sends {:?} of {}", signal.kind, signal.task), fleet)
+                acts(mission, &signal.from, &format!("sends {:?} of {}", signal.kind, signal.task))
             }
-            Some(EventKind::Received { mission, signal }) => self.acts(
-                node,
-                mission,
-                &signal.to,
-                &format!("goes on after {:?} of {}", signal.kind, signal.task),
-                fleet,
-            ),
+            Some(EventKind::Received { mission, signal }) => {
+                acts(mission, &signal.to, &format!("goes on after {:?} of {}", signal.kind, signal.task))
+            }
             _ => Ok(()),
         }
     }
@@ -129,5 +135,22 @@ impl Invariant for UnderLease {
             | InWorld::Collided { .. } => {}
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roles_of_people_are_known_while_all_nodes_are_down() {
+        let (mut state, node) = (UnderLease::default(), NodeId::new("garnet").unwrap());
+        let mission: MissionId = "rounds-1".parse().unwrap();
+        let part = |role: &str| (mission.clone(), RoleId::new(role).unwrap());
+        let roles = [(part("nurse").1, RoleKind::Unmanaged), (part("r1").1, RoleKind::Managed)];
+        assert!(state.acts(&node, part("nurse"), "begins it", true, Some(BTreeMap::from(roles))).is_ok());
+        assert!(state.acts(&node, part("nurse"), "goes on", true, None).is_ok());
+        let violation = state.acts(&node, part("r1"), "goes on", true, None).unwrap_err();
+        assert_eq!(violation.0, "garnet goes on as r1 of rounds-1, in which it is not active");
     }
 }
