@@ -5,7 +5,7 @@ use crate::auction::{AuctionRecord, Bid};
 use crate::cause::CauseClass;
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::lease::{EndReason, Epoch};
-use crate::ledger::MissionState;
+use crate::ledger::{MissionState, RobotOrders};
 use crate::message::FailureKind;
 use crate::plan::Signal;
 use schemars::JsonSchema;
@@ -90,6 +90,13 @@ pub enum EventKind {
         change: ScheduleChange,
         /// The responsible person; in a closed fleet with the signer.
         by: String,
+    },
+    /// The orders of people to a robot have changed: a person gave or ended an order, or its time has passed.
+    RobotOrders {
+        /// The robot.
+        robot: RobotId,
+        /// Its orders from now on.
+        orders: RobotOrders,
     },
     /// An occurrence of a schedule was submitted.
     OccurrenceSubmitted {
@@ -401,6 +408,7 @@ impl EventKind {
             EventKind::Left { .. } => "left",
             EventKind::Submitted { .. } => "submitted",
             EventKind::ScheduleChanged { .. } => "schedule_changed",
+            EventKind::RobotOrders { .. } => "robot_orders",
             EventKind::OccurrenceSubmitted { .. } => "occurrence_submitted",
             EventKind::BidsRequested { .. } => "bids_requested",
             EventKind::Bid { .. } => "bid",
@@ -467,6 +475,7 @@ impl EventKind {
             | EventKind::Foreign { .. }
             | EventKind::Voters { .. }
             | EventKind::ScheduleChanged { .. }
+            | EventKind::RobotOrders { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. } => None,
         }
@@ -488,6 +497,7 @@ mod tests {
             EventKind::QuestionAnswered { mission: mission.clone(), role: role.clone(), task },
             EventKind::OccurrenceSubmitted { schedule: schedule.clone(), due_ms: 1, mission: mission.clone() },
             EventKind::ScheduleChanged { schedule, change: ScheduleChange::Added, by: String::new() },
+            EventKind::RobotOrders { robot: "ada".parse().unwrap(), orders: RobotOrders::default() },
             EventKind::LowCharge { mission, role, cause: String::new() },
         ];
         for kind in kinds {

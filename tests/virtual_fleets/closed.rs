@@ -266,6 +266,12 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
             (keys.write(&Key::Api(ApiCall::Cancel)), cancel.clone()),
             (keys.write(&Key::Api(ApiCall::Resolve)), cancel),
             (keys.write(&Key::Api(ApiCall::Answer)), json!({ "request": format!("{mission}.1"), "answer": "done" })),
+            (keys.write(&Key::Api(ApiCall::Hold)), json!({ "robots": "all" })),
+            (keys.write(&Key::Api(ApiCall::Release)), json!({ "robots": "all" })),
+            (
+                keys.write(&Key::Api(ApiCall::Maintenance)),
+                json!({ "robots": "all", "action": "begin", "reason": "stolen" }),
+            ),
             (keys.write(&Key::Api(ApiCall::Backup)), json!({})),
             (keys.write(&Key::Api(ApiCall::Upgrade)), json!({ "finish": true })),
             (keys.write(&Key::Leave("clove".parse().expect("a name"))), json!({})),
@@ -292,6 +298,25 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
         assert_eq!(submitted, 1, "seed {seed}\n{}", fleet.event_log_text());
         let left = fleet.event_log.count(|what| matches!(what, EventKind::Left { .. }));
         assert_eq!(left, 0, "seed {seed}: a node left\n{}", fleet.event_log_text());
+    });
+}
+
+#[test]
+fn a_signed_hold_stops_a_robot_and_names_the_signer() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock")).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let start = fleet.position("gorse");
+        fleet.wait_until("a move", SOON, |fleet| fleet.position("gorse") != start).await;
+        let payload = json!({ "robots": ["gorse"], "by": "Nia" });
+        let reply = fleet.request_answered(ApiCall::Hold, &payload).await;
+        assert_eq!(reply["robots"]["gorse"]["hold"]["by"], "Nia, according to client", "seed {seed}: {reply}");
+        fleet.wait_for_rest("gorse").await;
+        let place = fleet.position("gorse");
+        fleet.assert_never("a move", Duration::from_secs(10), |fleet| fleet.position("gorse") != place).await;
+        fleet.request_answered(ApiCall::Release, &payload).await;
+        fleet.assert_completes(&mission).await;
+        assert_eq!(refused(&fleet), BTreeSet::new(), "seed {seed}: friends are taken for foes");
     });
 }
 

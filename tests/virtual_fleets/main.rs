@@ -32,6 +32,7 @@ mod requests;
 mod requirements;
 mod restart;
 mod results;
+mod robot_orders;
 mod scale;
 mod schedules;
 mod spread_loops;

@@ -1,8 +1,8 @@
 //! Descriptions of all calls on `api/**`, for clients.
 
 use consort_protocol::api::{
-    AnswerReply, CallHelp, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, ScheduleReply, SubmitReply,
-    UpgradeReply, example, payload_schema,
+    AnswerReply, CallHelp, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, OrdersReply, ScheduleReply,
+    SubmitReply, UpgradeReply, example, payload_schema,
 };
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::view::{MissionView, MissionsView, RequestsView, SchedulesView, WithProvenance, schema_of};
@@ -35,6 +35,7 @@ fn reply_schema(call: ApiCall) -> Schema {
         ApiCall::Cancel | ApiCall::Resolve => schema_of::<MissionChangeReply>(),
         ApiCall::Answer => schema_of::<AnswerReply>(),
         ApiCall::Schedule => schema_of::<ScheduleReply>(),
+        ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance => schema_of::<OrdersReply>(),
         ApiCall::Schedules => schema_of::<WithProvenance<SchedulesView>>(),
         ApiCall::Requests => schema_of::<WithProvenance<RequestsView>>(),
         ApiCall::Get => schema_of::<WithProvenance<MissionView>>(),

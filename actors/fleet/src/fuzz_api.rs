@@ -5,8 +5,8 @@
 
 use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
-    AnswerRequest, MissionChangeRequest, MissionQuery, ScheduleRequest, SubmitRequest, UpgradeRequest,
-    parse_read_options, parse_request,
+    AnswerRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, ReleaseRequest,
+    ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -71,6 +71,9 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Upgrade => drop(parse_request::<UpgradeRequest>(call, payload)?),
         ApiCall::Answer => drop(parse_request::<AnswerRequest>(call, payload)?),
         ApiCall::Schedule => drop(parse_request::<ScheduleRequest>(call, payload)?),
+        ApiCall::Hold => drop(parse_request::<HoldRequest>(call, payload)?),
+        ApiCall::Release => drop(parse_request::<ReleaseRequest>(call, payload)?),
+        ApiCall::Maintenance => drop(parse_request::<MaintenanceRequest>(call, payload)?),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules => drop(parse_read_options(call, payload)?),
         ApiCall::Help | ApiCall::Backup => {}
     }

@@ -36,6 +36,8 @@ impl StateMachine for Ledger {
             | Command::ResumeSchedule { .. }
             | Command::SubmitOccurrence { .. }
             | Command::SkipOccurrences { .. }
+            | Command::OrderRobots { .. }
+            | Command::ExpireOrders { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

@@ -1,9 +1,9 @@
 //! The command line.
 
 use crate::command::{
-    answer, backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, keys, lab,
-    leave, map, missions, record, recover, replay, requests, resolve, restore, robot, schedule, schema, station,
-    submit, token, upgrade, watch, world,
+    answer, backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, hold, keys, lab,
+    leave, maintenance, map, missions, record, recover, replay, requests, resolve, restore, robot, schedule, schema,
+    station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -69,6 +69,9 @@ enum Command {
     Cancel(cancel::Args),
     Resolve(resolve::Args),
     Schedule(schedule::Args),
+    Hold(hold::HoldArgs),
+    Release(hold::ReleaseArgs),
+    Maintenance(maintenance::Args),
     Requests(requests::Args),
     Answer(answer::Args),
     Fleet(fleet::Args),
@@ -120,6 +123,9 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Cancel(args) => cancel::run(args),
             Command::Resolve(args) => resolve::run(args),
             Command::Schedule(args) => schedule::run(args),
+            Command::Hold(args) => hold::run(args),
+            Command::Release(args) => hold::release(args),
+            Command::Maintenance(args) => maintenance::run(args),
             Command::Requests(args) => requests::run(args),
             Command::Answer(args) => answer::run(args),
             Command::Fleet(args) => fleet::run(args),

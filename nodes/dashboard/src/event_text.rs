@@ -51,6 +51,7 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::ScheduleChanged { schedule, change, by } => {
             normal("schedule", format!("{schedule} {} by {by}", change.as_str()))
         }
+        EventKind::RobotOrders { robot, orders } => normal("orders", format!("{robot} is {}", orders.state_text())),
         EventKind::OccurrenceSubmitted { schedule, due_ms, mission } => {
             normal("schedule", format!("{schedule} submitted {mission}, due {}", time_in_zone(*due_ms, "UTC")))
         }

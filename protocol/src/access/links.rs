@@ -127,7 +127,13 @@ pub fn required_scope(call: ApiCall) -> AccessScope {
         ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Explain | ApiCall::Help => {
             AccessScope::Read
         }
-        ApiCall::Submit | ApiCall::Cancel | ApiCall::Answer | ApiCall::Schedule => AccessScope::Submit,
+        ApiCall::Submit
+        | ApiCall::Cancel
+        | ApiCall::Answer
+        | ApiCall::Schedule
+        | ApiCall::Hold
+        | ApiCall::Release
+        | ApiCall::Maintenance => AccessScope::Submit,
         ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => AccessScope::Operate,
     }
 }

@@ -1,7 +1,8 @@
 //! Descriptions of the calls, for clients.
 
 use super::request::{
-    AnswerRequest, MissionChangeRequest, MissionQuery, ReadOptions, ScheduleRequest, SubmitRequest, UpgradeRequest,
+    AnswerRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, ReadOptions, ReleaseRequest,
+    ScheduleRequest, SubmitRequest, UpgradeRequest,
 };
 use crate::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
@@ -53,6 +54,11 @@ pub fn example(call: ApiCall) -> Option<Value> {
             "schedule": "rounds", "action": "add", "cron": "0 8 * * 1-5", "zone": "Europe/Berlin",
             "submit": { "mission": "vital-signs" }, "by": "Nia",
         })),
+        ApiCall::Hold => Some(json!({ "robots": ["ada"], "for_s": 600, "reason": "a spill", "by": "Nia" })),
+        ApiCall::Release => Some(json!({ "robots": "all", "by": "Nia" })),
+        ApiCall::Maintenance => {
+            Some(json!({ "robots": ["ada"], "action": "begin", "reason": "new tyres", "by": "Nia" }))
+        }
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules => Some(json!({ "linearizable": true })),
         ApiCall::Upgrade => Some(json!({ "finish": false })),
         ApiCall::Help | ApiCall::Backup => None,
@@ -67,6 +73,9 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
         ApiCall::Get | ApiCall::Explain => Some(schema_for!(MissionQuery)),
         ApiCall::Answer => Some(schema_for!(AnswerRequest)),
         ApiCall::Schedule => Some(schema_for!(ScheduleRequest)),
+        ApiCall::Hold => Some(schema_for!(HoldRequest)),
+        ApiCall::Release => Some(schema_for!(ReleaseRequest)),
+        ApiCall::Maintenance => Some(schema_for!(MaintenanceRequest)),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules => Some(schema_for!(ReadOptions)),
         ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
         ApiCall::Help | ApiCall::Backup => None,

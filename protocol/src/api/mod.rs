@@ -6,6 +6,9 @@
 //! | `cancel` | `{"mission": "vital-signs-1", "by": "a clerk"}` | `{"mission": …, "state": …}` |
 //! | `resolve` | `{"mission": "vital-signs-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
 //! | `answer` | `{"request": "vital-signs-1.1", "answer": "done", "results": {"dust_g": 3}, "by": "Nia"}`; `answer` may also be `declined`, `cannot` or `later` (with `minutes`); optional: `note` | `{"request": …, "phase": …}` |
+//! | `hold` | `{"robots": ["ada"], "for_s": 600, "reason": "a spill", "by": "Nia"}`; `robots` may also be `"all"` or `{"where": "robot.attributes.section == \"icu\""}`; optional: `for_s` (600), `reason` | `{"robots": {"ada": {"hold": {…}, "maintenance": null}}}` |
+//! | `release` | `{"robots": ["ada"], "by": "Nia"}` | as of `hold` |
+//! | `maintenance` | `{"robots": ["ada"], "action": "begin", "reason": "new tyres", "by": "Nia"}`; `action` may also be `end`; optional: `until` (RFC 3339) | as of `hold` |
 //! | `backup` | nothing | a copy of the ledger, with everything acknowledged before the request: with key figures as plain text |
 //! | `upgrade` | `{"finish": false}`: the wire versions that each node reads; with `true` the fleet writes the next version from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
 //! | `get` | `{"mission": "vital-signs-1"}`; optional: `linearizable` | the mission, as in `view/mission/{id}` |
@@ -14,7 +17,7 @@
 //! | `explain` | `{"mission": "vital-signs-1"}`; optional: `linearizable` | why each robot did or did not get each role |
 //! | `help` | nothing | `{"calls": […]}`: all calls, with JSON Schemas; `api/{call}/help` returns a single call |
 //!
-//! Only the coordinator replies to the first 6 calls. All of them except `backup` may change state.
+//! Only the coordinator replies to the first 9 calls. All of them except `backup` may change state.
 //! A request that cannot be executed gets `{"error": "…"}`, and nothing has changed. With an
 //! additional `"retry_after_ms"` the same request, with the same `request` id, may be repeated
 //! after that time: there is no coordinator yet, or the ledger did not commit in time. The reply to
@@ -43,10 +46,11 @@ mod request;
 pub use help::{CallHelp, HelpReply, example, payload_schema};
 pub use parse::{RequestError, parse_read_options, parse_request};
 pub use reply::{
-    AnswerReply, ErrorReply, ExplainReply, MissionChangeReply, NodeVersions, ScheduleReply, SubmitReply,
+    AnswerReply, ErrorReply, ExplainReply, MissionChangeReply, NodeVersions, OrdersReply, ScheduleReply, SubmitReply,
     UninvitedRobot, UpgradeReply,
 };
 pub use request::{
-    AnswerRequest, AnswerWord, LATER_MINUTES_MAX, MissionChangeRequest, MissionQuery, MissionSource, ReadOptions,
-    ScheduleAction, ScheduleRequest, StartTime, SubmitRequest, UpgradeRequest,
+    AllRobots, AnswerRequest, AnswerWord, HOLD_S, HOLD_S_MAX, HoldRequest, LATER_MINUTES_MAX, MaintenanceAction,
+    MaintenanceRequest, MissionChangeRequest, MissionQuery, MissionSource, ReadOptions, ReleaseRequest, RobotCondition,
+    RobotSelection, ScheduleAction, ScheduleRequest, StartTime, SubmitRequest, UpgradeRequest,
 };

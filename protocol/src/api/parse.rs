@@ -107,7 +107,8 @@ fn kind(value: &Value) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::request::{
-        AnswerRequest, MissionChangeRequest, MissionQuery, ScheduleRequest, SubmitRequest, UpgradeRequest,
+        AnswerRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, ReleaseRequest,
+        ScheduleRequest, SubmitRequest, UpgradeRequest,
     };
     use super::*;
 
@@ -125,6 +126,9 @@ mod tests {
                 ApiCall::Upgrade => parse_request::<UpgradeRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Answer => parse_request::<AnswerRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Schedule => parse_request::<ScheduleRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Hold => parse_request::<HoldRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Release => parse_request::<ReleaseRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Maintenance => parse_request::<MaintenanceRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::List | ApiCall::Requests | ApiCall::Schedules => {
                     parse_read_options(*call, bytes.as_bytes()).map(drop)
                 }

@@ -1,11 +1,12 @@
 //! Replies to requests.
 
 use crate::auction::Explanation;
-use crate::ids::{MissionId, NodeId};
-use crate::ledger::{MissionState, PersonRequestId, PersonRequestPhase, RoleRelease};
+use crate::ids::{MissionId, NodeId, RobotId};
+use crate::ledger::{MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease};
 use crate::view::{MissionStateName, ScheduleView};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Acknowledged mission: it is committed and will not be lost.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -44,6 +45,13 @@ pub struct AnswerReply {
 pub struct ScheduleReply {
     /// The schedule; null if it was removed.
     pub schedule: Option<ScheduleView>,
+}
+
+/// Orders to robots after a change.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct OrdersReply {
+    /// The robots of the request, with their orders.
+    pub robots: BTreeMap<RobotId, RobotOrders>,
 }
 
 /// Progress of the upgrade to the next wire version.

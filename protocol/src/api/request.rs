@@ -1,6 +1,6 @@
 //! Payloads of requests.
 
-use crate::ids::{MissionId, RequestId, RoleId, ScheduleId, TaskId};
+use crate::ids::{MissionId, RequestId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::ledger::{MissedOccurrences, PersonRequestId};
 use crate::mission::IhtnFields;
 use crate::scalar::Scalar;
@@ -205,6 +205,114 @@ pub enum ScheduleAction {
     Resume,
     /// Remove it. Its missions go on.
     Remove,
+}
+
+/// Holds robots: they stand still at once, and keep their roles.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct HoldRequest {
+    /// The robots.
+    pub robots: RobotSelection,
+    /// Seconds after which the hold ends by itself; 600 if absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = HOLD_S_MAX))]
+    pub for_s: Option<u32>,
+    /// Reason, for display.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+}
+
+/// Seconds after which a hold ends by default.
+pub const HOLD_S: u32 = 600;
+
+/// Maximum number of seconds of a hold: a day.
+pub const HOLD_S_MAX: u32 = 24 * 60 * 60;
+
+/// Releases held robots.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReleaseRequest {
+    /// The robots. Robots that are not held stay as they are.
+    pub robots: RobotSelection,
+    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+}
+
+/// Takes robots out of service, or returns them to service.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MaintenanceRequest {
+    /// The robots.
+    pub robots: RobotSelection,
+    /// The change.
+    pub action: MaintenanceAction,
+    /// For `begin`: the time at which the maintenance ends by itself, in RFC 3339. Default: no end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("format" = "date-time"))]
+    pub until: Option<String>,
+    /// For `begin`: the reason, for display.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+}
+
+/// Change of the maintenance of robots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MaintenanceAction {
+    /// They finish their roles, and get no others.
+    Begin,
+    /// They get roles again.
+    End,
+}
+
+/// The robots of a request.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "robots must be a list of names, \"all\", or an object with a condition as `where`")]
+pub enum RobotSelection {
+    /// Robots by name.
+    Named(BTreeSet<RobotId>),
+    /// The robots for which a condition holds, as that of a role: `robot.attributes.section == "icu"`.
+    Where(RobotCondition),
+    /// All robots with a known record.
+    All(AllRobots),
+}
+
+/// Condition on the robots of a request.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotCondition {
+    /// The condition, in CEL.
+    #[serde(rename = "where")]
+    pub condition: String,
+}
+
+/// All robots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AllRobots {
+    /// Every robot with a known record.
+    All,
+}
+
+impl JsonSchema for RobotSelection {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "RobotSelection".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": ["array", "object", "string"], "items": { "type": "string" } })
+    }
 }
 
 /// Maximum number of minutes for which a person puts a request off: a day.

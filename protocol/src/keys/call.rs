@@ -44,6 +44,12 @@ words! {
         Answer = "answer",
         /// Add, pause, resume or remove a schedule.
         Schedule = "schedule",
+        /// Hold robots: they stand still, and keep their roles.
+        Hold = "hold",
+        /// Release held robots.
+        Release = "release",
+        /// Take robots out of service for maintenance, or return them to service.
+        Maintenance = "maintenance",
         /// Get a backup of the ledger.
         Backup = "backup",
         /// Get the progress of an upgrade to the next wire version, and complete it.
@@ -109,6 +115,9 @@ impl ApiCall {
             | ApiCall::Resolve
             | ApiCall::Answer
             | ApiCall::Schedule
+            | ApiCall::Hold
+            | ApiCall::Release
+            | ApiCall::Maintenance
             | ApiCall::Backup
             | ApiCall::Upgrade => false,
             ApiCall::Get

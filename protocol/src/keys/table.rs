@@ -92,6 +92,9 @@ table! {
     Key::Api(ApiCall::Get) => "api/get", "any node" Answers JSON, "a mission, as in view/mission/{mission}";
     Key::Api(ApiCall::List) => "api/list", "any node" Answers JSON, "all missions, as in view/missions";
     Key::Api(ApiCall::Schedule) => "api/schedule", "the coordinator" Answers JSON, "adds, pauses, resumes or removes a schedule";
+    Key::Api(ApiCall::Hold) => "api/hold", "the coordinator" Answers JSON, "holds robots: they stand still, and keep their roles";
+    Key::Api(ApiCall::Release) => "api/release", "the coordinator" Answers JSON, "releases held robots";
+    Key::Api(ApiCall::Maintenance) => "api/maintenance", "the coordinator" Answers JSON, "takes robots out of service once their roles have ended, or returns them to service";
     Key::Api(ApiCall::Schedules) => "api/schedules", "any node" Answers JSON, "the schedules, as in view/schedules";
     Key::Api(ApiCall::Requests) => "api/requests", "any node" Answers JSON, "the requests to people, as in view/requests";
     Key::Api(ApiCall::Explain) => "api/explain", "any node" Answers JSON, "for each role of a mission, the reason for which each robot got it or not";

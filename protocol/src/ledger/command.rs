@@ -4,6 +4,7 @@ use super::branch::Branch;
 use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
+use super::robot_order::{ORDERS_BYTES_MAX, OrderChange};
 use super::schedule::{Schedule, SchedulePause};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
@@ -247,6 +248,22 @@ pub enum Command {
         /// Time that a majority of the voters confirms, in milliseconds since 1970.
         now_ms: u64,
     },
+    /// Changes the orders of people to robots, of all or of none.
+    OrderRobots {
+        /// The robots.
+        robots: BTreeSet<RobotId>,
+        /// The change.
+        change: OrderChange,
+        /// Person that gave the order.
+        by: String,
+        /// Time of the order in milliseconds since 1970.
+        at_ms: u64,
+    },
+    /// Ends the orders to robots whose time has passed.
+    ExpireOrders {
+        /// Time that a majority of the voters confirms, in milliseconds since 1970.
+        now_ms: u64,
+    },
 }
 
 impl Command {
@@ -276,6 +293,8 @@ impl Command {
             | Command::ResumeSchedule { .. }
             | Command::SubmitOccurrence { .. }
             | Command::SkipOccurrences { .. }
+            | Command::OrderRobots { .. }
+            | Command::ExpireOrders { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,
         }
@@ -457,6 +476,23 @@ pub enum CommandError {
         schedule: ScheduleId,
         /// Time up to which it is handled, in milliseconds since 1970.
         handled_ms: u64,
+    },
+    /// The fleet writes a wire version without orders to robots.
+    #[error("holds and maintenance need wire version {since}; consort upgrade shows how far the fleet is")]
+    NoOrdersYet {
+        /// Wire version since which there are orders.
+        since: u8,
+    },
+    /// The orders to robots exceed their size limit.
+    #[error("the orders to robots would take more than {} bytes; end some of them first", ORDERS_BYTES_MAX)]
+    OrdersFull,
+    /// The robot gets no role, because a person holds it or has taken it out of service.
+    #[error("{robot} is {problem}")]
+    UnderOrders {
+        /// The robot.
+        robot: RobotId,
+        /// The order, as text.
+        problem: String,
     },
     /// The ledger contains the maximum number of missions that have not ended.
     #[error("{missions} missions are active or need intervention, the maximum of a ledger")]

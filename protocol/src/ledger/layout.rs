@@ -4,6 +4,7 @@
 //! the ledger has the layout of that version, and its nodes can return to an earlier program.
 
 use super::history::{HISTORY_SINCE, History};
+use super::robot_order::OrderBook;
 use super::schedule::ScheduleEntry;
 use crate::ids::ScheduleId;
 use serde::de::{Error, SeqAccess, Visitor};
@@ -20,20 +21,22 @@ pub(super) struct VersionedPart {
     pub(super) history: Option<History>,
     /// Schedules; empty without a history.
     pub(super) schedules: BTreeMap<ScheduleId, ScheduleEntry>,
+    /// Orders of people to robots; empty without a history.
+    pub(super) orders: OrderBook,
 }
 
 impl Serialize for VersionedPart {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match &self.history {
             None => (self.wire,).serialize(serializer),
-            Some(history) => (self.wire, history, &self.schedules).serialize(serializer),
+            Some(history) => (self.wire, history, &self.schedules, &self.orders).serialize(serializer),
         }
     }
 }
 
 impl<'de> Deserialize<'de> for VersionedPart {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_tuple(3, PartVisitor)
+        deserializer.deserialize_tuple(4, PartVisitor)
     }
 }
 
@@ -53,6 +56,7 @@ impl<'de> Visitor<'de> for PartVisitor {
         }
         let history = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(1, &self))?;
         let schedules = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(2, &self))?;
-        Ok(VersionedPart { wire, history: Some(history), schedules })
+        let orders = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(3, &self))?;
+        Ok(VersionedPart { wire, history: Some(history), schedules, orders })
     }
 }

@@ -6,13 +6,14 @@
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
 //! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one of 1 KiB and an open question of 1 KiB for each role, and 16 closed ones of 1 KiB |
-//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), and [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`] |
+//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], and orders to robots ([`ORDERS_BYTES_MAX`]) |
 
 use super::apply::Ledger;
 use super::command::{Command, CommandError};
 use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
 use super::person_request::PERSON_BYTES_MAX;
+use super::robot_order::{ORDERS_BYTES_MAX, OrderChange};
 use super::schedule::Schedule;
 use super::submission::Submission;
 use crate::bounds::{TEXT_BYTES_MAX, limit_text};
@@ -29,6 +30,7 @@ const _: () = assert!(
     (UNENDED_MAX + HistoryLimits::LARGEST.missions_max as usize) * MissionEntry::BYTES_MAX
         + (HistoryLimits::LARGEST.outcome_bytes_max as usize)
         + Schedule::MAX * Schedule::BYTES_MAX
+        + ORDERS_BYTES_MAX
         < codec::RECORD_BYTES_MAX,
     "a snapshot of a full ledger can be stored"
 );
@@ -59,6 +61,15 @@ impl Command {
             Command::Submit(submission) => limit_text(&mut submission.by, PERSON_BYTES_MAX),
             Command::PauseSchedule { pause, .. } => limit_text(&mut pause.by, PERSON_BYTES_MAX),
             Command::AddSchedule { schedule, .. } => limit_text(&mut schedule.submission.by, PERSON_BYTES_MAX),
+            Command::OrderRobots { change, by, .. } => {
+                limit_text(by, PERSON_BYTES_MAX);
+                match change {
+                    OrderChange::Hold { reason, .. } | OrderChange::Maintain { reason, .. } => {
+                        limit_text(reason, PERSON_BYTES_MAX);
+                    }
+                    OrderChange::Release | OrderChange::EndMaintenance => {}
+                }
+            }
             Command::AnswerPerson { answer, .. } => answer.limit(),
             Command::SetQuestion { question: asked, .. } => limit_text(&mut asked.question.message, TEXT_BYTES_MAX),
             Command::Award { auction, .. } | Command::Defer { auction, .. } => auction.limit(),
@@ -74,6 +85,7 @@ impl Command {
             | Command::ResumeSchedule { .. }
             | Command::SubmitOccurrence { .. }
             | Command::SkipOccurrences { .. }
+            | Command::ExpireOrders { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => {}
         }

@@ -22,6 +22,8 @@
 //!
 //! A schedule adds its mission at certain times (the module `schedules`).
 //!
+//! People hold robots, and take them out of service for maintenance (the module `robot_orders`).
+//!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
 //!
@@ -42,6 +44,8 @@ mod loss;
 mod people;
 mod person_request;
 mod promises;
+mod robot_order;
+mod robot_orders;
 mod schedule;
 mod schedules;
 mod spread;
@@ -57,6 +61,7 @@ pub use person_request::{
     AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
     PersonRequestIdError, PersonRequestPhase, Postponement, RequestEscalation, RequestSubject, TaskQuestion,
 };
+pub use robot_order::{OrderChange, RobotOrder, RobotOrders};
 pub use schedule::{MissedOccurrences, Occurrence, Schedule, ScheduleEntry, SchedulePause, ScheduleRule};
 pub use submission::{
     DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,

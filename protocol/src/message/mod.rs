@@ -23,7 +23,7 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::TaskQuestion;
+use crate::ledger::{Ledger, RobotOrder, TaskQuestion};
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -170,6 +170,48 @@ pub enum AwardNotice {
         /// True if the robot gets the role again once it can start.
         for_now: bool,
     },
+    /// The orders of people to the robot.
+    Orders(OrdersNotice),
+}
+
+/// Orders of people to a robot, as of a position in the ledger. A robot ignores an earlier position than the
+/// latest that it has received, so a delayed message changes nothing.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OrdersNotice {
+    /// Position of the latest change of orders to any robot.
+    pub as_of: Epoch,
+    /// Present while the robot is held.
+    pub hold: Option<OrderNotice>,
+    /// Present while the robot is in maintenance.
+    pub maintenance: Option<OrderNotice>,
+}
+
+/// Order of a person to a robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OrderNotice {
+    /// The order, as text: `held by Nia: a spill`.
+    #[serde(deserialize_with = "bounds::text")]
+    pub text: String,
+    /// Time until its end, in milliseconds from the receipt of the message; `None` for no end.
+    pub remaining_ms: Option<u64>,
+}
+
+impl OrdersNotice {
+    /// Returns the orders of a robot. `now_ms` is the time of day in milliseconds since 1970.
+    pub fn of(ledger: &Ledger, robot: &RobotId, now_ms: u64) -> OrdersNotice {
+        let notice = |order: &RobotOrder, text| OrderNotice {
+            text,
+            remaining_ms: order.until_ms.map(|until_ms| until_ms.saturating_sub(now_ms)),
+        };
+        let orders = ledger.orders_of(robot);
+        let hold = orders.and_then(|orders| orders.hold.as_ref());
+        let maintenance = orders.and_then(|orders| orders.maintenance.as_ref());
+        OrdersNotice {
+            as_of: ledger.orders_changed(),
+            hold: hold.map(|order| notice(order, order.hold_text())),
+            maintenance: maintenance.map(|order| notice(order, order.maintenance_text())),
+        }
+    }
 }
 
 /// Reply of a robot to a notice.
@@ -304,6 +346,8 @@ pub enum ReportReply {
         outcomes: TaskOutcomes,
         /// Answer to the question of the report, if there is one.
         answer: Option<QuestionAnswer>,
+        /// Orders of people to the robot.
+        orders: OrdersNotice,
     },
     /// The reporter no longer holds the role, or the role is completed.
     Ended {

@@ -4,6 +4,7 @@ use super::readable;
 use crate::ensemble::{ExchangedValue, Membership};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskType};
 use crate::knowledge::RobotKnowledge;
+use crate::ledger::RobotOrders;
 use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,9 @@ pub struct NodeView {
     /// has no ledger.
     #[serde(default)]
     pub holds: Option<HeldRole>,
+    /// Orders of people to its robot, by the ledger; none if the replying node has no ledger.
+    #[serde(default)]
+    pub orders: RobotOrders,
 }
 
 /// Contact with a node.

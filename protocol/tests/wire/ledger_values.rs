@@ -8,8 +8,8 @@ use consort_protocol::auction::{
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
     AnswerContent, Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissedOccurrences,
-    MissionState, PersonAnswer, PersonRequestId, Priority, RecoveryBranch, Schedule, SchedulePause, ScheduleRule,
-    Submission,
+    MissionState, OrderChange, PersonAnswer, PersonRequestId, Priority, RecoveryBranch, Schedule, SchedulePause,
+    ScheduleRule, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -210,10 +210,22 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(schedule, [after_ms, until_ms])| { Command::SkipOccurrences { schedule, after_ms, until_ms } }),
         (person_request(), any::<u64>())
             .prop_map(|(request, now_ms)| Command::EscalatePersonRequest { request, now_ms }),
+        (btree_set(name(), 0..3), order_change(), text(), any::<u64>())
+            .prop_map(|(robots, change, by, at_ms)| Command::OrderRobots { robots, change, by, at_ms }),
+        any::<u64>().prop_map(|now_ms| Command::ExpireOrders { now_ms }),
         any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
             Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })
         }),
+    ]
+}
+
+fn order_change() -> impl Strategy<Value = OrderChange> {
+    prop_oneof![
+        (any::<u64>(), text()).prop_map(|(until_ms, reason)| OrderChange::Hold { until_ms, reason }),
+        Just(OrderChange::Release),
+        (any::<Option<u64>>(), text()).prop_map(|(until_ms, reason)| OrderChange::Maintain { until_ms, reason }),
+        Just(OrderChange::EndMaintenance),
     ]
 }
 

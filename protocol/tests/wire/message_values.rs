@@ -5,7 +5,7 @@ use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
 use consort_protocol::ledger::{PersonQuestion, TaskQuestion};
 use consort_protocol::message::{
-    AwardNotice, AwardReply, FailureKind, QuestionAnswer, Report, ReportReply, TaskFailure,
+    AwardNotice, AwardReply, FailureKind, OrderNotice, OrdersNotice, QuestionAnswer, Report, ReportReply, TaskFailure,
 };
 use proptest::collection::{btree_map, btree_set};
 use proptest::option;
@@ -34,7 +34,17 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
         award.prop_map(|award| AwardNotice::Awarded(Box::new(award))),
         (epoch(), ending()).prop_map(|(epoch, reason)| AwardNotice::Revoked { epoch, reason }),
         (epoch(), name(), any::<bool>()).prop_map(|(epoch, to, for_now)| AwardNotice::GiveWay { epoch, to, for_now }),
+        orders().prop_map(AwardNotice::Orders),
     ]
+}
+
+fn orders() -> impl Strategy<Value = OrdersNotice> {
+    let order = || (text(), any::<Option<u64>>()).prop_map(|(text, remaining_ms)| OrderNotice { text, remaining_ms });
+    (epoch(), option::of(order()), option::of(order())).prop_map(|(as_of, hold, maintenance)| OrdersNotice {
+        as_of,
+        hold,
+        maintenance,
+    })
 }
 
 pub(crate) fn award_answer() -> impl Strategy<Value = AwardReply> {
@@ -111,15 +121,17 @@ pub(crate) fn report_answer() -> impl Strategy<Value = ReportReply> {
             holders(),
             btree_set(signal(), 0..4),
             outcomes(),
-            option::of(question_answer())
+            option::of(question_answer()),
+            orders()
         )
-            .prop_map(|(epoch, ended, holders, signals, outcomes, answer)| ReportReply::Renewed {
+            .prop_map(|(epoch, ended, holders, signals, outcomes, answer, orders)| ReportReply::Renewed {
                 epoch,
                 ended,
                 holders,
                 signals,
                 outcomes,
-                answer
+                answer,
+                orders
             }),
         (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportReply::Ended {
             epoch,

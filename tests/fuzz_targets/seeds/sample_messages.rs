@@ -15,12 +15,12 @@ use consort_protocol::ids::{ClusterId, NodeId, RoleId};
 use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, Command, Ledger, MissedOccurrences, PersonAnswer, PersonQuestion, PersonRequestId, Schedule,
-    SchedulePause, ScheduleRule, TaskQuestion,
+    AnswerContent, Branch, Command, Ledger, MissedOccurrences, OrderChange, PersonAnswer, PersonQuestion,
+    PersonRequestId, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
 };
 use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FailureKind,
-    RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
+    OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
 };
 use consort_protocol::mission::{Escalation, TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
@@ -213,6 +213,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),
         encoded(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),
         encoded(&AwardNotice::Revoked { epoch: EPOCH, reason: EndReason::Over }),
+        encoded(&AwardNotice::Orders(orders())),
         encoded(&AwardReply::Acknowledged),
         encoded(&report()),
         encoded(&ReportReply::Ended { epoch: EPOCH, reason: EndReason::Replaced, current: Some(EPOCH) }),
@@ -293,7 +294,19 @@ fn ledger_commands() -> Vec<Command> {
         Command::PauseSchedule { schedule: slug("rounds"), pause: SchedulePause { by: "Nia".to_owned(), since_ms: 9 } },
         Command::Cancel { mission: mission(), by: "Nia".to_owned(), places: BTreeMap::new() },
         Command::EscalatePersonRequest { request: request(), now_ms: 8 },
+        Command::OrderRobots {
+            robots: BTreeSet::from([slug("ada")]),
+            change: OrderChange::Hold { until_ms: 9, reason: "a spill".to_owned() },
+            by: "Nia".to_owned(),
+            at_ms: 8,
+        },
+        Command::ExpireOrders { now_ms: 9 },
     ]
+}
+
+fn orders() -> OrdersNotice {
+    let hold = OrderNotice { text: "held by Nia: a spill".to_owned(), remaining_ms: Some(600_000) };
+    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None }
 }
 
 fn schedule() -> Schedule {
@@ -327,6 +340,7 @@ pub(super) fn awards() -> Vec<Vec<u8>> {
             signals: BTreeSet::new(),
             outcomes: outcomes(),
             answer: None,
+            orders: orders(),
         };
         [frame(0, &encoded(&notice)), frame(1, &encoded(&renewed)), frame(2, &[])].concat()
     });

@@ -26,6 +26,7 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::ScheduleChanged { schedule, change, by } => {
             format!("schedule {schedule} is {} by {by}", change.as_str())
         }
+        EventKind::RobotOrders { robot, orders } => format!("{robot} is {}", orders.state_text()),
         EventKind::OccurrenceSubmitted { schedule, mission, .. } => format!("{schedule} submits {mission}"),
         EventKind::Closed { mission, record } => {
             let why = record.failure.as_ref().map(|why| format!(": {why}")).unwrap_or_default();

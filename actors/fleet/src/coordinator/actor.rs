@@ -95,6 +95,9 @@ impl Actor for Coordinator {
             (CoordinatorMessage::NoticeReplied(awarded, reply), Some(session)) => {
                 session.handle_notice_reply(awarded, reply);
             }
+            (CoordinatorMessage::OrdersAcknowledged { robot, as_of }, Some(session)) => {
+                session.acknowledge_orders(&robot, as_of);
+            }
             (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(query),
             (CoordinatorMessage::Question { mission, role, epoch, question }, Some(session)) => {
                 session.handle_question(mission, role, epoch, question);

@@ -32,7 +32,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Timeout for the ledger to commit a request.
-const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
+pub(super) const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Minutes for which a request is put off by default.
 const LATER_MINUTES: u32 = 10;
@@ -61,10 +61,10 @@ pub(super) struct ApiHandler {
 }
 
 /// Error reply.
-struct ApiError {
-    text: String,
+pub(super) struct ApiError {
+    pub(super) text: String,
     /// The same request may be repeated.
-    may_retry: bool,
+    pub(super) may_retry: bool,
 }
 
 impl From<String> for ApiError {
@@ -111,6 +111,9 @@ impl ApiHandler {
             ApiCall::Resolve => self.resolve(payload).await.map(json),
             ApiCall::Answer => self.answer(payload).await.map(json),
             ApiCall::Schedule => self.schedule(payload).await.map(json),
+            ApiCall::Hold => self.hold(payload).await.map(json),
+            ApiCall::Release => self.release(payload).await.map(json),
+            ApiCall::Maintenance => self.maintenance(payload).await.map(json),
             ApiCall::Backup => self.backup().await,
             ApiCall::Upgrade => self.upgrade(payload).await.map(json),
             ApiCall::Get
@@ -168,7 +171,7 @@ impl ApiHandler {
         Ok(author.missions.check(&author.name, name)?)
     }
 
-    fn time_ms(&self) -> Result<u64, ApiError> {
+    pub(super) fn time_ms(&self) -> Result<u64, ApiError> {
         let text = "the coordinator does not know the time of day of the voters yet".to_owned();
         self.time_ms.ok_or(ApiError { text, may_retry: true })
     }
@@ -283,7 +286,7 @@ impl ApiHandler {
 
     /// Returns the person that is responsible for a change, for display: the signer, in a closed
     /// fleet.
-    fn responsible(&self, by: Option<String>) -> String {
+    pub(super) fn responsible(&self, by: Option<String>) -> String {
         let by = by.filter(|by| !by.trim().is_empty());
         let author = self.requester.as_ref().map(|requester| &requester.author);
         match (author, by) {
@@ -406,7 +409,7 @@ impl ApiHandler {
     }
 }
 
-fn not_committed(problem: &ProposeError) -> ApiError {
+pub(super) fn not_committed(problem: &ProposeError) -> ApiError {
     match problem {
         ProposeError::TooLarge { .. } | ProposeError::Unencodable { .. } => problem.to_string().into(),
         _ => ApiError { text: format!("{problem}; the same request may be sent again"), may_retry: true },

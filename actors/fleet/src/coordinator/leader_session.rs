@@ -11,6 +11,7 @@ use super::promises::unfit_robots;
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
+use super::robot_orders::OrderDelivery;
 use super::schedules::Schedules;
 use super::session_context::SessionContext;
 use super::settings::{CoordinatorSettings, NodeParts};
@@ -25,7 +26,7 @@ use consort_protocol::auction::AuctionId;
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{ClusterId, MissionId, NodeId, RoleId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
 use consort_protocol::lease::{DeclineReason, Epoch};
 use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger, TaskQuestion};
@@ -66,6 +67,7 @@ pub(super) struct LeaderSession {
     /// Requests that arrived before the clocks of a majority were known.
     early_requests: Vec<Query>,
     people: People,
+    orders: OrderDelivery,
     schedules: Schedules,
     /// The voter change in progress.
     voter_change: Tasks,
@@ -102,6 +104,7 @@ impl LeaderSession {
             members: EnsembleMembers::default(),
             requests: Requests::new(&context),
             people: People::new(&context),
+            orders: OrderDelivery::new(&context),
             schedules: Schedules::default(),
             autopilot: Autopilot::new(settings.autopilot, yielded),
             clocks: VoterClocks::default(),
@@ -191,6 +194,11 @@ impl LeaderSession {
         self.clocks.confirmed_ms(&self.voters(), node, clock.wall_ms(), self.context.now())
     }
 
+    /// Returns the time of day in milliseconds since 1970: by this node's clock until a majority confirms it.
+    fn time_of_day_ms(&self) -> u64 {
+        self.confirmed_ms().unwrap_or_else(|| self.context.settings.parts.clock.wall_ms())
+    }
+
     /// Publishes the beacon: the node, term and voters of this coordinator.
     async fn publish_beacon(&self) {
         let NodeParts { node, replica, .. } = &self.context.settings.parts;
@@ -246,12 +254,13 @@ impl LeaderSession {
     /// Compares the ledger with the session, publishes changes and performs the pending actions.
     pub(super) fn reconcile(&mut self) {
         let now = self.context.now();
+        let (now_ms, confirmed_ms) = (self.time_of_day_ms(), self.confirmed_ms());
+        self.orders.follow(&mut self.context, now, now_ms, confirmed_ms);
         self.changes.publish(&mut self.context, now);
         for action in self.pending_actions(now) {
             self.perform(action, now);
         }
         self.auctions.clear(&mut self.context);
-        let confirmed_ms = self.confirmed_ms();
         self.people.follow(&mut self.context, now, confirmed_ms);
         self.submit_occurrences(now, confirmed_ms);
     }
@@ -350,11 +359,15 @@ impl LeaderSession {
         }
     }
 
+    pub(super) fn acknowledge_orders(&mut self, robot: &RobotId, as_of: Epoch) {
+        self.orders.acknowledge(robot, as_of);
+    }
+
     pub(super) fn handle_report(&mut self, query: Query) {
         let Some((query, report)) = reply::decode_or_refuse_in::<Report>(&mut self.context.tasks, query) else {
             return;
         };
-        let handler = ReportHandler::new(&self.context);
+        let handler = ReportHandler::new(&self.context, self.time_of_day_ms());
         self.context.tasks.spawn(async move {
             if !query.author.may_be(report.robot.as_str()) {
                 let problem = format!("{} may not report for role {}", query.author, report.role);

@@ -31,6 +31,8 @@ pub(crate) enum CoordinatorMessage {
     },
     /// A robot has replied to an award notice.
     NoticeReplied(AwardedRole, AwardReply),
+    /// A robot has acknowledged the orders of people, as of this position in the ledger.
+    OrdersAcknowledged { robot: RobotId, as_of: Epoch },
     /// A voter change has ended, with or without success.
     VotersChanged {
         /// Term of the leader session that started the change.

@@ -30,6 +30,7 @@ mod message;
 #[cfg(test)]
 pub(crate) mod model_session;
 mod no_leader;
+mod order_requests;
 mod people;
 mod promises;
 mod queues;
@@ -37,6 +38,7 @@ mod rate_limit;
 mod reconcile;
 mod reports;
 mod requests;
+mod robot_orders;
 mod schedules;
 mod session_context;
 mod settings;

@@ -68,6 +68,9 @@ pub(super) fn unfit_robots(
     let promised: BTreeSet<&RobotId> =
         missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| &robot.robot)).collect();
     let unfit = |robot: &RobotId| {
+        if let Some(maintenance) = ledger.orders_of(robot).and_then(|orders| orders.maintenance.as_ref()) {
+            return Some(format!("{robot} is {}", maintenance.maintenance_text()));
+        }
         let node = NodeId::from(robot.clone());
         let availability =
             knowledge.read(|base| Some(base.get(&node)?.record.knowledge.robot.as_ref()?.availability.clone()));

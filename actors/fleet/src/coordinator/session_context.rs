@@ -13,7 +13,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, PlaceId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger};
-use consort_protocol::message::{AwardNotice, AwardReply};
+use consort_protocol::message::{AwardNotice, AwardReply, OrdersNotice};
 use consort_protocol::units::NodeTime;
 use ractor::ActorRef;
 use std::collections::BTreeMap;
@@ -124,6 +124,19 @@ impl SessionContext {
             if let Some(reply) = sending.await {
                 // If the coordinator has stopped, the next coordinator sends the award notice.
                 let _ = mailbox.cast(CoordinatorMessage::NoticeReplied(awarded, reply));
+            }
+        });
+    }
+
+    /// Notifies a robot of the orders of people.
+    pub(super) fn notify_orders(&mut self, robot: RobotId, notice: OrdersNotice) {
+        let as_of = notice.as_of;
+        let Some(sending) = self.notice(robot.clone(), &AwardNotice::Orders(notice)) else { return };
+        let mailbox = self.mailbox.clone();
+        self.tasks.spawn(async move {
+            if sending.await.is_some() {
+                // If the coordinator has stopped, the next coordinator sends the orders.
+                let _ = mailbox.cast(CoordinatorMessage::OrdersAcknowledged { robot, as_of });
             }
         });
     }

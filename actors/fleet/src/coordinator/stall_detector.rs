@@ -45,7 +45,8 @@ impl StallDetector {
                 let key = (holder.epoch, role.clone());
                 let (count, since) = self.last_progress.entry(key.clone()).or_insert((held.ended.len(), now));
                 active.insert(key);
-                if *count != held.ended.len() {
+                // A held robot stands still; its time starts when it is released.
+                if *count != held.ended.len() || ledger.is_held(&holder.robot) {
                     (*count, *since) = (held.ended.len(), now);
                 }
                 let idle = now.since(*since);

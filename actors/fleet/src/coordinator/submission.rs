@@ -268,7 +268,7 @@ fn start_ms(start: &StartTime, at_ms: u64) -> Result<u64, SubmitError> {
 }
 
 /// Returns the time of a text in RFC 3339, in milliseconds since 1970.
-fn rfc3339_ms(text: &str) -> Option<u64> {
+pub(super) fn rfc3339_ms(text: &str) -> Option<u64> {
     let date = OffsetDateTime::parse(text, &Rfc3339).ok()?;
     u64::try_from(date.unix_timestamp_nanos() / 1_000_000).ok()
 }

@@ -217,7 +217,7 @@ impl ActivePlan {
         }
     }
 
-    /// Suspends the plan: the lease has expired.
+    /// Suspends the plan: the lease has expired, or a person holds the robot.
     pub(super) fn suspend(&mut self) {
         self.stop();
         self.sequencer.abort_task();

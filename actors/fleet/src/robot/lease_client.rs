@@ -117,7 +117,7 @@ impl LeaseClient {
                 Ok(()) => (AwardReply::Acknowledged, Some(Event::AwardReceived(award))),
                 Err(why) => (AwardReply::Declined(why), None),
             },
-            AwardNotice::GiveWay { .. } => (AwardReply::Acknowledged, None),
+            AwardNotice::GiveWay { .. } | AwardNotice::Orders(_) => (AwardReply::Acknowledged, None),
             AwardNotice::Revoked { epoch, reason } => {
                 (AwardReply::Acknowledged, Some(Event::Revoked { epoch, reason }))
             }

@@ -21,6 +21,7 @@
 //! | `Execution` with `ActivePlan` | steps, attempts, recovery, release |
 //! | `CheckpointStorage` | writes of the checkpoint |
 //! | `DriverLink` with `WorkerRecord` | telemetry, and the robot's own knowledge record |
+//! | `StandingOrders` | hold and maintenance, ordered by people |
 //!
 //! Each skill runs in an actor of its own: a panic in a skill fails the attempt and not the node.
 //!
@@ -45,6 +46,7 @@ mod sequencer;
 mod settings;
 mod signals;
 mod skill_runner;
+mod standing_orders;
 mod task_timeout;
 #[cfg(test)]
 mod test_values;

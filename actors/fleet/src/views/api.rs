@@ -48,6 +48,9 @@ impl ViewService {
             | ApiCall::Resolve
             | ApiCall::Answer
             | ApiCall::Schedule
+            | ApiCall::Hold
+            | ApiCall::Release
+            | ApiCall::Maintenance
             | ApiCall::Backup
             | ApiCall::Upgrade => Err(error_reply(format!("{} is served by the coordinator only", call.as_str()))),
         };

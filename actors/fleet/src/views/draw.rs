@@ -295,6 +295,10 @@ impl ViewContext<'_> {
                 mains_powered: record.knowledge.mains_powered,
             },
             holds,
+            orders: self
+                .ledger(|ledger| ledger.orders_of(&RobotId::from(node.clone())).cloned())
+                .flatten()
+                .unwrap_or_default(),
         }
     }
 
@@ -345,6 +349,9 @@ impl ViewContext<'_> {
         });
         self.ledger(|ledger| {
             inputs.blocking = Blocking::of(ledger);
+            for (robot, orders) in ledger.robot_orders().filter(|(robot, _)| ledger.held_by(robot).is_some()) {
+                inputs.held.extend(orders.hold.as_ref().map(|hold| (robot.clone(), hold.hold_text())));
+            }
             for entry in ledger.missions() {
                 match (&entry.state, &entry.auction) {
                     (MissionState::NeedsIntervention { cause, .. }, _) => {

@@ -25,6 +25,8 @@ pub(super) struct HealthInputs {
     pub(super) alive: usize,
     /// Robots that cannot take a role, with the reason.
     pub(super) out_of_service: Vec<(NodeId, String)>,
+    /// Robots with roles that people hold, with the order.
+    pub(super) held: Vec<(RobotId, String)>,
     /// Robots suspended by an expired lease, with role and mission.
     pub(super) suspended: Vec<(NodeId, String)>,
     /// Missions that need intervention by a person, with the cause.
@@ -137,6 +139,9 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
     for (robot, problem) in &inputs.out_of_service {
         add(HealthLevel::Warning, "robot", Some(robot.as_str()), format!("{robot} is out of service: {problem}"));
     }
+    for (robot, order) in &inputs.held {
+        add(HealthLevel::Warning, "robot", Some(robot.as_str()), format!("{robot} is {order}"));
+    }
     for (robot, role) in &inputs.suspended {
         let text = format!("{robot} is suspended as {role}: its lease expired");
         add(HealthLevel::Warning, "robot", Some(robot.as_str()), text);
@@ -232,6 +237,7 @@ mod tests {
         let mut inputs = healthy();
         inputs.unreachable = vec![(node("d"), "down", 9000)];
         inputs.out_of_service = vec![(node("e"), "its battery is empty".to_owned())];
+        inputs.held = vec![("g".parse().unwrap(), "held by Nia: a spill".to_owned())];
         inputs.suspended = vec![(node("f"), "r1 of m-1".to_owned())];
         inputs.pending = vec![("m-2".to_owned(), "no viable bid for r1".to_owned())];
         inputs.needs_intervention = vec![("m-3".to_owned(), "g was lost with the parcel".to_owned())];
@@ -246,16 +252,18 @@ mod tests {
             (Warning, "node"),
             (Warning, "robot"),
             (Warning, "robot"),
+            (Warning, "robot"),
             (Warning, "mission"),
         ];
         assert_eq!(levels, expected);
-        let text: Vec<String> = texts(&inputs).into_iter().map(|(_, text)| text).skip(1).take(4).collect();
+        let text: Vec<String> = texts(&inputs).into_iter().map(|(_, text)| text).skip(1).take(5).collect();
         assert_eq!(
             text,
             [
                 "m-3 needs intervention: g was lost with the parcel",
                 "d is down; last contact 9.0 s ago",
                 "e is out of service: its battery is empty",
+                "g is held by Nia: a spill",
                 "f is suspended as r1 of m-1: its lease expired",
             ]
         );

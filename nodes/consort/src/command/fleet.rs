@@ -13,8 +13,9 @@ use std::collections::BTreeMap;
 
 /// Show the nodes of a fleet, the feedback and the readings of its robots, and its coordinator
 ///
-/// The data comes from the nearest node; each row has the age of its last contact. The nearest node
-/// queries the nodes of the robots for the readings, and for the feedback of the goals in progress.
+/// The data comes from the nearest node; each row has the age of its last contact. Robots that people
+/// hold or maintain are shown with these orders. The nearest node queries the nodes of the robots for
+/// the readings, and for the feedback of the goals in progress.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -82,13 +83,16 @@ fn format_fleet(FleetStatus { fleet, coordinator, readings, feedback }: &FleetSt
         "SKILLS",
         "ATTRIBUTES",
     ];
+    let has_orders = fleet.nodes.iter().any(|node| !node.orders.is_empty());
+    heads.extend(has_orders.then_some("ORDERS"));
     let columns = [("FEEDBACK", feedback), ("READINGS", readings)].into_iter().filter(|(_, values)| !values.is_empty());
     let columns: Vec<(&str, &ValuesByNode)> = columns.collect();
     heads.extend(columns.iter().map(|(head, _)| *head));
+    let cell = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
     let rows = fleet.nodes.iter().map(|node| {
-        let values = columns.iter().map(|(_, values)| values.get(&node.node));
-        let values = values.map(|values| values.map_or_else(|| "-".to_owned(), format_values));
-        row(node, fleet, &coordinator.content).into_iter().chain(values).collect::<Vec<String>>()
+        let orders = has_orders.then(|| cell(node.orders.problem()));
+        let values = columns.iter().map(|(_, values)| cell(values.get(&node.node).map(format_values)));
+        row(node, fleet, &coordinator.content).into_iter().chain(orders).chain(values).collect::<Vec<String>>()
     });
     let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
     format!("{}\n{}", format_coordinator(coordinator), output::table(&rows))

@@ -72,6 +72,7 @@ fn level(event: &Event) -> Level {
         | EventKind::Voters { .. }
         | EventKind::Submitted { .. }
         | EventKind::ScheduleChanged { .. }
+        | EventKind::RobotOrders { .. }
         | EventKind::OccurrenceSubmitted { .. }
         | EventKind::Awarded { .. }
         | EventKind::Released { .. }

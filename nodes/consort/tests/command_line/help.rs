@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 24] = [
+const COMMANDS: [&str; 27] = [
     "robot",
     "station",
     "world",
@@ -25,6 +25,9 @@ const COMMANDS: [&str; 24] = [
     "resolve",
     "requests",
     "answer",
+    "hold",
+    "release",
+    "maintenance",
 ];
 
 #[test]

@@ -83,6 +83,7 @@ impl FleetModel {
             | EventKind::Foreign { .. }
             | EventKind::Voters { .. }
             | EventKind::ScheduleChanged { .. }
+            | EventKind::RobotOrders { .. }
             | EventKind::OccurrenceSubmitted { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. }

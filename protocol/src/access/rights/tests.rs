@@ -23,7 +23,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 34] = [
+const TABLE: [(&str, [&str; 3]); 37] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
@@ -52,6 +52,9 @@ const TABLE: [(&str, [&str; 3]); 34] = [
     ("seen/ada/mission/lab-1", ["", "", ADA]),
     ("api/submit", ["", "", "vV"]),
     ("api/cancel", ["", "", "vV"]),
+    ("api/hold", ["", "", "vV"]),
+    ("api/release", ["", "", "vV"]),
+    ("api/maintenance", ["", "", "vV"]),
     ("api/resolve", ["", "", "vV"]),
     ("api/backup", ["", "", "vV"]),
     ("api/explain", ["", "", ANY]),

@@ -6,6 +6,7 @@ use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEnt
 use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::history_limits::HistoryLimits;
 use super::layout::VersionedPart;
+use super::robot_order::OrderBook;
 use super::schedule::ScheduleEntry;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
@@ -78,6 +79,8 @@ impl Ledger {
             Command::SkipOccurrences { schedule, after_ms, until_ms } => {
                 self.skip_occurrences(&schedule, after_ms, until_ms)
             }
+            Command::OrderRobots { robots, change, by, at_ms } => self.order_robots(&robots, &change, &by, at_ms, at),
+            Command::ExpireOrders { now_ms } => Ok(self.expire_orders(now_ms, at)),
             Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
         };
@@ -264,6 +267,14 @@ impl Ledger {
         &mut self.versioned.schedules
     }
 
+    pub(super) fn order_book(&self) -> &OrderBook {
+        &self.versioned.orders
+    }
+
+    pub(super) fn order_book_mut(&mut self) -> &mut OrderBook {
+        &mut self.versioned.orders
+    }
+
     fn award(
         &mut self,
         mission: &MissionId,
@@ -284,6 +295,7 @@ impl Ledger {
                 let (robot, mission) = (robot.clone(), mission.clone());
                 return Err(CommandError::TwoRoles { robot, mission, role });
             }
+            self.check_takes_roles(robot)?;
             match auction.promised.contains_key(role) {
                 true => self.check_carries_nothing(mission, robot)?,
                 false => self.check_free(mission, robot)?,

@@ -166,6 +166,7 @@ impl Ledger {
         if entry.state.is_final() || robot.epoch != epoch {
             return Err(not_promised());
         }
+        self.check_takes_roles(&robot.robot)?;
         self.check_free(mission, &robot.robot)?;
         let mut waits = Waits::of(self);
         waits.add(mission, &robot.robot, false);

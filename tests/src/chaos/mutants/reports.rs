@@ -9,7 +9,7 @@ use consort_bus::{BusError, Encoding, Query, Replier};
 use consort_protocol::codec;
 use consort_protocol::lease::EndReason;
 use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, RoleEntry};
-use consort_protocol::message::{ClusterEnvelope, Report, ReportReply};
+use consort_protocol::message::{ClusterEnvelope, OrdersNotice, Report, ReportReply};
 use consort_protocol::plan::StepAction;
 
 /// Bug in the handling of reports.
@@ -102,7 +102,8 @@ fn reply_to_news(ledger: &Ledger, report: &Report) -> Option<ReportReply> {
     }
     let (ended, holders) = (report.ended.clone(), entry.role_holders());
     let (signals, outcomes) = Default::default();
-    Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer: None })
+    let orders = OrdersNotice::default();
+    Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer: None, orders })
 }
 
 /// Sends `reply`, and passes the query on without a way to reply.
@@ -142,8 +143,8 @@ impl RenewsOutdated {
     fn change(&self, reply: ReportReply) -> ReportReply {
         let reported = self.report.epoch;
         match reply {
-            ReportReply::Renewed { ended, holders, signals, outcomes, answer, .. } => {
-                ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes, answer }
+            ReportReply::Renewed { ended, holders, signals, outcomes, answer, orders, .. } => {
+                ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes, answer, orders }
             }
             ReportReply::Ended { reason: EndReason::Replaced, current: Some(current), .. } => self
                 .ledger
@@ -152,7 +153,8 @@ impl RenewsOutdated {
                     let (ended, holders) = (role.ended.clone(), entry.role_holders());
                     let role = &self.report.role;
                     let (signals, outcomes) = (entry.signals_to(role), entry.outcomes_for(role));
-                    Some(ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes, answer: None })
+                    let (answer, orders) = (None, OrdersNotice::default());
+                    Some(ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes, answer, orders })
                 })
                 .unwrap_or(ReportReply::Ended { epoch: reported, reason: EndReason::Replaced, current: Some(current) }),
             ReportReply::Ended { reason, current, .. } => ReportReply::Ended { epoch: reported, reason, current },

@@ -11,7 +11,7 @@ use consort_protocol::ledger::{
     Branch, Command, CommandError, CommandOutcome, FinalAnswer, Ledger, MissionEntry, MissionState, PersonRequestPhase,
     RequestSubject, RoleEntry, RolePhase, TaskQuestion,
 };
-use consort_protocol::message::{FailureKind, QuestionAnswer, Report, ReportReply, TaskFailure};
+use consort_protocol::message::{FailureKind, OrdersNotice, QuestionAnswer, Report, ReportReply, TaskFailure};
 use consort_protocol::units::NodeTime;
 use consort_raft::{ProposeError, Replica};
 use ractor::ActorRef;
@@ -41,10 +41,12 @@ pub(super) struct ReportHandler {
     clock: Clock,
     lease_monitor: SharedLeaseMonitor,
     mailbox: ActorRef<CoordinatorMessage>,
+    /// Time of day in milliseconds since 1970.
+    now_ms: u64,
 }
 
 impl ReportHandler {
-    pub(super) fn new(context: &SessionContext) -> ReportHandler {
+    pub(super) fn new(context: &SessionContext, now_ms: u64) -> ReportHandler {
         let NodeParts { replica, clock, .. } = &context.settings.parts;
         ReportHandler {
             replica: replica.clone(),
@@ -52,6 +54,7 @@ impl ReportHandler {
             clock: *clock,
             lease_monitor: context.lease_monitor.clone(),
             mailbox: context.mailbox.clone(),
+            now_ms,
         }
     }
 
@@ -62,7 +65,7 @@ impl ReportHandler {
         for _ in 0..COMMITS_MAX {
             let command = match self.next_step(&report) {
                 Step::Reply(reply) => {
-                    let reply = self.renew_if_leader(reply, &report);
+                    let reply = self.renew_if_leader(self.with_orders(reply, &report), &report);
                     // Only the holder of the role may ask.
                     if matches!(reply, ReportReply::Renewed { .. }) {
                         self.pass_question(&report);
@@ -85,6 +88,14 @@ impl ReportHandler {
 
     fn next_step(&self, report: &Report) -> Step {
         self.replica.read(|ledger| next(ledger.mission(&report.mission), report))
+    }
+
+    /// Adds the orders of people to the renewal of a lease: a robot that was cut off gets them before it acts.
+    fn with_orders(&self, mut reply: ReportReply, report: &Report) -> ReportReply {
+        if let ReportReply::Renewed { orders, .. } = &mut reply {
+            *orders = self.replica.read(|ledger| OrdersNotice::of(ledger, &report.robot, self.now_ms));
+        }
+        reply
     }
 
     /// Lets the session record a question that the ledger lacks, or withdraw one that is no longer asked.
@@ -237,6 +248,7 @@ fn renewed(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> ReportRep
         signals: entry.signals_to(&report.role),
         outcomes: entry.outcomes_for(&report.role),
         answer: report.question.as_ref().and_then(|asked| answer(entry, report, asked)),
+        orders: OrdersNotice::default(),
     }
 }
 

@@ -19,6 +19,7 @@ use super::lease_client::LeaseClient;
 use super::recovery_policy::AttemptFailure;
 use super::settings::{RobotLinks, RobotSettings, RobotStart};
 use super::signals::SignalExchange;
+use super::standing_orders::StandingOrders;
 use super::worker_record::WorkerRecord;
 use crate::robot::signals::ReceivedSignals;
 use consort_bus::reply;
@@ -76,6 +77,7 @@ impl Actor for Robot {
             driver,
             signals: SignalExchange::new(bus.clone(), keys.clone()),
             decommission: DecommissionRequests::default(),
+            orders: StandingOrders::default(),
             tasks,
             myself,
             settings,
@@ -189,6 +191,7 @@ impl RobotState {
         let Some(change) = self.lease.follow(beacon, self.now()) else { return };
         if change.other_cluster {
             info!(robot = %self.settings.robot, %node, "follows the coordinator of another cluster");
+            self.orders.clear_position();
         }
         if change.new_session {
             self.report();
@@ -214,9 +217,9 @@ impl RobotState {
         reply::wire_in(&mut self.tasks, query, key, response);
     }
 
-    /// Returns the role that the robot performs, unless it is leaving or may lose the role.
+    /// Returns the role that the robot performs, unless it is leaving, may lose the role, or must not take another.
     fn present_work(&mut self, now: NodeTime) -> Option<PresentWork> {
-        if self.decommission.is_leaving() || !self.lease.may_act(now) {
+        if self.decommission.is_leaving() || self.orders.problem(now).is_some() || !self.lease.may_act(now) {
             return None;
         }
         let context = self.driver.estimate_context();

@@ -44,7 +44,8 @@ impl RobotState {
 
     fn next_action(&mut self) -> Option<PlanAction> {
         let now = self.now();
-        if self.lease.may_act(now) { self.execution.next_action(now) } else { None }
+        let may_act = self.lease.may_act(now) && !self.orders.is_held(now);
+        if may_act { self.execution.next_action(now) } else { None }
     }
 
     fn emit_received(&self, signal: Signal) {

@@ -12,7 +12,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
-use consort_protocol::message::{AwardNotice, FailureKind, ReportReply};
+use consort_protocol::message::{AwardNotice, FailureKind, OrdersNotice, ReportReply};
 use consort_protocol::mission::TaskOutcomes;
 use consort_protocol::plan::{Signal, StepIndex};
 use consort_protocol::units::NodeTime;
@@ -24,15 +24,21 @@ impl RobotState {
     pub(super) async fn handle_award_notice(&mut self, query: Query) -> Result<(), ActorProcessingErr> {
         let Some((query, notice)) = reply::decode_or_refuse_in(&mut self.tasks, query) else { return Ok(()) };
         let now = self.now();
-        let give_way = match &notice {
-            AwardNotice::GiveWay { epoch, to, for_now } => Some((*epoch, to.clone(), *for_now)),
-            AwardNotice::Awarded(_) | AwardNotice::Revoked { .. } => None,
-        };
+        let (mut give_way, mut orders) = (None, None);
+        match &notice {
+            AwardNotice::GiveWay { epoch, to, for_now } => give_way = Some((*epoch, to.clone(), *for_now)),
+            AwardNotice::Orders(latest) => orders = Some(latest.clone()),
+            AwardNotice::Awarded(_) | AwardNotice::Revoked { .. } => {}
+        }
         let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
         let key = self.settings.links.keys.write(&Key::Award(self.settings.robot.clone()));
         reply::wire_in(&mut self.tasks, query, key, reply);
         if let Some((epoch, to, for_now)) = give_way {
             self.give_way(epoch, &to, for_now).await?;
+        }
+        if let Some(orders) = orders {
+            self.follow_orders(orders, now);
+            self.perform_actions(vec![]).await?;
         }
         match event {
             Some(event) => self.handle_lease_event(event, now).await,
@@ -56,6 +62,18 @@ impl RobotState {
         Ok(())
     }
 
+    /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.
+    fn follow_orders(&mut self, orders: OrdersNotice, now: NodeTime) {
+        self.orders.receive(orders, now);
+        if !self.orders.is_held(now) {
+            return;
+        }
+        if let Some(active) = self.execution.plan.as_mut().filter(|active| active.attempt.is_some()) {
+            active.suspend();
+            info!(robot = %self.settings.robot, mission = %active.award.mission, "held: suspended");
+        }
+    }
+
     /// Handles an event of the lease.
     pub(super) async fn handle_lease_event(&mut self, event: Event, now: NodeTime) -> Result<(), ActorProcessingErr> {
         let actions = self.lease.handle(event, now);
@@ -72,7 +90,8 @@ impl RobotState {
         let answered = !matches!(reply, None | Some(ReportReply::NotCoordinator { .. }));
         self.lease.end_report(recipient, answered, now);
         let actions = match reply {
-            Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer }) => {
+            Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer, orders }) => {
+                self.follow_orders(orders, now);
                 answer.into_iter().for_each(|answer| self.driver.question().receive(epoch, answer));
                 self.update_plan(epoch, &ended, &holders, &signals, outcomes);
                 self.lease.renew(Renewal { epoch, sent, ended, holders }, now)

@@ -12,6 +12,7 @@ use crate::robot::report::send_report;
 use crate::robot::sequencer::Sequencer;
 use crate::robot::settings::RobotSettings;
 use crate::robot::signals::SignalExchange;
+use crate::robot::standing_orders::StandingOrders;
 use consort_bus::tasks::Tasks;
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::Key;
@@ -34,6 +35,7 @@ pub(crate) struct RobotState {
     pub(super) driver: DriverLink,
     pub(super) signals: SignalExchange,
     pub(super) decommission: DecommissionRequests,
+    pub(super) orders: StandingOrders,
     pub(super) tasks: Tasks,
 }
 
@@ -86,10 +88,10 @@ impl RobotState {
         self.settings.links.clock.now()
     }
 
-    /// Lets the driver act until the end of the lease, while the plan continues.
+    /// Lets the driver act until the end of the lease, while the plan continues and the robot is not held.
     pub(super) fn update_permission(&mut self) {
-        let until = self.lease.acts_until().filter(|_| self.execution.continuing_plan().is_some());
-        self.driver.allow_until(until);
+        let may_act = self.execution.continuing_plan().is_some() && !self.orders.is_held(self.now());
+        self.driver.allow_until(self.lease.acts_until().filter(|_| may_act));
     }
 
     /// Publishes an event of the robot.
@@ -115,7 +117,8 @@ impl RobotState {
     /// gossip if it has changed.
     pub(super) fn sense(&mut self, now: NodeTime) {
         let leaving = self.decommission.is_leaving().then(|| DECOMMISSION_CAUSE.to_owned());
-        let problem = leaving.or_else(|| self.checkpoint.problem());
+        let ordered = || self.orders.problem(now).map(str::to_owned);
+        let problem = leaving.or_else(|| self.checkpoint.problem()).or_else(ordered);
         let Some(worker) = self.driver.sense(self.lease.holding(), problem, now) else { return };
         let worker = self.settings.pricing.ensembles.published(worker);
         if self.settings.links.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {

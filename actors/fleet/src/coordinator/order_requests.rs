@@ -1,0 +1,193 @@
+//! Requests of people that hold robots, release them, or take them out of service.
+
+use super::api::{ApiError, ApiHandler, COMMIT_TIMEOUT, not_committed};
+use super::submission::rfc3339_ms;
+use consort_protocol::api::{
+    HOLD_S, HOLD_S_MAX, HoldRequest, MaintenanceAction, MaintenanceRequest, OrdersReply, ReleaseRequest,
+    RobotCondition, RobotSelection, parse_request,
+};
+use consort_protocol::ensemble::Eligibility;
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::keys::ApiCall;
+use consort_protocol::knowledge::{KnownRecord, RobotKnowledge};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger, OrderChange};
+use consort_text::shorten;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Maximum size of the list of robots in an error, in bytes.
+const NAMES_BYTES_MAX: usize = 400;
+
+impl ApiHandler {
+    /// Holds robots.
+    pub(super) async fn hold(&self, payload: &[u8]) -> Result<OrdersReply, ApiError> {
+        let HoldRequest { robots, for_s, reason, by } = parse_request(ApiCall::Hold, payload)?;
+        let seconds = for_s.unwrap_or(HOLD_S);
+        if !(1..=HOLD_S_MAX).contains(&seconds) {
+            return Err(format!("for_s is {seconds}; allowed are 1 to {HOLD_S_MAX}").into());
+        }
+        let until_ms = self.time_ms()?.saturating_add(u64::from(seconds) * 1000);
+        self.order(&robots, OrderChange::Hold { until_ms, reason }, by).await
+    }
+
+    /// Releases held robots.
+    pub(super) async fn release(&self, payload: &[u8]) -> Result<OrdersReply, ApiError> {
+        let ReleaseRequest { robots, by } = parse_request(ApiCall::Release, payload)?;
+        self.order(&robots, OrderChange::Release, by).await
+    }
+
+    /// Takes robots out of service, or returns them to service.
+    pub(super) async fn maintenance(&self, payload: &[u8]) -> Result<OrdersReply, ApiError> {
+        let MaintenanceRequest { robots, action, until, reason, by } = parse_request(ApiCall::Maintenance, payload)?;
+        let change = match action {
+            MaintenanceAction::Begin if reason.trim().is_empty() => {
+                return Err("the action `begin` needs a `reason`".to_owned().into());
+            }
+            MaintenanceAction::Begin => OrderChange::Maintain { until_ms: self.end_ms(until)?, reason },
+            MaintenanceAction::End if until.is_some() || !reason.is_empty() => {
+                return Err("`until` and `reason` belong to the action `begin`".to_owned().into());
+            }
+            MaintenanceAction::End => OrderChange::EndMaintenance,
+        };
+        self.order(&robots, change, by).await
+    }
+
+    /// Returns the end of a maintenance in milliseconds since 1970.
+    fn end_ms(&self, until: Option<String>) -> Result<Option<u64>, ApiError> {
+        let Some(until) = until else { return Ok(None) };
+        let now_ms = self.time_ms()?;
+        match rfc3339_ms(&until).filter(|until_ms| *until_ms > now_ms) {
+            Some(until_ms) => Ok(Some(until_ms)),
+            None => Err(format!(
+                "until is {until:?}; allowed is a date and time in the future, in RFC 3339, such as \
+                 2026-12-31T18:00:00+01:00"
+            )
+            .into()),
+        }
+    }
+
+    /// Commits a change of the orders to robots, and returns their orders.
+    async fn order(
+        &self,
+        selection: &RobotSelection,
+        change: OrderChange,
+        by: Option<String>,
+    ) -> Result<OrdersReply, ApiError> {
+        let (robots, at_ms) = (self.selected(selection)?, self.time_ms()?);
+        let command = Command::OrderRobots { robots: robots.clone(), change, by: self.responsible(by), at_ms };
+        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+            Ok(CommandOutcome::Refused(refused)) => {
+                // A new ledger gets its version right after its creation.
+                let may_retry = self.replica.read(Ledger::wire).is_none();
+                Err(ApiError { text: refused.to_string(), may_retry })
+            }
+            Ok(_) => Ok(self.replica.read(|ledger| {
+                let orders = |robot: RobotId| {
+                    let orders = ledger.orders_of(&robot).cloned().unwrap_or_default();
+                    (robot, orders)
+                };
+                OrdersReply { robots: robots.into_iter().map(orders).collect() }
+            })),
+            Err(problem) => Err(not_committed(&problem)),
+        }
+    }
+
+    /// Returns the robots of a request: robots with a known record, and robots with orders.
+    fn selected(&self, selection: &RobotSelection) -> Result<BTreeSet<RobotId>, ApiError> {
+        let known: BTreeMap<RobotId, RobotKnowledge> = self.knowledge.read(|base| {
+            let record = |(node, stored): (&NodeId, &KnownRecord)| {
+                Some((RobotId::from(node.clone()), stored.record.knowledge.robot.clone()?))
+            };
+            base.iter().filter_map(record).collect()
+        });
+        let ordered = self.replica.read(|ledger| ledger.robot_orders().map(|(robot, _)| robot.clone()).collect());
+        select(selection, &known, ordered)
+    }
+}
+
+/// Selects robots. `known` are the robots with a record, and `ordered` the robots with orders.
+fn select(
+    selection: &RobotSelection,
+    known: &BTreeMap<RobotId, RobotKnowledge>,
+    ordered: BTreeSet<RobotId>,
+) -> Result<BTreeSet<RobotId>, ApiError> {
+    let all = || -> BTreeSet<RobotId> { known.keys().cloned().chain(ordered.iter().cloned()).collect() };
+    match selection {
+        RobotSelection::All(_) if all().is_empty() => Err("the coordinator knows no robots".to_owned().into()),
+        RobotSelection::All(_) => Ok(all()),
+        RobotSelection::Named(names) if names.is_empty() => Err("robots is empty; name a robot".to_owned().into()),
+        RobotSelection::Named(names) => match names.iter().find(|name| !all().contains(*name)) {
+            None => Ok(names.clone()),
+            Some(unknown) => {
+                let known = all().iter().map(RobotId::as_str).collect::<Vec<_>>().join(", ");
+                Err(format!("there is no robot {unknown}; there are {}", shorten(&known, NAMES_BYTES_MAX)).into())
+            }
+        },
+        RobotSelection::Where(RobotCondition { condition }) => {
+            let compiled = Eligibility::compile(condition).map_err(|problem| format!("where: {problem}"))?;
+            let meets = |(name, robot): &(&RobotId, &RobotKnowledge)| compiled.check(name, robot).is_ok();
+            let robots: BTreeSet<RobotId> = known.iter().filter(meets).map(|(name, _)| name.clone()).collect();
+            match robots.is_empty() {
+                true => Err(format!("no robot meets `{condition}`").into()),
+                false => Ok(robots),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::api::AllRobots;
+    use consort_protocol::knowledge::Availability;
+    use consort_protocol::pose::Pose;
+    use consort_protocol::units::{BatteryShare, SharePerSecond};
+    use serde_json::json;
+
+    fn known() -> BTreeMap<RobotId, RobotKnowledge> {
+        let robot = |section: &str| RobotKnowledge {
+            skills: BTreeSet::new(),
+            attributes: serde_json::from_value(json!({ "section": section })).unwrap(),
+            place: "Dock".parse().unwrap(),
+            pose: Pose::default(),
+            battery: BatteryShare::FULL,
+            discharge: SharePerSecond::new(0.001).unwrap(),
+            useful_charge: BatteryShare::new(0.1).unwrap(),
+            speed: None,
+            availability: Availability::Free,
+            estimator: "standard".to_owned(),
+        };
+        [("ada", "icu"), ("bob", "er")].map(|(name, section)| (name.parse().unwrap(), robot(section))).into()
+    }
+
+    fn selected(selection: RobotSelection) -> Result<Vec<String>, String> {
+        let robots = select(&selection, &known(), BTreeSet::from(["cyd".parse().unwrap()]));
+        let names = |robots: BTreeSet<RobotId>| robots.iter().map(RobotId::to_string).collect();
+        robots.map(names).map_err(|error| error.text)
+    }
+
+    fn condition(text: &str) -> RobotSelection {
+        RobotSelection::Where(RobotCondition { condition: text.to_owned() })
+    }
+
+    fn named(names: &[&str]) -> RobotSelection {
+        RobotSelection::Named(names.iter().map(|name| name.parse().unwrap()).collect())
+    }
+
+    #[test]
+    fn robots_are_selected_by_name_by_a_condition_or_all() {
+        let names = |names: &[&str]| Ok(names.iter().map(|name| (*name).to_owned()).collect());
+        assert_eq!(selected(named(&["bob"])), names(&["bob"]));
+        assert_eq!(selected(named(&["cyd"])), names(&["cyd"]), "it has orders and no record");
+        assert_eq!(selected(RobotSelection::All(AllRobots::All)), names(&["ada", "bob", "cyd"]));
+        assert_eq!(selected(condition(r#"robot.attributes.section == "icu""#)), names(&["ada"]));
+    }
+
+    #[test]
+    fn a_selection_of_no_robot_is_an_error() {
+        assert_eq!(selected(named(&["ada", "eve"])).unwrap_err(), "there is no robot eve; there are ada, bob, cyd");
+        assert_eq!(selected(named(&[])).unwrap_err(), "robots is empty; name a robot");
+        let none = selected(condition(r#"robot.attributes.section == "lab""#)).unwrap_err();
+        assert_eq!(none, r#"no robot meets `robot.attributes.section == "lab"`"#);
+        assert!(selected(condition("robot.wheels > 3")).unwrap_err().starts_with("where: "));
+    }
+}

@@ -1,0 +1,154 @@
+//! Orders of people to robots during a session: the coordinator sends them to the robots, publishes their
+//! changes, and proposes the end of those whose time has passed.
+//!
+//! A robot that holds a role also gets its orders with each renewal of its lease.
+
+use super::session_context::SessionContext;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, Ledger, RobotOrders};
+use consort_protocol::message::OrdersNotice;
+use consort_protocol::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// Interval for repeating a notice that a robot has not acknowledged, and of proposals to end orders.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Interval for repeating the orders of a robot that has acknowledged them: its node may have restarted.
+/// A guess.
+const REPEAT_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Orders during a session.
+pub(super) struct OrderDelivery {
+    sent: BTreeMap<RobotId, SentOrders>,
+    /// Orders of each robot when they were last compared.
+    published: BTreeMap<RobotId, RobotOrders>,
+    /// Time of the latest proposal to end orders.
+    expired_at: Option<NodeTime>,
+}
+
+/// Latest notice to a robot.
+struct SentOrders {
+    orders: RobotOrders,
+    as_of: Epoch,
+    at: NodeTime,
+    is_acknowledged: bool,
+}
+
+impl SentOrders {
+    /// Checks whether a robot that now has `orders` needs another notice.
+    fn needs_repetition(&self, orders: &RobotOrders, now: NodeTime) -> bool {
+        let age = now.since(self.at);
+        match self.is_acknowledged {
+            _ if self.orders != *orders => true,
+            false => age >= RETRY_INTERVAL,
+            true => !orders.is_empty() && age >= REPEAT_INTERVAL,
+        }
+    }
+}
+
+impl OrderDelivery {
+    /// Creates the state of a session. Orders that are in the ledger before the session are not published.
+    pub(super) fn new(context: &SessionContext) -> OrderDelivery {
+        OrderDelivery { sent: BTreeMap::new(), published: context.read_ledger(all_orders), expired_at: None }
+    }
+
+    /// Sends and publishes the orders that have changed. `now_ms` is the time of day in milliseconds since
+    /// 1970, and `confirmed_ms` the same if a majority of the voters confirms it.
+    pub(super) fn follow(
+        &mut self,
+        context: &mut SessionContext,
+        now: NodeTime,
+        now_ms: u64,
+        confirmed_ms: Option<u64>,
+    ) {
+        self.publish(context);
+        for (robot, notice) in self.due(context, now, now_ms) {
+            context.notify_orders(robot, notice);
+        }
+        let is_over = |now_ms: &u64| context.read_ledger(|ledger| ledger.has_order_to_expire(*now_ms));
+        let may_propose = self.expired_at.is_none_or(|at| now.since(at) >= RETRY_INTERVAL);
+        if let Some(now_ms) = confirmed_ms.filter(|_| may_propose).filter(is_over) {
+            self.expired_at = Some(now);
+            context.propose(Command::ExpireOrders { now_ms });
+        }
+    }
+
+    /// Records that a robot has acknowledged the notice of this position.
+    pub(super) fn acknowledge(&mut self, robot: &RobotId, as_of: Epoch) {
+        if let Some(sent) = self.sent.get_mut(robot).filter(|sent| sent.as_of == as_of) {
+            sent.is_acknowledged = true;
+        }
+    }
+
+    /// Returns the notices that are due, to robots that this node can reach. A ledger that never had orders
+    /// has none.
+    fn due(&mut self, context: &SessionContext, now: NodeTime, now_ms: u64) -> Vec<(RobotId, OrdersNotice)> {
+        if context.read_ledger(Ledger::orders_changed) == Epoch::default() {
+            return vec![];
+        }
+        let parts = &context.settings.parts;
+        let robots: Vec<NodeId> = parts.knowledge.read(|base| {
+            let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
+            robots.map(|(node, _)| node.clone()).collect()
+        });
+        let mut due = vec![];
+        for node in robots.into_iter().filter(|node| *node == parts.node || parts.knowledge.is_alive(node)) {
+            let robot = RobotId::from(node);
+            let (orders, notice) = context.read_ledger(|ledger| {
+                let orders = ledger.orders_of(&robot).cloned().unwrap_or_default();
+                (orders, OrdersNotice::of(ledger, &robot, now_ms))
+            });
+            if self.sent.get(&robot).is_none_or(|sent| sent.needs_repetition(&orders, now)) {
+                let sent = SentOrders { orders, as_of: notice.as_of, at: now, is_acknowledged: false };
+                self.sent.insert(robot.clone(), sent);
+                due.push((robot, notice));
+            }
+        }
+        due
+    }
+
+    /// Publishes the orders that have changed since the last comparison.
+    fn publish(&mut self, context: &SessionContext) {
+        let present = context.read_ledger(all_orders);
+        if present == self.published {
+            return;
+        }
+        let robots: BTreeSet<&RobotId> = self.published.keys().chain(present.keys()).collect();
+        for robot in robots.into_iter().filter(|robot| self.published.get(*robot) != present.get(*robot)) {
+            let orders = present.get(robot).cloned().unwrap_or_default();
+            context.publish_event(EventKind::RobotOrders { robot: robot.clone(), orders });
+        }
+        self.published = present;
+    }
+}
+
+fn all_orders(ledger: &Ledger) -> BTreeMap<RobotId, RobotOrders> {
+    ledger.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::ledger::RobotOrder;
+
+    fn at(ms: u64) -> NodeTime {
+        NodeTime::at(Duration::from_millis(ms))
+    }
+
+    #[test]
+    fn a_notice_is_repeated_until_it_is_acknowledged_and_rarely_afterwards() {
+        let hold = RobotOrder { by: "Nia".to_owned(), reason: String::new(), since_ms: 1, until_ms: Some(9) };
+        let held = RobotOrders { hold: Some(hold), maintenance: None };
+        let mut sent = SentOrders { orders: held.clone(), as_of: Epoch::default(), at: at(0), is_acknowledged: false };
+        assert!(!sent.needs_repetition(&held, at(499)) && sent.needs_repetition(&held, at(500)));
+        assert!(sent.needs_repetition(&RobotOrders::default(), at(1)), "released");
+        sent.is_acknowledged = true;
+        assert!(!sent.needs_repetition(&held, at(1_999)) && sent.needs_repetition(&held, at(2_000)));
+        let released = SentOrders { orders: RobotOrders::default(), ..sent };
+        assert!(!released.needs_repetition(&RobotOrders::default(), at(9_000)));
+        assert!(released.needs_repetition(&held, at(1)));
+    }
+}

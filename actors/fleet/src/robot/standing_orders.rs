@@ -1,0 +1,115 @@
+//! The orders of people that a robot follows, as last received. A robot without contact to the coordinator
+//! follows them until their end.
+
+use consort_protocol::lease::Epoch;
+use consort_protocol::message::{OrderNotice, OrdersNotice};
+use consort_protocol::units::NodeTime;
+use std::time::Duration;
+
+/// Orders of people to this robot.
+#[derive(Debug, Default)]
+pub(super) struct StandingOrders {
+    /// Position in the ledger of the latest notice.
+    as_of: Epoch,
+    hold: Option<StandingOrder>,
+    maintenance: Option<StandingOrder>,
+}
+
+#[derive(Debug)]
+struct StandingOrder {
+    text: String,
+    /// End of the order; `None` for no end.
+    until: Option<NodeTime>,
+}
+
+impl StandingOrder {
+    fn new(OrderNotice { text, remaining_ms }: OrderNotice, now: NodeTime) -> StandingOrder {
+        StandingOrder { text, until: remaining_ms.map(|remaining_ms| now + Duration::from_millis(remaining_ms)) }
+    }
+
+    fn is_in_force(&self, now: NodeTime) -> bool {
+        self.until.is_none_or(|until| now < until)
+    }
+}
+
+impl StandingOrders {
+    /// Receives the orders from a coordinator. A notice that is older than the latest has no effect.
+    pub(super) fn receive(&mut self, OrdersNotice { as_of, hold, maintenance }: OrdersNotice, now: NodeTime) {
+        if as_of < self.as_of {
+            return;
+        }
+        let standing = |order: Option<OrderNotice>| order.map(|order| StandingOrder::new(order, now));
+        *self = StandingOrders { as_of, hold: standing(hold), maintenance: standing(maintenance) };
+    }
+
+    /// Accepts any position from now on: the positions of another cluster are counted anew.
+    pub(super) fn clear_position(&mut self) {
+        self.as_of = Epoch::default();
+    }
+
+    /// Checks whether the robot has to stand still.
+    pub(super) fn is_held(&self, now: NodeTime) -> bool {
+        self.hold.as_ref().is_some_and(|hold| hold.is_in_force(now))
+    }
+
+    /// Returns the order for which the robot takes no role, as text; `None` if there is none.
+    pub(super) fn problem(&self, now: NodeTime) -> Option<&str> {
+        let mut orders = self.hold.iter().chain(&self.maintenance);
+        orders.find(|order| order.is_in_force(now)).map(|order| order.text.as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_values::at;
+    use super::*;
+
+    fn order(text: &str, remaining_ms: Option<u64>) -> Option<OrderNotice> {
+        Some(OrderNotice { text: text.to_owned(), remaining_ms })
+    }
+
+    fn notice(index: u64, hold: Option<OrderNotice>) -> OrdersNotice {
+        OrdersNotice { as_of: Epoch { term: 1, index }, hold, maintenance: None }
+    }
+
+    #[test]
+    fn a_hold_lasts_from_its_receipt_to_its_end() {
+        let mut orders = StandingOrders::default();
+        assert!(!orders.is_held(at(0)) && orders.problem(at(0)).is_none());
+        orders.receive(notice(5, order("held by Nia", Some(1_000))), at(500));
+        assert!(orders.is_held(at(500)) && orders.is_held(at(1_499)) && !orders.is_held(at(1_500)));
+        assert_eq!((orders.problem(at(1_499)), orders.problem(at(1_500))), (Some("held by Nia"), None));
+    }
+
+    #[test]
+    fn a_delayed_notice_neither_holds_nor_releases() {
+        let mut orders = StandingOrders::default();
+        orders.receive(notice(7, None), at(0));
+        orders.receive(notice(5, order("held by Nia", Some(1_000))), at(1));
+        assert!(!orders.is_held(at(1)), "it was released later");
+        orders.receive(notice(8, order("held by Nia", Some(1_000))), at(2));
+        orders.receive(notice(7, None), at(3));
+        assert!(orders.is_held(at(3)));
+        orders.receive(notice(8, None), at(4));
+        assert!(!orders.is_held(at(4)), "the present state at the same position");
+    }
+
+    #[test]
+    fn orders_of_another_cluster_replace_those_of_the_former_one() {
+        let mut orders = StandingOrders::default();
+        orders.receive(notice(100, order("held by Nia", Some(1_000))), at(0));
+        orders.clear_position();
+        assert!(orders.is_held(at(1)), "until the other cluster states its orders");
+        orders.receive(notice(3, None), at(2));
+        assert!(!orders.is_held(at(2)));
+    }
+
+    #[test]
+    fn a_robot_in_maintenance_is_not_held_and_takes_no_role() {
+        let mut orders = StandingOrders::default();
+        let maintenance = order("in maintenance by Nia: tyres", None);
+        orders.receive(OrdersNotice { maintenance, ..notice(5, None) }, at(0));
+        assert!(!orders.is_held(at(9_000)));
+        assert_eq!(orders.problem(at(9_000)), Some("in maintenance by Nia: tyres"));
+    }
+}

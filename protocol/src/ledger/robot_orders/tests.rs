@@ -1,0 +1,157 @@
+use super::*;
+use crate::auction::{AuctionId, AuctionRecord};
+use crate::ids::{MissionId, RoleId};
+use crate::ledger::{Branch, Command, RobotOrder, Submission};
+use crate::mission::{Mission, Role, RoleKind};
+use crate::plan::{Division, LocalPlan};
+
+fn robot(name: &str) -> RobotId {
+    name.parse().unwrap()
+}
+
+/// A ledger and the index of its next entry.
+struct Log(Ledger, u64);
+
+impl Log {
+    fn new() -> Log {
+        let mut log = Log(Ledger::default(), 1);
+        log.apply(Command::RaiseWireVersion { wire: HISTORY_SINCE });
+        log
+    }
+
+    fn apply(&mut self, command: Command) -> CommandOutcome {
+        let at = Epoch { term: 1, index: self.1 };
+        self.1 += 1;
+        self.0.apply(at, command)
+    }
+
+    fn order(&mut self, robots: &[&str], change: OrderChange, at_ms: u64) -> CommandOutcome {
+        let robots = robots.iter().map(|name| robot(name)).collect();
+        self.apply(Command::OrderRobots { robots, change, by: "Nia".to_owned(), at_ms })
+    }
+
+    fn hold_until(&self, name: &str) -> Option<u64> {
+        self.0.orders_of(&robot(name))?.hold.as_ref()?.until_ms
+    }
+
+    fn award(&mut self, mission: &MissionId, name: &str) -> CommandOutcome {
+        let role: RoleId = "r1".parse().unwrap();
+        let auction = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
+        let holders = BTreeMap::from([(role, robot(name))]);
+        self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction })
+    }
+}
+
+fn hold(until_ms: u64) -> OrderChange {
+    OrderChange::Hold { until_ms, reason: "a spill".to_owned() }
+}
+
+fn maintain(until_ms: Option<u64>) -> OrderChange {
+    OrderChange::Maintain { until_ms, reason: "new tyres".to_owned() }
+}
+
+fn submission() -> Box<Submission> {
+    let role: RoleId = "r1".parse().unwrap();
+    let mission = Mission {
+        name: "rounds".parse().unwrap(),
+        roles: BTreeMap::from([(role.clone(), Role::of(RoleKind::Managed))]),
+        ensembles: vec![],
+        energy_max: None,
+        tasks: vec![],
+        results: BTreeMap::new(),
+    };
+    let plans = BTreeMap::from([(role.clone(), LocalPlan::of(role, vec![]))]);
+    Box::new(Submission::of("request".parse().unwrap(), mission, Division { plans }))
+}
+
+#[test]
+fn a_hold_lasts_until_its_release_or_its_time() {
+    let mut log = Log::new();
+    assert_eq!(log.order(&["ada", "bob"], hold(500), 100), CommandOutcome::Done);
+    let order = RobotOrder { by: "Nia".to_owned(), reason: "a spill".to_owned(), since_ms: 100, until_ms: Some(500) };
+    let expected = RobotOrders { hold: Some(order), maintenance: None };
+    assert_eq!(log.0.orders_of(&robot("ada")), Some(&expected));
+    assert!(log.0.is_held(&robot("bob")) && !log.0.is_held(&robot("cyd")));
+    log.order(&["ada"], OrderChange::Release, 200);
+    assert_eq!((log.hold_until("ada"), log.hold_until("bob")), (None, Some(500)));
+    assert!(!log.0.has_order_to_expire(499) && log.0.has_order_to_expire(500));
+    log.apply(Command::ExpireOrders { now_ms: 499 });
+    assert_eq!(log.hold_until("bob"), Some(500));
+    log.apply(Command::ExpireOrders { now_ms: 500 });
+    assert_eq!(log.0.robot_orders().count(), 0);
+}
+
+#[test]
+fn the_latest_hold_counts_and_maintenance_is_independent_of_it() {
+    let mut log = Log::new();
+    log.order(&["ada"], maintain(None), 50);
+    log.order(&["ada"], hold(500), 100);
+    log.order(&["ada"], hold(300), 150);
+    assert_eq!(log.hold_until("ada"), Some(300));
+    let text = "held by Nia: a spill; in maintenance by Nia: new tyres";
+    assert_eq!(log.0.orders_of(&robot("ada")).unwrap().problem().as_deref(), Some(text));
+    log.apply(Command::ExpireOrders { now_ms: u64::MAX });
+    assert!(log.0.orders_of(&robot("ada")).is_some_and(|orders| orders.maintenance.is_some()), "it has no end");
+    log.order(&["ada"], OrderChange::EndMaintenance, 600);
+    assert_eq!(log.0.orders_of(&robot("ada")), None);
+}
+
+/// A robot ignores orders of an earlier position.
+#[test]
+fn the_position_of_the_latest_change_grows_with_changes_only() {
+    let mut log = Log::new();
+    assert_eq!(log.0.orders_changed(), Epoch::default());
+    log.order(&["ada"], OrderChange::Release, 50);
+    assert_eq!(log.0.orders_changed(), Epoch::default(), "it was not held");
+    log.order(&["ada"], hold(500), 100);
+    let held = log.0.orders_changed();
+    assert!(held > Epoch::default());
+    log.apply(Command::ExpireOrders { now_ms: 400 });
+    assert_eq!(log.0.orders_changed(), held);
+    log.apply(Command::ExpireOrders { now_ms: 500 });
+    assert!(log.0.orders_changed() > held);
+}
+
+#[test]
+fn a_robot_under_orders_gets_no_role() {
+    for (change, end, problem) in [
+        (hold(500), OrderChange::Release, "held by Nia: a spill"),
+        (maintain(None), OrderChange::EndMaintenance, "in maintenance by Nia: new tyres"),
+    ] {
+        let mut log = Log::new();
+        let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(submission())) else { panic!() };
+        log.order(&["ada"], change, 100);
+        let (ada, problem) = (robot("ada"), problem.to_owned());
+        let refused = CommandOutcome::Refused(CommandError::UnderOrders { robot: ada, problem });
+        assert_eq!(log.award(&mission, "ada"), refused);
+        log.order(&["ada"], end, 200);
+        assert!(matches!(log.award(&mission, "ada"), CommandOutcome::Awarded { .. }));
+    }
+}
+
+#[test]
+fn the_holder_of_a_role_keeps_it_when_it_is_held() {
+    let mut log = Log::new();
+    let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(submission())) else { panic!() };
+    assert!(matches!(log.award(&mission, "ada"), CommandOutcome::Awarded { .. }));
+    log.order(&["ada"], hold(500), 100);
+    assert!(log.0.held_by(&robot("ada")).is_some());
+}
+
+#[test]
+fn orders_are_limited_in_size_and_need_a_wire_version() {
+    let mut log = Log::new();
+    let reason = "x".repeat(10_000);
+    let robots: Vec<String> = (0..1000).map(|number| format!("robot-{number}")).collect();
+    let mut outcomes = robots
+        .iter()
+        .map(|name| log.order(&[name.as_str()], OrderChange::Hold { until_ms: 500, reason: reason.clone() }, 100));
+    assert_eq!(outcomes.next(), Some(CommandOutcome::Done), "its reason is shortened");
+    assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::OrdersFull)));
+    drop(outcomes);
+    let (count, bytes) = (log.0.robot_orders().count(), size(&log.0.order_book().robots));
+    assert!(count > 300 && bytes <= ORDERS_BYTES_MAX, "{count} orders take {bytes} bytes");
+    let mut before = Log(Ledger::default(), 1);
+    let not_yet = CommandOutcome::Refused(CommandError::NoOrdersYet { since: HISTORY_SINCE });
+    assert_eq!(before.order(&["ada"], hold(500), 100), not_yet);
+}
