@@ -316,6 +316,13 @@ fn a_signed_hold_stops_a_robot_and_names_the_signer() {
         fleet.assert_never("a move", Duration::from_secs(10), |fleet| fleet.position("gorse") != place).await;
         fleet.request_answered(ApiCall::Release, &payload).await;
         fleet.assert_completes(&mission).await;
+        let trail = fleet.request_answered(ApiCall::Audit, &json!({ "linearizable": true })).await;
+        // The simulated nurse answers, too.
+        let entries = trail["entries"].as_array().expect("entries").iter().filter(|entry| entry["action"] != "answer");
+        let by: Vec<_> = entries.map(|entry| [&entry["action"], &entry["by"], &entry["subject"]]).collect();
+        let (signer, mission) = ("Nia, according to client", mission.as_str());
+        let expected = [["submit", "client", mission], ["hold", signer, "gorse"], ["release", signer, "gorse"]];
+        assert_eq!(json!(by), json!(expected), "seed {seed}");
         assert_eq!(refused(&fleet), BTreeSet::new(), "seed {seed}: friends are taken for foes");
     });
 }

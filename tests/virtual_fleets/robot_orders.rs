@@ -124,6 +124,12 @@ fn the_next_coordinator_keeps_a_robot_held() {
         fleet.wait_for_coordinator().await;
         release(&fleet, json!([carrier])).await;
         assert_goes_on(&mut fleet, &mission, &carrier, Duration::from_secs(2)).await;
+        let trail = request(&fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
+        // The simulated nurse answers, too.
+        let entries = trail["entries"].as_array().expect("entries").iter().filter(|entry| entry["action"] != "answer");
+        let changes: Vec<_> = entries.map(|entry| [&entry["by"], &entry["action"]]).collect();
+        let expected = json!([["a client", "submit"], ["Nia", "hold"], ["Abe", "release"]]);
+        assert_eq!(json!(changes), expected, "seed {seed}");
     });
 }
 

@@ -3,13 +3,13 @@
 use crate::support::{fleet, task_began};
 use consort_bus::{Bus, VirtualBus};
 use consort_protocol::api::{
-    AnswerReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, ScheduleReply, UpgradeReply,
+    AnswerReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, OrdersReply, ScheduleReply, UpgradeReply,
 };
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::view::{
-    AuctionsView, CoordinatorView, EnsemblesView, FleetView, HealthView, MapView, MissionView, MissionsView,
+    AuctionsView, AuditView, CoordinatorView, EnsemblesView, FleetView, HealthView, MapView, MissionView, MissionsView,
     RequestsView, RobotView, SchedulesView, WithProvenance,
 };
 use consort_raft::store::Backup;
@@ -245,6 +245,7 @@ fn check_view(name: &str, view: &Value) {
         "coordinator" => check_type::<WithProvenance<CoordinatorView>>(name, view),
         "requests" => check_type::<WithProvenance<RequestsView>>(name, view),
         "schedules" => check_type::<WithProvenance<SchedulesView>>(name, view),
+        "audit" => check_type::<WithProvenance<AuditView>>(name, view),
         "missions" => check_type::<WithProvenance<MissionsView>>(name, view),
         "mission" => check_type::<WithProvenance<MissionView>>(name, view),
         "auctions" => check_type::<WithProvenance<AuctionsView>>(name, view),
@@ -274,6 +275,10 @@ fn views_and_replies_contain_exactly_the_fields_of_their_types() {
         check_type::<WithProvenance<MissionView>>("get", &ask(ApiCall::Get, named.clone()).await);
         check_type::<WithProvenance<MissionsView>>("list", &ask(ApiCall::List, Value::Null).await);
         check_type::<WithProvenance<SchedulesView>>("schedules", &ask(ApiCall::Schedules, Value::Null).await);
+        check_type::<WithProvenance<AuditView>>("audit", &ask(ApiCall::Audit, Value::Null).await);
+        let orders = json!({ "robots": ["fern"] });
+        check_type::<OrdersReply>("hold", &ask(ApiCall::Hold, orders.clone()).await);
+        check_type::<OrdersReply>("release", &ask(ApiCall::Release, orders).await);
         check_type::<WithProvenance<ExplainReply>>("explain", &ask(ApiCall::Explain, named.clone()).await);
         check_type::<HelpReply>("help", &ask(ApiCall::Help, Value::Null).await);
         check_type::<UpgradeReply>("upgrade", &ask(ApiCall::Upgrade, json!({})).await);

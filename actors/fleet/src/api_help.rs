@@ -5,7 +5,9 @@ use consort_protocol::api::{
     SubmitReply, UpgradeReply, example, payload_schema,
 };
 use consort_protocol::keys::{ApiCall, Key};
-use consort_protocol::view::{MissionView, MissionsView, RequestsView, SchedulesView, WithProvenance, schema_of};
+use consort_protocol::view::{
+    AuditView, MissionView, MissionsView, RequestsView, SchedulesView, WithProvenance, schema_of,
+};
 use consort_raft::store::Backup;
 use schemars::Schema;
 
@@ -37,6 +39,7 @@ fn reply_schema(call: ApiCall) -> Schema {
         ApiCall::Schedule => schema_of::<ScheduleReply>(),
         ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance => schema_of::<OrdersReply>(),
         ApiCall::Schedules => schema_of::<WithProvenance<SchedulesView>>(),
+        ApiCall::Audit => schema_of::<WithProvenance<AuditView>>(),
         ApiCall::Requests => schema_of::<WithProvenance<RequestsView>>(),
         ApiCall::Get => schema_of::<WithProvenance<MissionView>>(),
         ApiCall::List => schema_of::<WithProvenance<MissionsView>>(),

@@ -245,7 +245,9 @@ async fn run_clients(
             let take = |left: usize| left.checked_sub(1);
             while left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take).is_ok() {
                 let command = match open.take() {
-                    Some(mission) => Command::Cancel { mission, by: "a client".to_owned(), places: BTreeMap::new() },
+                    Some(mission) => {
+                        Command::Cancel { mission, by: "a client".to_owned(), places: BTreeMap::new(), at_ms: 0 }
+                    }
                     None => {
                         let request = RequestId::new(format!("client-{client}-{}", replies.at.len())).expect("a slug");
                         Command::Submit(Box::new(Submission::of(request, mission.clone(), division.clone())))

@@ -1,9 +1,9 @@
 //! The command line.
 
 use crate::command::{
-    answer, backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, hold, keys, lab,
-    leave, maintenance, map, missions, record, recover, replay, requests, resolve, restore, robot, schedule, schema,
-    station, submit, token, upgrade, watch, world,
+    answer, audit, backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, hold,
+    keys, lab, leave, maintenance, map, missions, record, recover, replay, requests, resolve, restore, robot, schedule,
+    schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -72,6 +72,7 @@ enum Command {
     Hold(hold::HoldArgs),
     Release(hold::ReleaseArgs),
     Maintenance(maintenance::Args),
+    Audit(audit::Args),
     Requests(requests::Args),
     Answer(answer::Args),
     Fleet(fleet::Args),
@@ -126,6 +127,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Hold(args) => hold::run(args),
             Command::Release(args) => hold::release(args),
             Command::Maintenance(args) => maintenance::run(args),
+            Command::Audit(args) => audit::run(args),
             Command::Requests(args) => requests::run(args),
             Command::Answer(args) => answer::run(args),
             Command::Fleet(args) => fleet::run(args),

@@ -124,9 +124,13 @@ fn subscriptions(keys: &Keys) -> Vec<String> {
 /// Returns the scope that a call requires.
 pub fn required_scope(call: ApiCall) -> AccessScope {
     match call {
-        ApiCall::Get | ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Explain | ApiCall::Help => {
-            AccessScope::Read
-        }
+        ApiCall::Get
+        | ApiCall::List
+        | ApiCall::Requests
+        | ApiCall::Schedules
+        | ApiCall::Audit
+        | ApiCall::Explain
+        | ApiCall::Help => AccessScope::Read,
         ApiCall::Submit
         | ApiCall::Cancel
         | ApiCall::Answer

@@ -59,7 +59,9 @@ pub fn example(call: ApiCall) -> Option<Value> {
         ApiCall::Maintenance => {
             Some(json!({ "robots": ["ada"], "action": "begin", "reason": "new tyres", "by": "Nia" }))
         }
-        ApiCall::List | ApiCall::Requests | ApiCall::Schedules => Some(json!({ "linearizable": true })),
+        ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
+            Some(json!({ "linearizable": true }))
+        }
         ApiCall::Upgrade => Some(json!({ "finish": false })),
         ApiCall::Help | ApiCall::Backup => None,
     }
@@ -76,7 +78,7 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
         ApiCall::Hold => Some(schema_for!(HoldRequest)),
         ApiCall::Release => Some(schema_for!(ReleaseRequest)),
         ApiCall::Maintenance => Some(schema_for!(MaintenanceRequest)),
-        ApiCall::List | ApiCall::Requests | ApiCall::Schedules => Some(schema_for!(ReadOptions)),
+        ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => Some(schema_for!(ReadOptions)),
         ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
         ApiCall::Help | ApiCall::Backup => None,
     }

@@ -14,6 +14,7 @@
 //! | `get` | `{"mission": "vital-signs-1"}`; optional: `linearizable` | the mission, as in `view/mission/{id}` |
 //! | `list` | nothing, or `{"linearizable": true}` | `{"missions": […]}`, as in `view/missions` |
 //! | `requests` | nothing, or `{"linearizable": true}` | `{"requests": […]}`, as in `view/requests` |
+//! | `audit` | nothing, or `{"linearizable": true}` | `{"entries": […]}`, as in `view/audit` |
 //! | `explain` | `{"mission": "vital-signs-1"}`; optional: `linearizable` | why each robot did or did not get each role |
 //! | `help` | nothing | `{"calls": […]}`: all calls, with JSON Schemas; `api/{call}/help` returns a single call |
 //!

@@ -129,7 +129,7 @@ mod tests {
                 ApiCall::Hold => parse_request::<HoldRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Release => parse_request::<ReleaseRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Maintenance => parse_request::<MaintenanceRequest>(*call, bytes.as_bytes()).map(drop),
-                ApiCall::List | ApiCall::Requests | ApiCall::Schedules => {
+                ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
                     parse_read_options(*call, bytes.as_bytes()).map(drop)
                 }
                 ApiCall::Help | ApiCall::Backup => Ok(()),

@@ -62,6 +62,8 @@ words! {
         Requests = "requests",
         /// List the schedules.
         Schedules = "schedules",
+        /// List the changes that people have requested.
+        Audit = "audit",
         /// Explain for each role of a mission the outcome of each robot's bid.
         Explain = "explain",
         /// List the calls with their parameters.
@@ -124,6 +126,7 @@ impl ApiCall {
             | ApiCall::List
             | ApiCall::Requests
             | ApiCall::Schedules
+            | ApiCall::Audit
             | ApiCall::Explain
             | ApiCall::Help => true,
         }

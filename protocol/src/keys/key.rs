@@ -62,6 +62,8 @@ pub enum Key {
     ViewRequests,
     /// Schedules.
     ViewSchedules,
+    /// `view/audit`.
+    ViewAudit,
     /// `view/mission/{mission}`.
     ViewMission(MissionId),
     /// `view/auctions`.
@@ -121,6 +123,7 @@ impl fmt::Display for Key {
             Key::ViewMissions => f.write_str("view/missions"),
             Key::ViewRequests => f.write_str("view/requests"),
             Key::ViewSchedules => f.write_str("view/schedules"),
+            Key::ViewAudit => f.write_str("view/audit"),
             Key::ViewMission(mission) => write!(f, "view/mission/{mission}"),
             Key::ViewAuctions => f.write_str("view/auctions"),
             Key::World => f.write_str("wire/world"),
@@ -192,6 +195,7 @@ fn read_view(segments: &[&str]) -> Option<Key> {
         ["missions"] => Key::ViewMissions,
         ["requests"] => Key::ViewRequests,
         ["schedules"] => Key::ViewSchedules,
+        ["audit"] => Key::ViewAudit,
         ["mission", mission] => Key::ViewMission(mission.parse().ok()?),
         ["auctions"] => Key::ViewAuctions,
         ["map"] => Key::ViewMap,

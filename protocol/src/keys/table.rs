@@ -76,6 +76,7 @@ table! {
     Key::ViewCoordinator => "view/coordinator", "any node" Answers JSON, "the coordinator, its term and start time; voters and learners";
     Key::ViewMissions => "view/missions", "any node" Answers JSON, "all missions, in brief";
     Key::ViewSchedules => "view/schedules", "any node" Answers JSON, "the schedules of missions, with their next occurrences";
+    Key::ViewAudit => "view/audit", "any node" Answers JSON, "who requested which change, and when";
     Key::ViewRequests => "view/requests", "any node" Answers JSON, "the requests to people, open ones first";
     Key::ViewMission(_) => "view/mission/{mission}", "any node" Answers JSON, "a mission: its task tree, roles, holders, epochs";
     Key::ViewAuctions => "view/auctions", "any node" Answers JSON, "the latest auction of each mission: bids, refusals, and the reason for the result";
@@ -95,6 +96,7 @@ table! {
     Key::Api(ApiCall::Hold) => "api/hold", "the coordinator" Answers JSON, "holds robots: they stand still, and keep their roles";
     Key::Api(ApiCall::Release) => "api/release", "the coordinator" Answers JSON, "releases held robots";
     Key::Api(ApiCall::Maintenance) => "api/maintenance", "the coordinator" Answers JSON, "takes robots out of service once their roles have ended, or returns them to service";
+    Key::Api(ApiCall::Audit) => "api/audit", "any node" Answers JSON, "the changes that people have requested, as in view/audit";
     Key::Api(ApiCall::Schedules) => "api/schedules", "any node" Answers JSON, "the schedules, as in view/schedules";
     Key::Api(ApiCall::Requests) => "api/requests", "any node" Answers JSON, "the requests to people, as in view/requests";
     Key::Api(ApiCall::Explain) => "api/explain", "any node" Answers JSON, "for each role of a mission, the reason for which each robot got it or not";
@@ -115,7 +117,7 @@ table! {
     Key::Bootstrap(_) => "wire/bootstrap/{node}", "nodes that may vote" Answers WIRE, "permission to create a ledger";
     Key::Beacon => "wire/beacon", "the coordinator" Publishes WIRE, "the coordinator, its term, and the voters of the ledger";
     Key::Bid(_) => "wire/bid/{robot}", "the robot" Answers WIRE, "the coordinator's call for bids";
-    Key::Award(_) => "wire/award/{robot}", "the robot" Answers WIRE, "the award or the revocation of a role";
+    Key::Award(_) => "wire/award/{robot}", "the robot" Answers WIRE, "the award or the revocation of a role, and the orders of people";
     Key::Report(_) => "wire/report/{node}", "the coordinator" Answers WIRE, "reports of robots, which also renew their leases";
     Key::Clock(_) => "wire/clock/{node}", "nodes that may vote" Answers WIRE, "the time of day of the node, for the coordinator";
     Key::Signal(..) => "wire/signal/{mission}/{role}", "robots, and the coordinator for people" Publishes WIRE, "a signal of the mission's plan for this role";

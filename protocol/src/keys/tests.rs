@@ -27,6 +27,7 @@ pub(super) fn all() -> Vec<Key> {
         Key::ViewMissions,
         Key::ViewRequests,
         Key::ViewSchedules,
+        Key::ViewAudit,
         Key::ViewMission(mission.clone()),
         Key::ViewAuctions,
         Key::ViewEnsembles,

@@ -114,6 +114,8 @@ pub enum Command {
         by: String,
         /// Last known places of its robots.
         places: BTreeMap<RobotId, PlaceId>,
+        /// Time of the request in milliseconds since 1970; 0 if it is unknown.
+        at_ms: u64,
     },
     /// Closes a mission that needs intervention: a person has taken care of the items that robots
     /// had.
@@ -122,6 +124,8 @@ pub enum Command {
         mission: MissionId,
         /// Person that resolved it.
         by: String,
+        /// Time of the request in milliseconds since 1970; 0 if it is unknown.
+        at_ms: u64,
     },
     /// Requests a task of an unmanaged role from a person.
     AskPerson {
@@ -187,6 +191,10 @@ pub enum Command {
     RemoveSchedule {
         /// The schedule.
         schedule: ScheduleId,
+        /// Person that removes it.
+        by: String,
+        /// Time in milliseconds since 1970.
+        at_ms: u64,
     },
     /// Pauses a schedule.
     PauseSchedule {
@@ -201,6 +209,8 @@ pub enum Command {
         schedule: ScheduleId,
         /// Time in milliseconds since 1970.
         at_ms: u64,
+        /// Person that resumes it.
+        by: String,
     },
     /// Submits the mission of an occurrence.
     SubmitOccurrence {

@@ -3,6 +3,7 @@
 //! The version comes first, so a reader knows what follows. While a fleet writes an earlier version,
 //! the ledger has the layout of that version, and its nodes can return to an earlier program.
 
+use super::audit_trail::AuditTrail;
 use super::history::{HISTORY_SINCE, History};
 use super::robot_order::OrderBook;
 use super::schedule::ScheduleEntry;
@@ -23,20 +24,22 @@ pub(super) struct VersionedPart {
     pub(super) schedules: BTreeMap<ScheduleId, ScheduleEntry>,
     /// Orders of people to robots; empty without a history.
     pub(super) orders: OrderBook,
+    /// Requests of people; empty without a history.
+    pub(super) trail: AuditTrail,
 }
 
 impl Serialize for VersionedPart {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match &self.history {
             None => (self.wire,).serialize(serializer),
-            Some(history) => (self.wire, history, &self.schedules, &self.orders).serialize(serializer),
+            Some(history) => (self.wire, history, &self.schedules, &self.orders, &self.trail).serialize(serializer),
         }
     }
 }
 
 impl<'de> Deserialize<'de> for VersionedPart {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_tuple(4, PartVisitor)
+        deserializer.deserialize_tuple(5, PartVisitor)
     }
 }
 
@@ -57,6 +60,7 @@ impl<'de> Visitor<'de> for PartVisitor {
         let history = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(1, &self))?;
         let schedules = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(2, &self))?;
         let orders = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(3, &self))?;
-        Ok(VersionedPart { wire, history: Some(history), schedules, orders })
+        let trail = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(4, &self))?;
+        Ok(VersionedPart { wire, history: Some(history), schedules, orders, trail })
     }
 }

@@ -6,9 +6,10 @@
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
 //! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one of 1 KiB and an open question of 1 KiB for each role, and 16 closed ones of 1 KiB |
-//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], and orders to robots ([`ORDERS_BYTES_MAX`]) |
+//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], orders to robots ([`ORDERS_BYTES_MAX`]), and the audit trail ([`AUDIT_BYTES_MAX`]) |
 
 use super::apply::Ledger;
+use super::audit_trail::AUDIT_BYTES_MAX;
 use super::command::{Command, CommandError};
 use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
@@ -31,6 +32,7 @@ const _: () = assert!(
         + (HistoryLimits::LARGEST.outcome_bytes_max as usize)
         + Schedule::MAX * Schedule::BYTES_MAX
         + ORDERS_BYTES_MAX
+        + AUDIT_BYTES_MAX
         < codec::RECORD_BYTES_MAX,
     "a snapshot of a full ledger can be stored"
 );
@@ -57,7 +59,10 @@ impl Command {
     pub fn limited(mut self) -> Command {
         match &mut self {
             Command::Release { cause, .. } | Command::Fail { cause, .. } => limit_text(cause, CAUSE_BYTES_MAX),
-            Command::Cancel { by, .. } | Command::Resolve { by, .. } => limit_text(by, PERSON_BYTES_MAX),
+            Command::Cancel { by, .. }
+            | Command::Resolve { by, .. }
+            | Command::RemoveSchedule { by, .. }
+            | Command::ResumeSchedule { by, .. } => limit_text(by, PERSON_BYTES_MAX),
             Command::Submit(submission) => limit_text(&mut submission.by, PERSON_BYTES_MAX),
             Command::PauseSchedule { pause, .. } => limit_text(&mut pause.by, PERSON_BYTES_MAX),
             Command::AddSchedule { schedule, .. } => limit_text(&mut schedule.submission.by, PERSON_BYTES_MAX),
@@ -81,8 +86,6 @@ impl Command {
             | Command::Postpone { .. }
             | Command::EscalatePersonRequest { .. }
             | Command::ExpirePersonRequest { .. }
-            | Command::RemoveSchedule { .. }
-            | Command::ResumeSchedule { .. }
             | Command::SubmitOccurrence { .. }
             | Command::SkipOccurrences { .. }
             | Command::ExpireOrders { .. }

@@ -22,6 +22,8 @@
 //!
 //! A schedule adds its mission at certain times (the module `schedules`).
 //!
+//! The requests of people are recorded (the module `audit`).
+//!
 //! People hold robots, and take them out of service for maintenance (the module `robot_orders`).
 //!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
@@ -32,6 +34,8 @@
 //! continues with that branch. The module `custody` computes which robot has which item.
 
 mod apply;
+mod audit;
+mod audit_trail;
 mod branch;
 mod command;
 mod custody;
@@ -52,6 +56,7 @@ mod spread;
 mod submission;
 
 pub use apply::Ledger;
+pub use audit_trail::{AuditAction, AuditEntry};
 pub use branch::Branch;
 pub use command::{Command, CommandError, CommandOutcome};
 pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};

@@ -15,6 +15,7 @@
 //! | `view/missions` | [`MissionsView`] |
 //! | `view/requests` | [`RequestsView`] |
 //! | `view/schedules` | [`SchedulesView`] |
+//! | `view/audit` | [`AuditView`] |
 //! | `view/mission/{mission}` | [`MissionView`] |
 //! | `view/auctions` | [`AuctionsView`] |
 //! | `view/map` | [`MapView`] |
@@ -23,6 +24,7 @@
 //! All of them carry their [`Provenance`]. The simulator defines the type of `view/world`.
 
 mod auction;
+mod audit;
 mod coordinator;
 mod fleet;
 mod health;
@@ -33,6 +35,7 @@ mod provenance;
 mod schedule;
 
 pub use auction::{AuctionView, AuctionsView};
+pub use audit::AuditView;
 pub use coordinator::{AutopilotView, CoordinatorView, VoterChange};
 pub use fleet::{
     Contact, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HeldRole, MemberKnowledge,
@@ -78,6 +81,7 @@ pub const PUBLISHED_VIEWS: &[PublishedView] = &[
     PublishedView { name: "missions", schema: schema_of::<WithProvenance<MissionsView>> },
     PublishedView { name: "requests", schema: schema_of::<WithProvenance<RequestsView>> },
     PublishedView { name: "schedules", schema: schema_of::<WithProvenance<SchedulesView>> },
+    PublishedView { name: "audit", schema: schema_of::<WithProvenance<AuditView>> },
     PublishedView { name: "mission", schema: schema_of::<WithProvenance<MissionView>> },
     PublishedView { name: "auctions", schema: schema_of::<WithProvenance<AuctionsView>> },
     PublishedView { name: "map", schema: schema_of::<WithProvenance<MapView>> },

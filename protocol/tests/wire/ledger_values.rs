@@ -173,8 +173,13 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
         (name(), text(), option::of(branch()), places(), cause_class()).prop_map(
             |(mission, cause, branch, places, class)| Command::Fail { mission, cause, branch, places, class }
         ),
-        (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
-        (name(), text()).prop_map(|(mission, by)| Command::Resolve { mission, by }),
+        (name(), text(), places(), any::<u64>()).prop_map(|(mission, by, places, at_ms)| Command::Cancel {
+            mission,
+            by,
+            places,
+            at_ms
+        }),
+        (name(), text(), any::<u64>()).prop_map(|(mission, by, at_ms)| Command::Resolve { mission, by, at_ms }),
         (name(), branch(), name(), any::<u32>(), any::<u64>()).prop_map(|(mission, branch, role, step, asked_ms)| {
             Command::AskPerson { mission, branch, role, step, asked_ms }
         }),
@@ -198,11 +203,19 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             places
         }),
         (schedule(), any::<u64>()).prop_map(|(schedule, from_ms)| Command::AddSchedule { schedule, from_ms }),
-        name().prop_map(|schedule| Command::RemoveSchedule { schedule }),
+        (name(), text(), any::<u64>()).prop_map(|(schedule, by, at_ms)| Command::RemoveSchedule {
+            schedule,
+            by,
+            at_ms
+        }),
         (name(), text(), any::<u64>()).prop_map(|(schedule, by, since_ms)| {
             Command::PauseSchedule { schedule, pause: SchedulePause { by, since_ms } }
         }),
-        (name(), any::<u64>()).prop_map(|(schedule, at_ms)| Command::ResumeSchedule { schedule, at_ms }),
+        (name(), any::<u64>(), text()).prop_map(|(schedule, at_ms, by)| Command::ResumeSchedule {
+            schedule,
+            at_ms,
+            by
+        }),
         (name(), any::<[u64; 3]>()).prop_map(|(schedule, [after_ms, due_ms, at_ms])| {
             Command::SubmitOccurrence { schedule, after_ms, due_ms, at_ms }
         }),

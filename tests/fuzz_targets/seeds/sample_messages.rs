@@ -292,7 +292,7 @@ fn ledger_commands() -> Vec<Command> {
         Command::AddSchedule { schedule: Box::new(schedule()), from_ms: 7 },
         Command::SubmitOccurrence { schedule: slug("rounds"), after_ms: 7, due_ms: 8, at_ms: 9 },
         Command::PauseSchedule { schedule: slug("rounds"), pause: SchedulePause { by: "Nia".to_owned(), since_ms: 9 } },
-        Command::Cancel { mission: mission(), by: "Nia".to_owned(), places: BTreeMap::new() },
+        Command::Cancel { mission: mission(), by: "Nia".to_owned(), places: BTreeMap::new(), at_ms: 9 },
         Command::EscalatePersonRequest { request: request(), now_ms: 8 },
         Command::OrderRobots {
             robots: BTreeSet::from([slug("ada")]),

@@ -120,6 +120,7 @@ impl ApiHandler {
             | ApiCall::List
             | ApiCall::Requests
             | ApiCall::Schedules
+            | ApiCall::Audit
             | ApiCall::Explain
             | ApiCall::Help => Err(format!("{} is served by any node", call.as_str()).into()),
         };
@@ -176,6 +177,12 @@ impl ApiHandler {
         self.time_ms.ok_or(ApiError { text, may_retry: true })
     }
 
+    /// Returns the time of day for the audit trail; 0, the time of its latest entry, if it is unknown. Nobody waits
+    /// for a clock to cancel a mission.
+    fn audit_ms(&self) -> u64 {
+        self.time_ms.unwrap_or_default()
+    }
+
     /// Returns an error if the fleet accepts no new missions. A repeated request for an accepted
     /// mission still gets its reply.
     fn overload(&self, ledger: &Ledger, request: &RequestId) -> Option<ApiError> {
@@ -190,13 +197,13 @@ impl ApiHandler {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Cancel, payload)?;
         let by = self.responsible(by);
         let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&mission)));
-        self.change(mission.clone(), Command::Cancel { mission, by, places }).await
+        self.change(mission.clone(), Command::Cancel { mission, by, places, at_ms: self.audit_ms() }).await
     }
 
     async fn resolve(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Resolve, payload)?;
         let by = self.responsible(by);
-        self.change(mission.clone(), Command::Resolve { mission, by }).await
+        self.change(mission.clone(), Command::Resolve { mission, by, at_ms: self.audit_ms() }).await
     }
 
     /// Records the answer of a person.
@@ -264,8 +271,8 @@ impl ApiHandler {
                 let pause = SchedulePause { by: by.clone(), since_ms: at_ms };
                 Command::PauseSchedule { schedule: id.clone(), pause }
             }
-            ScheduleAction::Resume => Command::ResumeSchedule { schedule: id.clone(), at_ms },
-            ScheduleAction::Remove => Command::RemoveSchedule { schedule: id.clone() },
+            ScheduleAction::Resume => Command::ResumeSchedule { schedule: id.clone(), at_ms, by: by.clone() },
+            ScheduleAction::Remove => Command::RemoveSchedule { schedule: id.clone(), by: by.clone(), at_ms },
         };
         let change = self.replica.read(|ledger| schedule_change(action, ledger.schedule(&id)));
         match self.propose(command).await {

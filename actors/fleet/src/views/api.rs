@@ -34,6 +34,7 @@ impl ViewService {
             ApiCall::List => self.list(call, payload, &Key::ViewMissions).await,
             ApiCall::Requests => self.list(call, payload, &Key::ViewRequests).await,
             ApiCall::Schedules => self.list(call, payload, &Key::ViewSchedules).await,
+            ApiCall::Audit => self.list(call, payload, &Key::ViewAudit).await,
             ApiCall::Get => match parse_request(call, payload) {
                 Ok(query) => self.mission(&query).await,
                 Err(problem) => Err(error_reply(problem.to_string())),

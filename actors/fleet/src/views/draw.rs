@@ -16,7 +16,7 @@ use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{
-    Contact, CoordinatorView, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView,
+    AuditView, Contact, CoordinatorView, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView,
     HealthView, HeldRole, LedgerCopy, MemberKnowledge, NodeStatus, NodeTraits, NodeView, PersonRequestView, Provenance,
     PublishedRecord, RequestsView, RobotView, WithProvenance,
 };
@@ -112,6 +112,10 @@ impl ViewContext<'_> {
             }
             if wanted(&Key::ViewSchedules) {
                 views.push((Key::ViewSchedules, with(&provenance, schedules(ledger))));
+            }
+            if wanted(&Key::ViewAudit) {
+                let entries = ledger.audit_trail().cloned().collect();
+                views.push((Key::ViewAudit, with(&provenance, AuditView { entries })));
             }
             if wanted(&Key::ViewAuctions) {
                 views.push((Key::ViewAuctions, with(&provenance, auctions(ledger))));

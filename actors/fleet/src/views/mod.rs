@@ -264,6 +264,7 @@ impl ViewService {
         let needs_ledger = wanted(&Key::ViewMissions)
             || wanted(&Key::ViewRequests)
             || wanted(&Key::ViewSchedules)
+            || wanted(&Key::ViewAudit)
             || wanted(&Key::ViewAuctions)
             || wanted(&Key::ViewHealth)
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
@@ -280,10 +281,11 @@ impl ViewService {
                 None => {
                     let error = ErrorReply::retry_after("no voter of the ledger replies", RETRY_AFTER_MS);
                     let named = named.map(Key::ViewMission);
-                    for key in [Key::ViewMissions, Key::ViewRequests, Key::ViewSchedules, Key::ViewAuctions]
-                        .into_iter()
-                        .chain(named)
-                        .filter(&wanted)
+                    for key in
+                        [Key::ViewMissions, Key::ViewRequests, Key::ViewSchedules, Key::ViewAudit, Key::ViewAuctions]
+                            .into_iter()
+                            .chain(named)
+                            .filter(&wanted)
                     {
                         views.push((key, context.with_provenance(&error)));
                     }
@@ -451,7 +453,7 @@ impl ViewService {
 /// Checks whether a view contains data of the ledger.
 fn is_of_ledger(key: &Key) -> bool {
     match key {
-        Key::ViewMissions | Key::ViewRequests | Key::ViewSchedules | Key::ViewMission(_) => true,
+        Key::ViewMissions | Key::ViewRequests | Key::ViewSchedules | Key::ViewAudit | Key::ViewMission(_) => true,
         key => matches!(key, Key::ViewAuctions | Key::ViewHealth),
     }
 }

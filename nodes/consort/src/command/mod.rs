@@ -1,6 +1,7 @@
 //! The commands, each in its own file with its flags and a function `run`.
 
 pub(crate) mod answer;
+pub(crate) mod audit;
 pub(crate) mod backup;
 pub mod cancel;
 pub(crate) mod cert;

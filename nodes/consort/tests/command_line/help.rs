@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 27] = [
+const COMMANDS: [&str; 28] = [
     "robot",
     "station",
     "world",
@@ -28,6 +28,7 @@ const COMMANDS: [&str; 27] = [
     "hold",
     "release",
     "maintenance",
+    "audit",
 ];
 
 #[test]

@@ -61,7 +61,12 @@ fn three_voters(folder: &Folder) {
         Command::Bootstrap { cluster: ClusterId(1) },
         submit("a"),
         submit("b"),
-        Command::Cancel { mission: "lab-samples-2".parse().expect("a slug"), by: "me".into(), places: BTreeMap::new() },
+        Command::Cancel {
+            mission: "lab-samples-2".parse().expect("a slug"),
+            by: "me".into(),
+            places: BTreeMap::new(),
+            at_ms: 0,
+        },
     ];
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
     runtime.expect("a runtime").block_on(async {

@@ -1,5 +1,6 @@
 //! State machine of the ledger.
 
+use super::audit_trail::AuditTrail;
 use super::branch::Branch;
 use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
 use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
@@ -37,6 +38,7 @@ impl Ledger {
     pub fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
         let command = if self.keeps_history() { command.limited() } else { command };
         let mission = command.mission().cloned();
+        let requested = self.audited_request(&command);
         let done = match command {
             Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
             Command::Submit(submission) => self.submit(*submission),
@@ -56,8 +58,8 @@ impl Ledger {
             Command::Fail { mission, cause, branch, places, class } => {
                 self.fail(&mission, MissionState::Failed { cause, class }, branch, &places)
             }
-            Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
-            Command::Resolve { mission, by } => self.resolve(&mission, &by),
+            Command::Cancel { mission, by, places, .. } => self.cancel(&mission, by, &places),
+            Command::Resolve { mission, by, .. } => self.resolve(&mission, &by),
             Command::AskPerson { mission, branch, role, step, asked_ms } => {
                 self.ask_person(&mission, branch, &role, step, asked_ms)
             }
@@ -70,9 +72,9 @@ impl Ledger {
                 self.expire_person_request(&request, now_ms, &places)
             }
             Command::AddSchedule { schedule, from_ms } => self.add_schedule(*schedule, from_ms),
-            Command::RemoveSchedule { schedule } => self.remove_schedule(&schedule),
+            Command::RemoveSchedule { schedule, .. } => self.remove_schedule(&schedule),
             Command::PauseSchedule { schedule, pause } => self.pause_schedule(&schedule, pause),
-            Command::ResumeSchedule { schedule, at_ms } => self.resume_schedule(&schedule, at_ms),
+            Command::ResumeSchedule { schedule, at_ms, .. } => self.resume_schedule(&schedule, at_ms),
             Command::SubmitOccurrence { schedule, after_ms, due_ms, at_ms } => {
                 self.submit_occurrence(&schedule, after_ms, due_ms, at_ms)
             }
@@ -84,6 +86,9 @@ impl Ledger {
             Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
         };
+        if let (Some(request), Ok(outcome)) = (requested, &done) {
+            self.record_request(request, outcome);
+        }
         if let Some(entry) = mission.and_then(|mission| self.missions.get_mut(&mission)) {
             entry.withdraw_needless_requests();
         }
@@ -265,6 +270,14 @@ impl Ledger {
 
     pub(super) fn schedule_entries_mut(&mut self) -> &mut BTreeMap<ScheduleId, ScheduleEntry> {
         &mut self.versioned.schedules
+    }
+
+    pub(super) fn trail(&self) -> &AuditTrail {
+        &self.versioned.trail
+    }
+
+    pub(super) fn trail_mut(&mut self) -> &mut AuditTrail {
+        &mut self.versioned.trail
     }
 
     pub(super) fn order_book(&self) -> &OrderBook {

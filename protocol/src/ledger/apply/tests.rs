@@ -81,7 +81,12 @@ impl Log {
     }
 
     fn cancel(&mut self, mission: &MissionId) -> CommandOutcome {
-        self.apply(Command::Cancel { mission: mission.clone(), by: "Nia".to_owned(), places: BTreeMap::new() })
+        self.apply(Command::Cancel {
+            mission: mission.clone(),
+            by: "Nia".to_owned(),
+            places: BTreeMap::new(),
+            at_ms: 7,
+        })
     }
 
     fn submit(&mut self, request: &str) -> MissionId {
@@ -318,7 +323,12 @@ fn a_canceled_mission_frees_its_robots_and_rejects_reports() {
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
     assert_eq!(
-        log.apply(Command::Cancel { mission: mission.clone(), by: "a clerk".to_owned(), places: BTreeMap::new() }),
+        log.apply(Command::Cancel {
+            mission: mission.clone(),
+            by: "a clerk".to_owned(),
+            places: BTreeMap::new(),
+            at_ms: 7
+        }),
         CommandOutcome::Done
     );
     assert!(log.0.held_by(&robot("ada")).is_none());

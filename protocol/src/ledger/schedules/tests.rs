@@ -87,7 +87,7 @@ fn a_full_ledger_leaves_the_occurrence_for_later() {
     }
     assert!(matches!(submit(&mut ledger, 100, 200), CommandOutcome::Refused(CommandError::Full { .. })));
     let mission = ledger.missions().next().unwrap().id.clone();
-    apply(&mut ledger, Command::Cancel { mission, by: "Nia".to_owned(), places: BTreeMap::new() });
+    apply(&mut ledger, Command::Cancel { mission, by: "Nia".to_owned(), places: BTreeMap::new(), at_ms: 7 });
     assert!(matches!(submit(&mut ledger, 100, 200), CommandOutcome::Submitted { .. }));
 }
 
@@ -95,7 +95,8 @@ fn a_full_ledger_leaves_the_occurrence_for_later() {
 fn occurrences_of_a_paused_schedule_are_left_out() {
     let mut ledger = ledger();
     let resume = |ledger: &mut Ledger, at_ms| {
-        assert_eq!(apply(ledger, Command::ResumeSchedule { schedule: id("rounds"), at_ms }), CommandOutcome::Done);
+        let resume = Command::ResumeSchedule { schedule: id("rounds"), at_ms, by: "Nia".to_owned() };
+        assert_eq!(apply(ledger, resume), CommandOutcome::Done);
     };
     let pause = SchedulePause { by: "Nia".to_owned(), since_ms: 150 };
     let outcome = apply(&mut ledger, Command::PauseSchedule { schedule: id("rounds"), pause });
@@ -125,7 +126,7 @@ fn a_schedule_is_added_once_and_can_be_replaced_after_its_removal() {
     let other = Schedule { deadline_after_ms: None, ..rounds() };
     let exists = CommandOutcome::Refused(CommandError::ScheduleExists { schedule: id("rounds") });
     assert_eq!(apply(&mut ledger, add(other.clone())), exists);
-    let remove = || Command::RemoveSchedule { schedule: id("rounds") };
+    let remove = || Command::RemoveSchedule { schedule: id("rounds"), by: "Nia".to_owned(), at_ms: 300 };
     assert_eq!(apply(&mut ledger, remove()), CommandOutcome::Done);
     let none = CommandOutcome::Refused(CommandError::NoSchedule { schedule: id("rounds") });
     assert_eq!(apply(&mut ledger, remove()), none);

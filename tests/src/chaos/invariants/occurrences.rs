@@ -177,7 +177,7 @@ mod tests {
         }
         let pause = SchedulePause { by: String::new(), since_ms: DATE_MS };
         let paused = Command::PauseSchedule { schedule: slug(SCHEDULE), pause };
-        let resumed = Command::ResumeSchedule { schedule: slug(SCHEDULE), at_ms: FIRST + 1 };
+        let resumed = Command::ResumeSchedule { schedule: slug(SCHEDULE), at_ms: FIRST + 1, by: "Nia".to_owned() };
         assert_eq!(check(All, vec![paused, resumed, submit(FIRST + 1, FIRST + INTERVAL_MS)]), Ok(()));
     }
 }

@@ -247,7 +247,8 @@ impl People {
         };
         if context.read_ledger(|ledger| ledger.mission(&mission).is_some_and(|entry| !entry.state.is_final())) {
             let places = context.places_of(&mission);
-            context.propose(Command::Cancel { mission, by: order.by, places });
+            let at_ms = context.settings.parts.clock.wall_ms();
+            context.propose(Command::Cancel { mission, by: order.by, places, at_ms });
         }
     }
 }

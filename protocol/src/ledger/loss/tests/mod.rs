@@ -248,16 +248,19 @@ fn a_carrier_lost_with_the_parcel_needs_intervention_until_resolved() {
         let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
         assert!(matches!(full, CommandOutcome::Refused(CommandError::CarriesItem { .. })), "{full:?}");
         let by = "Nia".to_owned();
-        assert_eq!(log.apply(Command::Resolve { mission: waiting.clone(), by: by.clone() }), CommandOutcome::Done);
+        assert_eq!(
+            log.apply(Command::Resolve { mission: waiting.clone(), by: by.clone(), at_ms: 7 }),
+            CommandOutcome::Done
+        );
         let cause = format!("{lost_cause}; resolved by Nia");
         let failed = MissionState::Failed { cause, class: CauseClass::Robot };
         assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&failed));
         assert_eq!(
-            log.apply(Command::Resolve { mission: waiting.clone(), by }),
+            log.apply(Command::Resolve { mission: waiting.clone(), by, at_ms: 7 }),
             CommandOutcome::Done,
             "a repeated request"
         );
-        let again = log.apply(Command::Resolve { mission: waiting, by: "Tom".to_owned() });
+        let again = log.apply(Command::Resolve { mission: waiting, by: "Tom".to_owned(), at_ms: 7 });
         assert!(matches!(again, CommandOutcome::Refused(CommandError::NoInterventionNeeded { .. })), "{again:?}");
         assert!(matches!(log.award(&[("r1", "amber"), ("lab_arm", "arm")]), CommandOutcome::Awarded { .. }));
     }
@@ -267,7 +270,7 @@ fn a_carrier_lost_with_the_parcel_needs_intervention_until_resolved() {
 fn a_mission_that_ends_with_the_parcel_in_a_box_needs_intervention() {
     let places = BTreeMap::from([(robot("amber"), place())]);
     let end = |log: &Log, canceled| match canceled {
-        true => Command::Cancel { mission: log.2.clone(), by: "Nia".to_owned(), places: places.clone() },
+        true => Command::Cancel { mission: log.2.clone(), by: "Nia".to_owned(), places: places.clone(), at_ms: 7 },
         false => {
             let (mission, cause, places) = (log.2.clone(), "past its deadline".to_owned(), places.clone());
             Command::Fail { mission, cause, branch: None, places, class: CauseClass::Task }
@@ -385,8 +388,12 @@ fn an_arm_lost_earlier_is_replaced_while_the_carrier_keeps_the_parcel() {
 #[test]
 fn a_repeated_cancellation_has_the_same_outcome() {
     let mut log = Log::held_by_two();
-    let cancel =
-        |log: &Log, by: &str| Command::Cancel { mission: log.2.clone(), by: by.to_owned(), places: BTreeMap::new() };
+    let cancel = |log: &Log, by: &str| Command::Cancel {
+        mission: log.2.clone(),
+        by: by.to_owned(),
+        places: BTreeMap::new(),
+        at_ms: 7,
+    };
     for _ in 0..2 {
         assert_eq!(log.apply(cancel(&log, "Nia")), CommandOutcome::Done);
     }

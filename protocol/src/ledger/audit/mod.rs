@@ -1,0 +1,187 @@
+//! Recording of the requests of people in the audit trail.
+//!
+//! The entry is made by the command that makes the change, so no change is without its entry. A command that
+//! changes nothing, such as a repeated request, makes none.
+
+use super::apply::Ledger;
+use super::audit_trail::{AuditAction, AuditEntry};
+use super::command::{Command, CommandOutcome};
+use super::entry::MissionState;
+use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
+use super::robot_order::OrderChange;
+use super::schedule::SchedulePause;
+use crate::ids::{MissionId, RobotId, ScheduleId};
+use crate::lease::Epoch;
+
+/// Request of a person that is about to be executed.
+pub(super) struct AuditedRequest {
+    entry: AuditEntry,
+    subject: Subject,
+    before: SubjectState,
+}
+
+/// What a request changes.
+enum Subject {
+    /// A mission that the request creates.
+    NewMission,
+    Mission(MissionId),
+    PersonRequest(PersonRequestId),
+    Schedule(ScheduleId),
+    Orders,
+}
+
+/// State of what a request changes, to detect a change.
+#[derive(PartialEq)]
+enum SubjectState {
+    NewMission,
+    Mission(Option<MissionState>),
+    PersonRequest(Option<PersonRequestEntry>),
+    Schedule {
+        exists: bool,
+        pause: Option<SchedulePause>,
+    },
+    /// Position of the latest change.
+    Orders(Epoch),
+}
+
+impl Ledger {
+    /// Returns the latest requests of people that have changed the ledger, in their order.
+    pub fn audit_trail(&self) -> impl Iterator<Item = &AuditEntry> {
+        self.trail().entries()
+    }
+
+    /// Returns the request of a person that a command executes, for [`record_request`](Self::record_request).
+    pub(super) fn audited_request(&self, command: &Command) -> Option<AuditedRequest> {
+        if !self.keeps_history() {
+            return None;
+        }
+        let (subject, entry) = request_of(command)?;
+        let before = self.subject_state(&subject);
+        Some(AuditedRequest { entry, subject, before })
+    }
+
+    /// Adds an executed request to the audit trail, if it has changed anything.
+    pub(super) fn record_request(&mut self, request: AuditedRequest, outcome: &CommandOutcome) {
+        let AuditedRequest { mut entry, subject, before } = request;
+        match outcome {
+            CommandOutcome::Submitted { mission, again: false } => entry.subject = mission.to_string(),
+            _ if self.subject_state(&subject) == before => return,
+            _ => {}
+        }
+        self.trail_mut().push(entry);
+    }
+
+    fn subject_state(&self, subject: &Subject) -> SubjectState {
+        match subject {
+            Subject::NewMission => SubjectState::NewMission,
+            Subject::Mission(mission) => SubjectState::Mission(self.mission_state(mission).cloned()),
+            Subject::PersonRequest(request) => {
+                let entry = self.mission(&request.mission);
+                SubjectState::PersonRequest(entry.and_then(|entry| entry.person_request(request.number)).cloned())
+            }
+            Subject::Schedule(id) => {
+                let entry = self.schedule(id);
+                let pause = entry.and_then(|entry| entry.pause.clone());
+                SubjectState::Schedule { exists: entry.is_some(), pause }
+            }
+            Subject::Orders => SubjectState::Orders(self.orders_changed()),
+        }
+    }
+}
+
+/// Returns what the request of a person changes, and its entry; `None` for a command that no person requests.
+fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
+    let entry = |action, by: &str, at_ms, subject: String, details: String| AuditEntry {
+        number: 0,
+        at_ms,
+        by: by.to_owned(),
+        action,
+        subject,
+        details,
+    };
+    let plain = |action, by: &str, at_ms, subject: String| entry(action, by, at_ms, subject, String::new());
+    let of_schedule = |action, by: &str, at_ms, id: &ScheduleId| {
+        Some((Subject::Schedule(id.clone()), plain(action, by, at_ms, id.to_string())))
+    };
+    match command {
+        Command::Submit(submission) => {
+            // The outcome names the mission.
+            let entry = plain(AuditAction::Submit, &submission.by, submission.at_ms, String::new());
+            Some((Subject::NewMission, entry))
+        }
+        Command::Cancel { mission, by, at_ms, .. } => {
+            let entry = plain(AuditAction::Cancel, by, *at_ms, mission.to_string());
+            Some((Subject::Mission(mission.clone()), entry))
+        }
+        Command::Resolve { mission, by, at_ms } => {
+            let entry = plain(AuditAction::Resolve, by, *at_ms, mission.to_string());
+            Some((Subject::Mission(mission.clone()), entry))
+        }
+        Command::AnswerPerson { request, answer, .. } => {
+            let PersonAnswer { by, at_ms, .. } = answer;
+            let entry = entry(AuditAction::Answer, by, *at_ms, request.to_string(), answer_text(answer));
+            Some((Subject::PersonRequest(request.clone()), entry))
+        }
+        Command::AddSchedule { schedule, from_ms } => {
+            of_schedule(AuditAction::AddSchedule, &schedule.submission.by, *from_ms, &schedule.id)
+        }
+        Command::PauseSchedule { schedule, pause } => {
+            of_schedule(AuditAction::PauseSchedule, &pause.by, pause.since_ms, schedule)
+        }
+        Command::ResumeSchedule { schedule, at_ms, by } => {
+            of_schedule(AuditAction::ResumeSchedule, by, *at_ms, schedule)
+        }
+        Command::RemoveSchedule { schedule, by, at_ms } => {
+            of_schedule(AuditAction::RemoveSchedule, by, *at_ms, schedule)
+        }
+        Command::OrderRobots { robots, change, by, at_ms } => {
+            let names = robots.iter().map(RobotId::as_str).collect::<Vec<_>>().join(", ");
+            let (action, details) = match change {
+                OrderChange::Hold { until_ms, reason } => {
+                    let seconds = until_ms.saturating_sub(*at_ms) / 1000;
+                    (AuditAction::Hold, with_reason(format!("for {seconds} s"), reason))
+                }
+                OrderChange::Release => (AuditAction::Release, String::new()),
+                OrderChange::Maintain { reason, .. } => (AuditAction::BeginMaintenance, reason.clone()),
+                OrderChange::EndMaintenance => (AuditAction::EndMaintenance, String::new()),
+            };
+            Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
+        }
+        Command::Bootstrap { .. }
+        | Command::Award { .. }
+        | Command::AwardPromised { .. }
+        | Command::Postpone { .. }
+        | Command::Defer { .. }
+        | Command::Accept { .. }
+        | Command::Progress { .. }
+        | Command::Release { .. }
+        | Command::Fail { .. }
+        | Command::AskPerson { .. }
+        | Command::SetQuestion { .. }
+        | Command::EscalatePersonRequest { .. }
+        | Command::ExpirePersonRequest { .. }
+        | Command::SubmitOccurrence { .. }
+        | Command::SkipOccurrences { .. }
+        | Command::ExpireOrders { .. }
+        | Command::RaiseWireVersion { .. }
+        | Command::SetHistoryLimits(_) => None,
+    }
+}
+
+/// Formats an answer: `declined: no time`.
+fn answer_text(PersonAnswer { content, note, .. }: &PersonAnswer) -> String {
+    let word = match content {
+        AnswerContent::Done(_) => "done",
+        AnswerContent::Declined => "declined",
+        AnswerContent::Cannot => "cannot",
+        AnswerContent::Later(_) => "later",
+    };
+    with_reason(word.to_owned(), note)
+}
+
+fn with_reason(text: String, reason: &str) -> String {
+    if reason.is_empty() { text } else { format!("{text}: {reason}") }
+}
+
+#[cfg(test)]
+mod tests;

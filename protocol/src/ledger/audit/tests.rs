@@ -1,0 +1,124 @@
+use super::*;
+use crate::ledger::history::HISTORY_SINCE;
+use crate::ledger::{MissedOccurrences, Schedule, ScheduleRule, Submission};
+use crate::mission::{Mission, Role, RoleKind};
+use crate::plan::Division;
+use std::collections::{BTreeMap, BTreeSet};
+
+fn ledger() -> Ledger {
+    let mut ledger = Ledger::default();
+    apply(&mut ledger, Command::RaiseWireVersion { wire: HISTORY_SINCE });
+    ledger
+}
+
+fn apply(ledger: &mut Ledger, command: Command) -> CommandOutcome {
+    let index = ledger.orders_changed().index + 1;
+    ledger.apply(Epoch { term: 1, index }, command)
+}
+
+fn submission() -> Submission {
+    let mission = Mission {
+        name: "rounds".parse().unwrap(),
+        roles: BTreeMap::from([("r1".parse().unwrap(), Role::of(RoleKind::Managed))]),
+        ensembles: vec![],
+        energy_max: None,
+        tasks: vec![],
+        results: BTreeMap::new(),
+    };
+    let submission = Submission::of("one".parse().unwrap(), mission, Division { plans: BTreeMap::new() });
+    Submission { by: "Nia".to_owned(), at_ms: 100, ..submission }
+}
+
+fn cancel(by: &str, at_ms: u64) -> Command {
+    let (mission, by, places) = ("rounds-1".parse().unwrap(), by.to_owned(), BTreeMap::new());
+    Command::Cancel { mission, by, places, at_ms }
+}
+
+fn order(change: OrderChange, at_ms: u64) -> Command {
+    let robots = BTreeSet::from(["ada".parse().unwrap(), "bob".parse().unwrap()]);
+    Command::OrderRobots { robots, change, by: "Nia".to_owned(), at_ms }
+}
+
+/// Returns the trail as text, an entry per line.
+fn trail(ledger: &Ledger) -> Vec<String> {
+    let line = |AuditEntry { at_ms, by, action, subject, details, .. }: &AuditEntry| {
+        format!("{at_ms} {by} {} {subject} {details}", action.as_str()).trim_end().to_owned()
+    };
+    ledger.audit_trail().map(line).collect()
+}
+
+#[test]
+fn a_request_is_recorded_with_its_author_once() {
+    let mut ledger = ledger();
+    for _ in 0..2 {
+        apply(&mut ledger, Command::Submit(Box::new(submission())));
+    }
+    for (by, at_ms) in [("Abe", 200), ("Abe", 250), ("Tom", 300)] {
+        apply(&mut ledger, cancel(by, at_ms));
+    }
+    let resolve = Command::Resolve { mission: "rounds-1".parse().unwrap(), by: "Tom".to_owned(), at_ms: 400 };
+    assert!(matches!(apply(&mut ledger, resolve), CommandOutcome::Refused(_)));
+    assert_eq!(trail(&ledger), ["100 Nia submit rounds-1", "200 Abe cancel rounds-1"]);
+}
+
+#[test]
+fn orders_to_robots_are_recorded_with_their_reasons() {
+    let mut ledger = ledger();
+    apply(&mut ledger, order(OrderChange::Release, 50));
+    apply(&mut ledger, order(OrderChange::Hold { until_ms: 60_100, reason: "a spill".to_owned() }, 100));
+    apply(&mut ledger, order(OrderChange::Release, 200));
+    apply(&mut ledger, order(OrderChange::Release, 300));
+    apply(&mut ledger, order(OrderChange::Maintain { until_ms: None, reason: "tyres".to_owned() }, 400));
+    apply(&mut ledger, Command::ExpireOrders { now_ms: 500 });
+    apply(&mut ledger, order(OrderChange::EndMaintenance, 600));
+    let expected = [
+        "100 Nia hold ada, bob for 60 s: a spill",
+        "200 Nia release ada, bob",
+        "400 Nia begin_maintenance ada, bob tyres",
+        "600 Nia end_maintenance ada, bob",
+    ];
+    assert_eq!(trail(&ledger), expected);
+}
+
+#[test]
+fn changes_of_schedules_are_recorded() {
+    let mut ledger = ledger();
+    let rule = ScheduleRule {
+        cron: "0 8 * * *".to_owned(),
+        zone: "Europe/Berlin".to_owned(),
+        until_ms: None,
+        missed: MissedOccurrences::Skip,
+    };
+    let id: ScheduleId = "morning".parse().unwrap();
+    let schedule = Box::new(Schedule { id: id.clone(), rule, submission: submission(), deadline_after_ms: None });
+    let pause = |since_ms| SchedulePause { by: "Abe".to_owned(), since_ms };
+    for command in [
+        Command::AddSchedule { schedule: schedule.clone(), from_ms: 100 },
+        Command::AddSchedule { schedule, from_ms: 150 },
+        Command::PauseSchedule { schedule: id.clone(), pause: pause(200) },
+        Command::PauseSchedule { schedule: id.clone(), pause: pause(250) },
+        Command::ResumeSchedule { schedule: id.clone(), at_ms: 300, by: "Tom".to_owned() },
+        Command::SubmitOccurrence { schedule: id.clone(), after_ms: 300, due_ms: 400, at_ms: 400 },
+        Command::RemoveSchedule { schedule: id.clone(), by: "Tom".to_owned(), at_ms: 500 },
+        Command::RemoveSchedule { schedule: id, by: "Tom".to_owned(), at_ms: 550 },
+    ] {
+        apply(&mut ledger, command);
+    }
+    let expected = [
+        "100 Nia add_schedule morning",
+        "200 Abe pause_schedule morning",
+        "300 Tom resume_schedule morning",
+        "500 Tom remove_schedule morning",
+    ];
+    assert_eq!(trail(&ledger), expected);
+    let numbers: Vec<u64> = ledger.audit_trail().map(|entry| entry.number).collect();
+    assert_eq!(numbers, [1, 2, 3, 4]);
+}
+
+#[test]
+fn a_ledger_of_an_earlier_wire_version_has_no_trail() {
+    let mut ledger = Ledger::default();
+    apply(&mut ledger, Command::Submit(Box::new(submission())));
+    apply(&mut ledger, cancel("Nia", 200));
+    assert_eq!(trail(&ledger), [] as [&str; 0]);
+}
