@@ -13,7 +13,9 @@ use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
 use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBase, Record, RecordStamp};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
-use consort_protocol::message::{Beacon, ClusterEnvelope, Exchange, RecordUpdate, ReportReply, SignalHistory};
+use consort_protocol::message::{
+    AwardNotice, Beacon, ClusterEnvelope, Exchange, OrderNotice, OrdersNotice, RecordUpdate, ReportReply, SignalHistory,
+};
 use consort_protocol::trust::NodeRole;
 use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent, slug};
 use serde::Serialize;
@@ -543,5 +545,24 @@ fn the_key_of_a_voter_pins_no_node_to_a_term_or_a_version() {
         fleet.assert_sample_delivered(ROOM);
         assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
         attack.shutdown().await;
+    });
+}
+
+#[test]
+fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let bus = stolen(&fleet, "dill", NodeRole::Voter).await.in_cluster(&fleet);
+        let mission = fleet.submit("a", ROOM).await;
+        let hold = Some(OrderNotice { text: "held by dill".to_owned(), remaining_ms: None });
+        let orders = OrdersNotice { as_of: Epoch { term: u64::MAX, index: 1 }, hold, maintenance: None };
+        let payload = wire(&AwardNotice::Orders(orders));
+        for robot in ["gorse", "lab-arm"] {
+            let key = fleet.keys().write(&Key::Award(robot.parse().expect("a name")));
+            let refused = replies(&bus, &key, payload.clone(), Bytes::new()).await;
+            let expected = format!("is not the coordinator of {robot}");
+            assert!(refused.iter().any(|reply| reply.contains(&expected)), "seed {seed}: {refused:?}");
+        }
+        fleet.assert_completes(&mission).await;
     });
 }

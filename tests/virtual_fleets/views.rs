@@ -48,6 +48,7 @@ fn every_view_has_a_single_reply_with_the_current_state() {
         let names: Vec<&str> = views.keys().map(String::as_str).collect();
         let expected = [
             "auctions",
+            "audit",
             "coordinator",
             "ensembles",
             "fleet",
@@ -486,12 +487,16 @@ fn every_call_documents_its_payload() {
                 "resolve",
                 "answer",
                 "schedule",
+                "hold",
+                "release",
+                "maintenance",
                 "backup",
                 "upgrade",
                 "get",
                 "list",
                 "requests",
                 "schedules",
+                "audit",
                 "explain",
                 "help"
             ]

@@ -4,7 +4,7 @@ use super::branch::Branch;
 use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
-use super::robot_order::{ORDERS_BYTES_MAX, OrderChange};
+use super::robot_order::{ORDERS_BYTES_MAX, OrderRequest};
 use super::schedule::{Schedule, SchedulePause};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
@@ -262,12 +262,8 @@ pub enum Command {
     OrderRobots {
         /// The robots.
         robots: BTreeSet<RobotId>,
-        /// The change.
-        change: OrderChange,
-        /// Person that gave the order.
-        by: String,
-        /// Time of the order in milliseconds since 1970.
-        at_ms: u64,
+        /// The change, and who requests it.
+        order: OrderRequest,
     },
     /// Ends the orders to robots whose time has passed.
     ExpireOrders {

@@ -66,7 +66,7 @@ pub use person_request::{
     AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
     PersonRequestIdError, PersonRequestPhase, Postponement, RequestEscalation, RequestSubject, TaskQuestion,
 };
-pub use robot_order::{OrderChange, RobotOrder, RobotOrders};
+pub use robot_order::{OrderChange, OrderRequest, RobotOrder, RobotOrders};
 pub use schedule::{MissedOccurrences, Occurrence, Schedule, ScheduleEntry, SchedulePause, ScheduleRule};
 pub use submission::{
     DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,

@@ -1,13 +1,33 @@
 //! Orders of people to a robot: hold and maintenance.
 
-use crate::ids::RobotId;
+use crate::ids::{RequestId, RobotId};
 use crate::lease::Epoch;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Maximum encoded size of all orders in bytes. Raised: a snapshot may be too large for every replica.
 pub(super) const ORDERS_BYTES_MAX: usize = 160 * 1024;
+
+/// Maximum number of remembered requests. Raised: more requests that follow each other within minutes are
+/// recognised when they are repeated.
+pub(super) const ORDER_REQUESTS_MAX: usize = 256;
+
+/// Maximum encoded size of the remembered requests in bytes.
+pub(super) const ORDER_REQUESTS_BYTES_MAX: usize = ORDER_REQUESTS_MAX * 80;
+
+/// Request of a person that changes the orders to robots.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OrderRequest {
+    /// The change.
+    pub change: OrderChange,
+    /// Person that requests it.
+    pub by: String,
+    /// Time of the request in milliseconds since 1970.
+    pub at_ms: u64,
+    /// Id of the signed request, in a closed fleet: a copy of it changes nothing, even if other orders followed.
+    pub request: Option<RequestId>,
+}
 
 /// Change of the orders to robots.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,6 +83,8 @@ pub(super) struct OrderBook {
     pub(super) changed: Epoch,
     /// Orders of each robot that has any.
     pub(super) robots: BTreeMap<RobotId, RobotOrders>,
+    /// The latest signed requests.
+    pub(super) requests: VecDeque<RequestId>,
 }
 
 impl RobotOrder {
@@ -112,9 +134,9 @@ impl RobotOrders {
         self.maintenance.take_if(|order| order.is_over(now_ms));
     }
 
-    pub(super) fn change(&mut self, change: &OrderChange, by: &str, at_ms: u64) {
+    pub(super) fn change(&mut self, OrderRequest { change, by, at_ms, .. }: &OrderRequest) {
         let order = |until_ms, reason: &str| {
-            Some(RobotOrder { by: by.to_owned(), reason: reason.to_owned(), since_ms: at_ms, until_ms })
+            Some(RobotOrder { by: by.clone(), reason: reason.to_owned(), since_ms: *at_ms, until_ms })
         };
         match change {
             OrderChange::Hold { until_ms, reason } => self.hold = order(Some(*until_ms), reason),

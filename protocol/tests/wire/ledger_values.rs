@@ -8,8 +8,8 @@ use consort_protocol::auction::{
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
     AnswerContent, Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissedOccurrences,
-    MissionState, OrderChange, PersonAnswer, PersonRequestId, Priority, RecoveryBranch, Schedule, SchedulePause,
-    ScheduleRule, Submission,
+    MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId, Priority, RecoveryBranch, Schedule,
+    SchedulePause, ScheduleRule, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -223,14 +223,22 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(schedule, [after_ms, until_ms])| { Command::SkipOccurrences { schedule, after_ms, until_ms } }),
         (person_request(), any::<u64>())
             .prop_map(|(request, now_ms)| Command::EscalatePersonRequest { request, now_ms }),
-        (btree_set(name(), 0..3), order_change(), text(), any::<u64>())
-            .prop_map(|(robots, change, by, at_ms)| Command::OrderRobots { robots, change, by, at_ms }),
+        (btree_set(name(), 0..3), order_request()).prop_map(|(robots, order)| Command::OrderRobots { robots, order }),
         any::<u64>().prop_map(|now_ms| Command::ExpireOrders { now_ms }),
         any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
             Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })
         }),
     ]
+}
+
+fn order_request() -> impl Strategy<Value = OrderRequest> {
+    (order_change(), text(), any::<u64>(), option::of(name())).prop_map(|(change, by, at_ms, request)| OrderRequest {
+        change,
+        by,
+        at_ms,
+        request,
+    })
 }
 
 fn order_change() -> impl Strategy<Value = OrderChange> {

@@ -15,7 +15,7 @@ use consort_protocol::ids::{ClusterId, NodeId, RoleId};
 use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, Command, Ledger, MissedOccurrences, OrderChange, PersonAnswer, PersonQuestion,
+    AnswerContent, Branch, Command, Ledger, MissedOccurrences, OrderChange, OrderRequest, PersonAnswer, PersonQuestion,
     PersonRequestId, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
 };
 use consort_protocol::message::{
@@ -296,9 +296,12 @@ fn ledger_commands() -> Vec<Command> {
         Command::EscalatePersonRequest { request: request(), now_ms: 8 },
         Command::OrderRobots {
             robots: BTreeSet::from([slug("ada")]),
-            change: OrderChange::Hold { until_ms: 9, reason: "a spill".to_owned() },
-            by: "Nia".to_owned(),
-            at_ms: 8,
+            order: OrderRequest {
+                change: OrderChange::Hold { until_ms: 9, reason: "a spill".to_owned() },
+                by: "Nia".to_owned(),
+                at_ms: 8,
+                request: Some(slug("kim-7")),
+            },
         },
         Command::ExpireOrders { now_ms: 9 },
     ]

@@ -7,10 +7,10 @@ use consort_protocol::api::{
     RobotCondition, RobotSelection, parse_request,
 };
 use consort_protocol::ensemble::Eligibility;
-use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::ids::{NodeId, RequestId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::{KnownRecord, RobotKnowledge};
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger, OrderChange};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger, OrderChange, OrderRequest};
 use consort_text::shorten;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -72,8 +72,11 @@ impl ApiHandler {
         change: OrderChange,
         by: Option<String>,
     ) -> Result<OrdersReply, ApiError> {
-        let (robots, at_ms) = (self.selected(selection)?, self.time_ms()?);
-        let command = Command::OrderRobots { robots: robots.clone(), change, by: self.responsible(by), at_ms };
+        let robots = self.selected(selection)?;
+        let request = self.requester.as_ref().map(|requester| RequestId::new(requester.request.clone())).transpose();
+        let request = request.map_err(|problem| problem.to_string())?;
+        let order = OrderRequest { change, by: self.responsible(by), at_ms: self.time_ms()?, request };
+        let command = Command::OrderRobots { robots: robots.clone(), order };
         match self.replica.propose(command, COMMIT_TIMEOUT).await {
             Ok(CommandOutcome::Refused(refused)) => {
                 // A new ledger gets its version right after its creation.

@@ -81,7 +81,7 @@ impl Ledger {
             Command::SkipOccurrences { schedule, after_ms, until_ms } => {
                 self.skip_occurrences(&schedule, after_ms, until_ms)
             }
-            Command::OrderRobots { robots, change, by, at_ms } => self.order_robots(&robots, &change, &by, at_ms, at),
+            Command::OrderRobots { robots, order } => self.order_robots(&robots, &order, at),
             Command::ExpireOrders { now_ms } => Ok(self.expire_orders(now_ms, at)),
             Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),

@@ -8,7 +8,7 @@ use super::audit_trail::{AuditAction, AuditEntry};
 use super::command::{Command, CommandOutcome};
 use super::entry::MissionState;
 use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
-use super::robot_order::OrderChange;
+use super::robot_order::{OrderChange, OrderRequest};
 use super::schedule::SchedulePause;
 use crate::ids::{MissionId, RobotId, ScheduleId};
 use crate::lease::Epoch;
@@ -134,7 +134,7 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         Command::RemoveSchedule { schedule, by, at_ms } => {
             of_schedule(AuditAction::RemoveSchedule, by, *at_ms, schedule)
         }
-        Command::OrderRobots { robots, change, by, at_ms } => {
+        Command::OrderRobots { robots, order: OrderRequest { change, by, at_ms, .. } } => {
             let names = robots.iter().map(RobotId::as_str).collect::<Vec<_>>().join(", ");
             let (action, details) = match change {
                 OrderChange::Hold { until_ms, reason } => {

@@ -36,7 +36,7 @@ fn cancel(by: &str, at_ms: u64) -> Command {
 
 fn order(change: OrderChange, at_ms: u64) -> Command {
     let robots = BTreeSet::from(["ada".parse().unwrap(), "bob".parse().unwrap()]);
-    Command::OrderRobots { robots, change, by: "Nia".to_owned(), at_ms }
+    Command::OrderRobots { robots, order: OrderRequest { change, by: "Nia".to_owned(), at_ms, request: None } }
 }
 
 /// Returns the trail as text, an entry per line.

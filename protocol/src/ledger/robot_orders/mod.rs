@@ -7,7 +7,7 @@
 use super::apply::Ledger;
 use super::command::{CommandError, CommandOutcome};
 use super::history::HISTORY_SINCE;
-use super::robot_order::{ORDERS_BYTES_MAX, OrderBook, OrderChange, RobotOrders};
+use super::robot_order::{ORDER_REQUESTS_MAX, ORDERS_BYTES_MAX, OrderRequest, RobotOrders};
 use crate::codec;
 use crate::ids::RobotId;
 use crate::lease::Epoch;
@@ -44,23 +44,29 @@ impl Ledger {
     pub(super) fn order_robots(
         &mut self,
         robots: &BTreeSet<RobotId>,
-        change: &OrderChange,
-        by: &str,
-        at_ms: u64,
+        order: &OrderRequest,
         at: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
         if !self.keeps_history() {
             return Err(CommandError::NoOrdersYet { since: HISTORY_SINCE });
         }
+        if order.request.as_ref().is_some_and(|request| self.order_book().requests.contains(request)) {
+            return Ok(CommandOutcome::Done);
+        }
         let mut changed = self.order_book().robots.clone();
         for robot in robots {
-            changed.entry(robot.clone()).or_default().change(change, by, at_ms);
+            changed.entry(robot.clone()).or_default().change(order);
         }
         changed.retain(|_, orders| !orders.is_empty());
         if size(&changed) > ORDERS_BYTES_MAX {
             return Err(CommandError::OrdersFull);
         }
         self.set_orders(changed, at);
+        let requests = &mut self.order_book_mut().requests;
+        requests.extend(order.request.clone());
+        while requests.len() > ORDER_REQUESTS_MAX {
+            requests.pop_front();
+        }
         Ok(CommandOutcome::Done)
     }
 
@@ -74,8 +80,10 @@ impl Ledger {
     }
 
     fn set_orders(&mut self, robots: BTreeMap<RobotId, RobotOrders>, at: Epoch) {
-        if self.order_book().robots != robots {
-            *self.order_book_mut() = OrderBook { changed: at, robots };
+        let book = self.order_book_mut();
+        if book.robots != robots {
+            book.robots = robots;
+            book.changed = at;
         }
     }
 

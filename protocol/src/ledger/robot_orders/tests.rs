@@ -1,7 +1,8 @@
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::{MissionId, RoleId};
-use crate::ledger::{Branch, Command, RobotOrder, Submission};
+use crate::ledger::robot_order::ORDER_REQUESTS_BYTES_MAX;
+use crate::ledger::{Branch, Command, OrderChange, RobotOrder, Submission};
 use crate::mission::{Mission, Role, RoleKind};
 use crate::plan::{Division, LocalPlan};
 
@@ -26,8 +27,13 @@ impl Log {
     }
 
     fn order(&mut self, robots: &[&str], change: OrderChange, at_ms: u64) -> CommandOutcome {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms, request: None };
+        self.request(robots, order)
+    }
+
+    fn request(&mut self, robots: &[&str], order: OrderRequest) -> CommandOutcome {
         let robots = robots.iter().map(|name| robot(name)).collect();
-        self.apply(Command::OrderRobots { robots, change, by: "Nia".to_owned(), at_ms })
+        self.apply(Command::OrderRobots { robots, order })
     }
 
     fn hold_until(&self, name: &str) -> Option<u64> {
@@ -110,6 +116,29 @@ fn the_position_of_the_latest_change_grows_with_changes_only() {
     assert_eq!(log.0.orders_changed(), held);
     log.apply(Command::ExpireOrders { now_ms: 500 });
     assert!(log.0.orders_changed() > held);
+}
+
+/// A relay may send a copy of a signed request to the next coordinator.
+#[test]
+fn a_copy_of_a_signed_request_changes_nothing() {
+    let mut log = Log::new();
+    let signed = |number: usize, change| {
+        let request = Some(format!("kim-{number}").parse().unwrap());
+        OrderRequest { change, by: "kim".to_owned(), at_ms: 100, request }
+    };
+    log.request(&["ada"], signed(1, hold(500)));
+    log.request(&["ada"], signed(2, OrderChange::Release));
+    let released = log.0.orders_changed();
+    assert_eq!(log.request(&["ada"], signed(1, hold(500))), CommandOutcome::Done);
+    assert_eq!((log.hold_until("ada"), log.0.orders_changed()), (None, released));
+    log.request(&["ada"], signed(3, hold(600)));
+    log.request(&["ada"], signed(2, OrderChange::Release));
+    assert_eq!(log.hold_until("ada"), Some(600));
+    (4..1000).for_each(|number| drop(log.request(&["bob"], signed(number, hold(600)))));
+    let book = log.0.order_book();
+    assert!(
+        book.requests.len() == ORDER_REQUESTS_MAX && codec::encoded_size(&book.requests) <= ORDER_REQUESTS_BYTES_MAX
+    );
 }
 
 #[test]

@@ -22,8 +22,17 @@ use tracing::{debug, info, warn};
 
 impl RobotState {
     pub(super) async fn handle_award_notice(&mut self, query: Query) -> Result<(), ActorProcessingErr> {
-        let Some((query, notice)) = reply::decode_or_refuse_in(&mut self.tasks, query) else { return Ok(()) };
+        let Some((query, notice)) = reply::decode_or_refuse_in::<AwardNotice>(&mut self.tasks, query) else {
+            return Ok(());
+        };
         let now = self.now();
+        // The key of a voter that does not lead holds no robot.
+        let is_followed = self.lease.coordinator().is_some_and(|node| query.author.may_be(node.as_str()));
+        if matches!(notice, AwardNotice::Orders(_)) && !is_followed {
+            let reason = format!("{} is not the coordinator of {}", query.author, self.settings.robot);
+            reply::refuse_in(&mut self.tasks, query, reason);
+            return Ok(());
+        }
         let (mut give_way, mut orders) = (None, None);
         match &notice {
             AwardNotice::GiveWay { epoch, to, for_now } => give_way = Some((*epoch, to.clone(), *for_now)),

@@ -189,8 +189,9 @@ impl Drop for Fleet {
 }
 
 /// Names of all views of [`hospital`] without missions.
-pub(crate) const VIEWS: [&str; 12] = [
+pub(crate) const VIEWS: [&str; 13] = [
     "auctions",
+    "audit",
     "coordinator",
     "ensembles",
     "fleet",
