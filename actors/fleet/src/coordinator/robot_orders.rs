@@ -16,6 +16,9 @@ use std::time::Duration;
 /// Interval for repeating a notice that a robot has not acknowledged, and of proposals to end orders.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
+/// Interval of the search for robots that need a notice, while no orders change.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
+
 /// Interval for repeating the orders of a robot that has acknowledged them: its node may have restarted.
 /// A guess.
 const REPEAT_INTERVAL: Duration = Duration::from_secs(2);
@@ -23,8 +26,11 @@ const REPEAT_INTERVAL: Duration = Duration::from_secs(2);
 /// Orders during a session.
 pub(super) struct OrderDelivery {
     sent: BTreeMap<RobotId, SentOrders>,
-    /// Orders of each robot when they were last compared.
+    /// Orders of each robot when they were last compared, and the position of their latest change.
     published: BTreeMap<RobotId, RobotOrders>,
+    position: Epoch,
+    /// Time of the latest search for robots that need a notice.
+    checked_at: NodeTime,
     /// Time of the latest proposal to end orders.
     expired_at: Option<NodeTime>,
 }
@@ -52,7 +58,8 @@ impl SentOrders {
 impl OrderDelivery {
     /// Creates the state of a session. Orders that are in the ledger before the session are not published.
     pub(super) fn new(context: &SessionContext) -> OrderDelivery {
-        OrderDelivery { sent: BTreeMap::new(), published: context.read_ledger(all_orders), expired_at: None }
+        let (published, position) = context.read_ledger(|ledger| (all_orders(ledger), ledger.orders_changed()));
+        OrderDelivery { sent: BTreeMap::new(), published, position, checked_at: NodeTime::ZERO, expired_at: None }
     }
 
     /// Sends and publishes the orders that have changed. `now_ms` is the time of day in milliseconds since
@@ -64,13 +71,23 @@ impl OrderDelivery {
         now_ms: u64,
         confirmed_ms: Option<u64>,
     ) {
-        self.publish(context);
+        let position = context.read_ledger(Ledger::orders_changed);
+        let has_changed = position != self.position;
+        if has_changed {
+            self.position = position;
+            self.publish(context);
+        }
+        // A ledger that never had orders has none to send.
+        if position == Epoch::default() || !has_changed && now.since(self.checked_at) < CHECK_INTERVAL {
+            return;
+        }
+        self.checked_at = now;
         for (robot, notice) in self.due(context, now, now_ms) {
             context.notify_orders(robot, notice);
         }
-        let is_over = |now_ms: &u64| context.read_ledger(|ledger| ledger.has_order_to_expire(*now_ms));
+        let Some(now_ms) = confirmed_ms else { return };
         let may_propose = self.expired_at.is_none_or(|at| now.since(at) >= RETRY_INTERVAL);
-        if let Some(now_ms) = confirmed_ms.filter(|_| may_propose).filter(is_over) {
+        if may_propose && context.read_ledger(|ledger| ledger.has_order_to_expire(now_ms)) {
             self.expired_at = Some(now);
             context.propose(Command::ExpireOrders { now_ms });
         }
@@ -83,12 +100,8 @@ impl OrderDelivery {
         }
     }
 
-    /// Returns the notices that are due, to robots that this node can reach. A ledger that never had orders
-    /// has none.
+    /// Returns the notices that are due, to robots that this node can reach.
     fn due(&mut self, context: &SessionContext, now: NodeTime, now_ms: u64) -> Vec<(RobotId, OrdersNotice)> {
-        if context.read_ledger(Ledger::orders_changed) == Epoch::default() {
-            return vec![];
-        }
         let parts = &context.settings.parts;
         let robots: Vec<NodeId> = parts.knowledge.read(|base| {
             let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
@@ -113,9 +126,6 @@ impl OrderDelivery {
     /// Publishes the orders that have changed since the last comparison.
     fn publish(&mut self, context: &SessionContext) {
         let present = context.read_ledger(all_orders);
-        if present == self.published {
-            return;
-        }
         let robots: BTreeSet<&RobotId> = self.published.keys().chain(present.keys()).collect();
         for robot in robots.into_iter().filter(|robot| self.published.get(*robot) != present.get(*robot)) {
             let orders = present.get(robot).cloned().unwrap_or_default();

@@ -62,3 +62,20 @@ fn wrong_flags_exit_with_code_2() {
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("--config FILE is needed"), "{}", ran.err);
 }
+
+#[test]
+fn orders_to_robots_need_robots_and_maintenance_a_reason() {
+    let cases: [(&[&str], &str); 6] = [
+        (&["hold"], "<ROBOT"),
+        (&["hold", "amber", "--all"], "cannot be used with"),
+        (&["hold", "amber", "--for", "2d"], "--for is longer than 24 h"),
+        (&["release", "--where", "robot.wheels >"], "--where: "),
+        (&["maintenance", "amber"], "--reason <TEXT>"),
+        (&["maintenance", "amber", "--end", "--reason", "tyres"], "cannot be used with"),
+    ];
+    for (args, expected) in cases {
+        let ran = run(args);
+        assert_eq!(ran.code, Some(2), "{args:?}: {}", ran.err);
+        assert!(ran.err.contains(expected), "{args:?}: {}", ran.err);
+    }
+}
