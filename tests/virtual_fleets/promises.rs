@@ -107,24 +107,47 @@ fn drive_and_wait(room: &str, request: &str) -> Value {
     json!({ "mission": mission, "request": request })
 }
 
+/// Starts two arms, and missions that share them. Returns a robot with a promise.
+async fn sharing_two_arms(seed: u64) -> (Fleet, Vec<MissionId>, RobotId) {
+    let mut fleet = fleet(seed, &["lab-arm-1", "lab-arm-2"], &["aba", "bab", "cab"]).await;
+    let mut missions: Vec<MissionId> = vec![];
+    for (request, room) in ["a", "b", "c", "d"].into_iter().zip(ROOMS) {
+        let answer = fleet.request_answered(ApiCall::Submit, &drive_and_wait(room, request)).await;
+        missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+    }
+    fleet.wait_until("a promise", SOON, |fleet| has_promises(fleet, 1)).await;
+    let robot = fleet.ledger(promised).expect("a ledger").remove(0);
+    (fleet, missions, robot)
+}
+
+/// Asserts that all missions complete, and that a promise was released for this cause.
+async fn assert_complete_without(fleet: &mut Fleet, missions: &[MissionId], released: &str) {
+    for mission in missions {
+        fleet.assert_completes(mission).await;
+    }
+    fleet.assert_exclusive_roles();
+    let is_promise = |what: &EventKind| matches!(what, EventKind::Released { cause, .. } if *cause == released);
+    assert!(fleet.has_event(is_promise), "seed {}:\n{}", fleet.seed, fleet.event_log_text());
+}
+
 #[test]
 fn promises_of_a_lost_robot_pass_to_another() {
     for_each_seed(SEEDS, async |seed| {
-        let mut fleet = fleet(seed, &["lab-arm-1", "lab-arm-2"], &["aba", "bab", "cab"]).await;
-        let mut missions: Vec<MissionId> = vec![];
-        for (request, room) in ["a", "b", "c", "d"].into_iter().zip(ROOMS) {
-            let answer = fleet.request_answered(ApiCall::Submit, &drive_and_wait(room, request)).await;
-            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
-        }
-        fleet.wait_until("a promise", SOON, |fleet| has_promises(fleet, 1)).await;
-        let lost = fleet.ledger(promised).expect("a ledger").remove(0);
+        let (mut fleet, missions, lost) = sharing_two_arms(seed).await;
         fleet.kill(lost.as_str()).await;
-        for mission in &missions {
-            fleet.assert_completes(mission).await;
-        }
-        fleet.assert_exclusive_roles();
-        let released = format!("{lost} was judged dead");
-        let is_promise = |what: &EventKind| matches!(what, EventKind::Released { cause, .. } if *cause == released);
-        assert!(fleet.has_event(is_promise), "seed {seed}:\n{}", fleet.event_log_text());
+        assert_complete_without(&mut fleet, &missions, &format!("{lost} was judged dead")).await;
+    });
+}
+
+#[test]
+fn promises_of_a_robot_in_maintenance_pass_to_another() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, missions, arm) = sharing_two_arms(seed).await;
+        let begin = json!({ "robots": [arm], "action": "begin", "reason": "inspection", "by": "Nia" });
+        let reply = fleet.request_answered(ApiCall::Maintenance, &begin).await;
+        assert_eq!(reply["robots"][arm.as_str()]["maintenance"]["reason"], "inspection", "seed {seed}: {reply}");
+        let released = format!("{arm} is in maintenance by Nia: inspection");
+        assert_complete_without(&mut fleet, &missions, &released).await;
+        assert!(!has_promises(&fleet, 1), "seed {seed}");
     });
 }
