@@ -112,7 +112,7 @@ pub struct RobotModel {
     pub can_move: bool,
     /// `free`, `holding`, `suspended` or `out_of_service`.
     pub availability: String,
-    /// Reason for being out of service.
+    /// Reason for being out of service, or the orders of people to it.
     pub problem: Option<String>,
     /// The current mission.
     pub mission: Option<String>,

@@ -148,7 +148,7 @@ impl FleetModel {
 
     fn take_fleet(&mut self, view: FleetView, published_ms: u64) {
         let mut present = vec![];
-        for NodeView { node: name, contact, record, traits, .. } in view.nodes.into_iter().take(bounds::NODES) {
+        for NodeView { node: name, contact, record, traits, orders, .. } in view.nodes.into_iter().take(bounds::NODES) {
             let node = NodeModel {
                 alive: contact.alive,
                 status: contact.status,
@@ -160,7 +160,7 @@ impl FleetModel {
                 robot: record.robot.is_some(),
             };
             if let Some(robot) = record.robot {
-                self.take_robot(name.as_str(), robot, &node);
+                self.take_robot(name.as_str(), robot, orders.problem(), &node);
             }
             present.push(name.to_string());
             self.nodes.insert(name.to_string(), node);
@@ -172,7 +172,8 @@ impl FleetModel {
         self.ensembles.replace(view.ensembles.into_iter().map(ensemble_model).collect());
     }
 
-    fn take_robot(&mut self, name: &str, robot: RobotKnowledge, node: &NodeModel) {
+    /// Applies the record of a robot. `ordered` are the orders of people to it, as text.
+    fn take_robot(&mut self, name: &str, robot: RobotKnowledge, ordered: Option<String>, node: &NodeModel) {
         let shown = self.robots.get_or_insert_with(name.to_owned(), RobotModel::default);
         shown.alive = node.alive;
         shown.last_contact_ms = node.last_contact_ms;
@@ -193,7 +194,7 @@ impl FleetModel {
             Availability::Free => ("free", None, None),
         };
         word.clone_into(&mut shown.availability);
-        shown.problem = problem;
+        shown.problem = problem.or(ordered);
         let (mission, role) = held.map(|(mission, role)| (mission.to_string(), role.to_string())).unzip();
         let before = std::mem::replace(&mut shown.mission, mission);
         shown.role = role;

@@ -237,6 +237,21 @@ fn utilization_counts_the_time_of_busy_robots() {
     assert_eq!((kpis.busy, kpis.in_service, kpis.utilisation), (1, 2, Some(0.5)));
 }
 
+#[test]
+fn a_robot_at_work_shows_the_orders_of_people() {
+    let mut model = model();
+    let holding = || json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
+    let order = json!({ "by": "Nia", "reason": "a spill", "since_ms": NOW, "until_ms": NOW + 600_000 });
+    let mut show = |hold: &Value| {
+        let orders = json!({ "hold": hold, "maintenance": null });
+        let node = json!({ "node": "ada", "alive": true, "robot": worker(holding()), "orders": orders });
+        model.apply_view(&Key::ViewFleet, &fleet(json!([node])), NOW);
+        model.to_json()["robots"]["ada"]["problem"].clone()
+    };
+    assert_eq!(show(&order), "held by Nia: a spill");
+    assert_eq!(show(&Value::Null), Value::Null);
+}
+
 /// Returns the assignments of a role: the robot, start and end in milliseconds after the start, and
 /// the state.
 fn assignments(model: &FleetModel) -> Vec<(&str, u64, Option<u64>, &str)> {

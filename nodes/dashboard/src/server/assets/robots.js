@@ -27,7 +27,7 @@ export function update(model, chosen, onChoose) {
     choose.setAttribute('aria-pressed', String(item.chosen));
     choose.onclick = () => onChoose(item.key);
     const [kind, text] = activity(item);
-    const detail = item.task ? `${readable(item.task)}${item.to ? ` → ${item.to}` : ''}` : item.problem;
+    const detail = item.problem ?? (item.task ? `${readable(item.task)}${item.to ? ` → ${item.to}` : ''}` : null);
     const does = make('td', { className: 'wrap' }, state(kind, text), detail ? make('span', { className: 'sub' }, detail) : null);
     const where = make('td', { className: 'wrap' }, item.place ?? '–', item.readings ? make('span', { className: 'sub' }, item.readings) : null);
     if (item.chosen) row.setAttribute('aria-current', 'true');
