@@ -347,7 +347,7 @@ pub enum ReportReply {
         /// Answer to the question of the report, if there is one.
         answer: Option<QuestionAnswer>,
         /// Orders of people to the robot.
-        orders: OrdersNotice,
+        orders: Box<OrdersNotice>,
     },
     /// The reporter no longer holds the role, or the role is completed.
     Ended {

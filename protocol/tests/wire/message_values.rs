@@ -122,7 +122,7 @@ pub(crate) fn report_answer() -> impl Strategy<Value = ReportReply> {
             btree_set(signal(), 0..4),
             outcomes(),
             option::of(question_answer()),
-            orders()
+            orders().prop_map(Box::new)
         )
             .prop_map(|(epoch, ended, holders, signals, outcomes, answer, orders)| ReportReply::Renewed {
                 epoch,

@@ -343,7 +343,7 @@ pub(super) fn awards() -> Vec<Vec<u8>> {
             signals: BTreeSet::new(),
             outcomes: outcomes(),
             answer: None,
-            orders: orders(),
+            orders: Box::new(orders()),
         };
         [frame(0, &encoded(&notice)), frame(1, &encoded(&renewed)), frame(2, &[])].concat()
     });

@@ -9,7 +9,7 @@ use consort_bus::{BusError, Encoding, Query, Replier};
 use consort_protocol::codec;
 use consort_protocol::lease::EndReason;
 use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, RoleEntry};
-use consort_protocol::message::{ClusterEnvelope, OrdersNotice, Report, ReportReply};
+use consort_protocol::message::{ClusterEnvelope, Report, ReportReply};
 use consort_protocol::plan::StepAction;
 
 /// Bug in the handling of reports.
@@ -102,7 +102,7 @@ fn reply_to_news(ledger: &Ledger, report: &Report) -> Option<ReportReply> {
     }
     let (ended, holders) = (report.ended.clone(), entry.role_holders());
     let (signals, outcomes) = Default::default();
-    let orders = OrdersNotice::default();
+    let orders = Box::default();
     Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer: None, orders })
 }
 
@@ -153,7 +153,7 @@ impl RenewsOutdated {
                     let (ended, holders) = (role.ended.clone(), entry.role_holders());
                     let role = &self.report.role;
                     let (signals, outcomes) = (entry.signals_to(role), entry.outcomes_for(role));
-                    let (answer, orders) = (None, OrdersNotice::default());
+                    let (answer, orders) = (None, Box::default());
                     Some(ReportReply::Renewed { epoch: reported, ended, holders, signals, outcomes, answer, orders })
                 })
                 .unwrap_or(ReportReply::Ended { epoch: reported, reason: EndReason::Replaced, current: Some(current) }),

@@ -93,7 +93,7 @@ impl ReportHandler {
     /// Adds the orders of people to the renewal of a lease: a robot that was cut off gets them before it acts.
     fn with_orders(&self, mut reply: ReportReply, report: &Report) -> ReportReply {
         if let ReportReply::Renewed { orders, .. } = &mut reply {
-            *orders = self.replica.read(|ledger| OrdersNotice::of(ledger, &report.robot, self.now_ms));
+            **orders = self.replica.read(|ledger| OrdersNotice::of(ledger, &report.robot, self.now_ms));
         }
         reply
     }
@@ -248,7 +248,8 @@ fn renewed(entry: &MissionEntry, role: &RoleEntry, report: &Report) -> ReportRep
         signals: entry.signals_to(&report.role),
         outcomes: entry.outcomes_for(&report.role),
         answer: report.question.as_ref().and_then(|asked| answer(entry, report, asked)),
-        orders: OrdersNotice::default(),
+        // The handler adds them.
+        orders: Box::default(),
     }
 }
 

@@ -100,7 +100,7 @@ impl RobotState {
         self.lease.end_report(recipient, answered, now);
         let actions = match reply {
             Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer, orders }) => {
-                self.follow_orders(orders, now);
+                self.follow_orders(*orders, now);
                 answer.into_iter().for_each(|answer| self.driver.question().receive(epoch, answer));
                 self.update_plan(epoch, &ended, &holders, &signals, outcomes);
                 self.lease.renew(Renewal { epoch, sent, ended, holders }, now)
