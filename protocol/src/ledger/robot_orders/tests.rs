@@ -177,7 +177,6 @@ fn orders_are_limited_in_size_and_need_a_wire_version() {
         .map(|name| log.order(&[name.as_str()], OrderChange::Hold { until_ms: 500, reason: reason.clone() }, 100));
     assert_eq!(outcomes.next(), Some(CommandOutcome::Done), "its reason is shortened");
     assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::OrdersFull)));
-    drop(outcomes);
     let (count, bytes) = (log.0.robot_orders().count(), size(&log.0.order_book().robots));
     assert!(count > 300 && bytes <= ORDERS_BYTES_MAX, "{count} orders take {bytes} bytes");
     let mut before = Log(Ledger::default(), 1);
