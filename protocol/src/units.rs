@@ -106,6 +106,12 @@ quantities! {
     /// Discharge rate of a working robot, in shares of a full battery per second of world time.
     SharePerSecond, " /s", "a discharge rate", "a finite share per second, 0 or more", |v| v >= 0.0,
         { "type": "number", "minimum": 0 };
+    /// Power of a charger.
+    Watts, " W", "a power", "a finite number of watts above 0", |v| v > 0.0,
+        { "type": "number", "exclusiveMinimum": 0 };
+    /// Capacity of a battery.
+    WattHours, " Wh", "a capacity", "a finite number of watt-hours above 0", |v| v > 0.0,
+        { "type": "number", "exclusiveMinimum": 0 };
 }
 
 impl Metres {
@@ -205,6 +211,14 @@ impl SharePerSecond {
     }
 }
 
+impl Watts {
+    /// Returns the rate at which this power fills a battery; at most a full battery per second.
+    pub fn fills(self, capacity: WattHours) -> SharePerSecond {
+        const SECONDS_PER_HOUR: f64 = 3600.0;
+        SharePerSecond((self.0 / (capacity.0 * SECONDS_PER_HOUR)).min(1.0))
+    }
+}
+
 /// Instant of world time: seconds since the start of the world.
 #[derive(Clone, Copy, PartialEq, PartialOrd, Debug, Default, Serialize, Deserialize)]
 pub struct WorldTime(f64);
@@ -286,6 +300,15 @@ mod tests {
         assert!(serde_json::from_str::<BatteryShare>("1.5").is_err());
         let error = MetresPerSecond::new(0.0).unwrap_err().to_string();
         assert_eq!(error, "0 is not a speed: allowed is a finite number of metres per second above 0");
+    }
+
+    #[test]
+    fn a_charger_fills_a_battery_in_its_capacity_over_the_power() {
+        let (power, capacity) = (Watts::new(360.0).unwrap(), WattHours::new(100.0).unwrap());
+        assert!((power.fills(capacity).get() - 0.001).abs() < 1e-15, "360 J/s of 360 kJ");
+        let (lightning, tiny) = (Watts::new(1e300).unwrap(), WattHours::new(1e-300).unwrap());
+        assert_eq!(lightning.fills(tiny).get(), 1.0);
+        assert!(Watts::new(0.0).is_err() && WattHours::new(0.0).is_err());
     }
 
     #[test]

@@ -65,6 +65,7 @@ impl Scene {
                 speed: Some(MetresPerSecond::new(0.4 + 0.05 * (number % 7) as f64).expect("a speed")),
                 availability: Availability::Free,
                 estimator: "1".to_owned(),
+                charging: None,
             }
         };
         let circumstance = |number: usize| {

@@ -9,11 +9,13 @@ use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
 use consort_bus::{LinkModel, SharedBus, VirtualBus, VirtualNetwork};
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
+use consort_fleet::robot::ChargingSettings;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
 use consort_protocol::trust::AccessScope;
+use consort_protocol::units::{WattHours, Watts};
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::descriptor::DescriptorRegistry;
@@ -21,7 +23,7 @@ use consort_skills::domain_file::DomainFile;
 use consort_skills::extensions::Extensions;
 use consort_world::SharedWorld;
 use consort_world::map;
-use consort_world::world::{LoggedEvent, PersonSetup, World, WorldSetup};
+use consort_world::world::{LoggedEvent, PersonSetup, RobotSetup, World, WorldSetup};
 use futures::FutureExt as _;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -89,6 +91,8 @@ pub(crate) struct NodeOptions {
     pub(crate) extensions: Extensions,
     /// Ensembles of the hospital.
     pub(crate) ensembles: Vec<EnsembleSpec>,
+    /// Chargers and batteries of the hospital.
+    pub(crate) charging: Option<ChargingSetup>,
     /// Runtimes of their own, by node.
     pub(crate) runtimes: BTreeMap<String, Handle>,
 }
@@ -105,6 +109,17 @@ pub struct DomainSetup {
     pub closed: bool,
 }
 
+/// Chargers and batteries of a hospital.
+#[derive(Debug, Clone)]
+pub struct ChargingSetup {
+    /// Chargers, and when robots use them.
+    pub settings: ChargingSettings,
+    /// Power of each charger.
+    pub power: Watts,
+    /// Capacity of each mobile robot's battery.
+    pub capacity: WattHours,
+}
+
 impl Default for NodeOptions {
     fn default() -> NodeOptions {
         NodeOptions {
@@ -116,6 +131,7 @@ impl Default for NodeOptions {
             world_speed: 10.0,
             extensions: Extensions::default(),
             ensembles: vec![logistics(&["operate_drawer", "pick_up"])],
+            charging: None,
             runtimes: BTreeMap::new(),
         }
     }
@@ -204,6 +220,18 @@ impl Fleet {
         Fleet::hospital_with(seed, members, stations, nurses_in(rooms), options).await
     }
 
+    /// Starts the same hospital with chargers, and with changed node settings.
+    pub async fn hospital_with_chargers(
+        seed: u64,
+        members: Vec<RobotSpec>,
+        stations: &[&str],
+        charging: ChargingSetup,
+        adjust: AdjustNode,
+    ) -> Fleet {
+        let options = NodeOptions { adjust, charging: Some(charging), ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, vec![], options).await
+    }
+
     /// Starts the hospital, open or closed.
     pub(crate) async fn hospital_with(
         seed: u64,
@@ -217,8 +245,14 @@ impl Fleet {
         }
         let map = map::shipped("hospital").expect("the shipped map is sound");
         let mut setup = WorldSetup::new(map, seed).extended(options.extensions);
+        let charging = options.charging.as_ref();
         for member in &members {
-            setup = setup.robot(member.robot_body());
+            let capacity = charging.map(|charging| charging.capacity);
+            setup = setup.robot(RobotSetup { capacity, ..member.robot_body() });
+        }
+        if let Some(charging) = charging {
+            let chargers = charging.settings.chargers.iter();
+            setup.chargers = chargers.map(|charger| (charger.place.clone(), Some(charging.power))).collect();
         }
         setup = people.into_iter().fold(setup, WorldSetup::person);
         let world = SharedWorld::new(World::new(setup).expect("a valid world"));
@@ -236,6 +270,7 @@ impl Fleet {
         let mut settings = ward(ensembles, present + stations.len());
         let places = world.with(|world| world.map().topology().places);
         let task_types = options.extensions.domain().with_places(places.into_keys());
+        settings.charging = options.charging.as_ref().map(|charging| Arc::new(charging.settings.clone()));
         settings.domain = Arc::new(task_types.with_ensembles(settings.ensembles.names().cloned()));
         let client = network.bus(slug("client"));
         let credentials =

@@ -27,7 +27,7 @@ pub use credentials::{Credentials, Signatures};
 pub use event_log::{EventLog, Observation, RoleInterval};
 pub use failing_domain::{FAILING_TASKS, failing_domain};
 pub(crate) use fleet::AdjustNode;
-pub use fleet::{DomainSetup, Fleet};
+pub use fleet::{ChargingSetup, DomainSetup, Fleet};
 pub use robot_spec::RobotSpec;
 pub use station_fleet::StationFleet;
 pub use stolen_key::{StolenKey, report_of_all_steps, signals_sent};

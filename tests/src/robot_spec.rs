@@ -141,6 +141,7 @@ impl RobotSpec {
             speed: self.speed.map(|speed| MetresPerSecond::new(speed).expect("a speed")),
             availability: Availability::Free,
             estimator: "1".to_owned(),
+            charging: None,
         }
     }
 }

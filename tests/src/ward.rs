@@ -31,6 +31,7 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
         missions: Arc::default(),
         ensembles: Arc::new(ensembles),
         limits: BidLimits::default(),
+        charging: None,
         promises_max: PROMISES_MAX,
         request_limits: RequestLimits::default(),
         history_limits: HistoryLimits::default(),

@@ -4,6 +4,7 @@ mod answers;
 mod building;
 mod canceling;
 mod causes;
+mod charging;
 mod checkpoints;
 mod closed;
 mod clusters;

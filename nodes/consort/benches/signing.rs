@@ -59,6 +59,7 @@ fn measure() -> Value {
         speed: MetresPerSecond::new(0.6).ok(),
         availability: Availability::Free,
         estimator: "1".to_owned(),
+        charging: None,
     };
     let knowledge = Knowledge {
         may_vote: true,

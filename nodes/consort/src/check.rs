@@ -316,6 +316,7 @@ fn detect_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
                 "requests",
                 "lease",
                 "auction",
+                "charging",
                 "ensemble",
             ],
         ),

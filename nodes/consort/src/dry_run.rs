@@ -3,7 +3,7 @@
 
 use crate::inputs::WorkerEntry;
 use crate::wiring::SkillResources;
-use consort_fleet::robot::{BidContext, Bidder};
+use consort_fleet::robot::{BidContext, Bidder, ChargerReserve, ChargingSettings};
 use consort_protocol::auction::{
     AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, EnergyBudget, Invitation, RoleReply,
     clear_auction,
@@ -56,6 +56,8 @@ pub(crate) struct AssumedFleet {
     pub equipment: SkillResources,
     /// Limits of bids.
     pub limits: BidLimits,
+    /// Its chargers, if robots must be able to reach one after a role.
+    pub charging: Option<Arc<ChargingSettings>>,
     /// Its ensembles. `None`: every worker is a member of every ensemble.
     pub ensembles: Option<Arc<Ensembles>>,
 }
@@ -121,7 +123,7 @@ pub(crate) fn simulate_auction(
     workers: &[WorkerEntry],
     fleet: &AssumedFleet,
 ) -> DryRunOutcome {
-    let AssumedFleet { equipment, limits, .. } = fleet;
+    let AssumedFleet { limits, .. } = fleet;
     let open = division.plans.iter().filter(|(role, _)| roles.contains(*role));
     let condition = |(role, declared): (&RoleId, &Role)| Some((role.clone(), declared.eligible.clone()?));
     let call = CallForBids {
@@ -132,7 +134,7 @@ pub(crate) fn simulate_auction(
         roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
     };
     let memberships = Memberships::of(workers, fleet);
-    let respond = |worker: &WorkerEntry| response(worker, &call, memberships.of_worker(&call, worker), equipment);
+    let respond = |worker: &WorkerEntry| response(worker, &call, memberships.of_worker(&call, worker), fleet);
     let tenders: Vec<BidResponse> = workers.iter().map(respond).collect();
     let invitation = memberships.invitation(&call, workers);
     let unavailable = BTreeMap::new();
@@ -157,14 +159,11 @@ pub(crate) fn simulate_auction(
     DryRunOutcome { bids, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
 }
 
-fn response(
-    worker: &WorkerEntry,
-    call: &CallForBids,
-    membership: Membership,
-    equipment: &SkillResources,
-) -> BidResponse {
-    let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator));
+fn response(worker: &WorkerEntry, call: &CallForBids, membership: Membership, fleet: &AssumedFleet) -> BidResponse {
+    let AssumedFleet { equipment, limits, charging, .. } = fleet;
     let own = worker.worker(&equipment.places);
+    let chargers = charging.as_ref().and_then(|settings| ChargerReserve::of(settings, *limits, &worker.name, &own));
+    let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator)).with_chargers(chargers);
     let context = BidContext { worker: &own, closed_lanes: &[], readings: None, age_ms: 0, membership, present: None };
     bidder.respond(call, &context)
 }

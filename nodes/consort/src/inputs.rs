@@ -193,6 +193,7 @@ impl WorkerEntry {
             speed: self.speed_mps,
             availability: Availability::Free,
             estimator: ESTIMATOR_VERSION.to_owned(),
+            charging: None,
         }
     }
 }

@@ -1,7 +1,9 @@
 //! Builds the parts of a node from its configuration. The commands connect them to Zenoh; the
 //! demo's virtual fleet uses the virtual bus.
 
-use crate::config::{self, BusConfig, FleetConfig, RobotConfig, StationConfig, WorldConfig};
+use crate::config::{
+    self, BusConfig, ChargerConfig, ChargingConfig, FleetConfig, RobotConfig, StationConfig, WorldConfig,
+};
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
 use crate::map_loader;
@@ -33,7 +35,7 @@ use consort_skills::library::SkillLibrary;
 use consort_skills::skill::member_value_errors;
 use consort_text::AllowedNames;
 use consort_world::SharedWorld;
-use consort_world::map::Map;
+use consort_world::map::{Map, PlaceKind};
 use consort_world::world::{World, WorldSetup};
 use rand::TryRng;
 use rand::rngs::SysRng;
@@ -123,7 +125,12 @@ pub(crate) struct SkillResources {
 /// # Errors
 /// [`Diagnostics`] of the ensembles, of the map, of trees that read what no ensemble exchanges, or of the missions.
 pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
-    let places = map_loader::load(&config.map)?.topology.places;
+    let floor = map_loader::load(&config.map)?;
+    let charging = match &config.charging {
+        Some(charging) => Some(Arc::new(charging.settings(chargers(charging, &floor)?))),
+        None => None,
+    };
+    let places = floor.topology.places;
     let domain = extensions.domain();
     let ensembles =
         Ensembles::compile(config.ensembles(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
@@ -138,6 +145,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         domain: Arc::new(domain),
         missions: Arc::new(missions),
         limits: limits(config),
+        charging,
         promises_max: config.auction.promises,
         request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
         history_limits: config.history.limits(),
@@ -156,6 +164,18 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         snapshot_every: consort_raft::SNAPSHOT_EVERY,
         log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
         map: None,
+    })
+}
+
+/// Returns the chargers of a fleet on its map.
+///
+/// # Errors
+/// [`Diagnostics`] of unknown places, or of the lack of any charger.
+fn chargers(charging: &ChargingConfig, floor: &LoadedMap) -> Result<Vec<ChargerConfig>, Diagnostics> {
+    let of_map = floor.map.iter().flat_map(Map::places).filter(|place| place.kind == PlaceKind::Charger);
+    let chargers = charging.chargers(of_map.map(|place| &place.id), &floor.topology.places.keys().collect());
+    chargers.map_err(|problems| {
+        Diagnostics(problems.into_iter().map(|problem| Diagnostic::for_file("", problem)).collect())
     })
 }
 
@@ -278,6 +298,7 @@ pub(crate) fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> R
         speed: robot.speed_mps,
         availability: Availability::Free,
         estimator: ESTIMATOR_VERSION.to_owned(),
+        charging: None,
     })
 }
 
@@ -325,7 +346,12 @@ pub(crate) fn build_world(
     extensions: Extensions,
 ) -> Result<World, Diagnostics> {
     let name = world.map.as_ref().unwrap_or(&fleet.map);
-    let LoadedMap { map: Some(map), .. } = map_loader::load(name)? else {
+    let floor = map_loader::load(name)?;
+    let chargers = match &fleet.charging {
+        Some(charging) => chargers(charging, &floor)?,
+        None => vec![],
+    };
+    let Some(map) = floor.map else {
         let what = "a map of the published format has no floor plan; a world needs a map in Consort's own format";
         return Err(Diagnostic::for_file(name, what).into());
     };
@@ -333,6 +359,7 @@ pub(crate) fn build_world(
         robots: world.robot.clone(),
         people: world.person.clone(),
         objects: world.object.clone(),
+        chargers: chargers.into_iter().map(|charger| (charger.place, charger.power_w)).collect(),
         doors: world.door.clone(),
         obstacles: world.obstacle.clone(),
         durations: world.durations,

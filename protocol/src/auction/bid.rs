@@ -214,6 +214,15 @@ pub enum RefusalReason {
         /// Time waited, in milliseconds.
         window_ms: u64,
     },
+    /// After the role, the robot could not reach a charger with its reserve.
+    #[error("could not reach a charger afterwards: {problem}")]
+    ChargerOutOfReach {
+        /// The nearest charger that it may use; `None` if there is no way to any of them.
+        charger: Option<PlaceId>,
+        /// Charge left there and the reserve, or the missing way.
+        #[serde(deserialize_with = "bounds::text")]
+        problem: String,
+    },
 }
 
 impl RefusalReason {
@@ -224,7 +233,10 @@ impl RefusalReason {
             | RefusalReason::OutOfService { problem: text }
             | RefusalReason::NotMember { why: text }
             | RefusalReason::NotEligible { why: text, .. }
-            | RefusalReason::Excluded { cause: text } => bounds::limit_text(text, bounds::TEXT_BYTES_MAX),
+            | RefusalReason::Excluded { cause: text }
+            | RefusalReason::ChargerOutOfReach { problem: text, .. } => {
+                bounds::limit_text(text, bounds::TEXT_BYTES_MAX);
+            }
             RefusalReason::MissingSkills { .. }
             | RefusalReason::Busy { .. }
             | RefusalReason::CarriesItem { .. }
@@ -246,7 +258,8 @@ impl RefusalReason {
             | RefusalReason::NotMember { .. }
             | RefusalReason::NotPreferred { .. }
             | RefusalReason::CarriesItem { .. }
-            | RefusalReason::Silent { .. } => false,
+            | RefusalReason::Silent { .. }
+            | RefusalReason::ChargerOutOfReach { .. } => false,
         }
     }
 }

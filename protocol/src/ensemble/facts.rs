@@ -102,6 +102,7 @@ pub(super) fn example_robot() -> RobotKnowledge {
         speed: None,
         availability: Availability::Free,
         estimator: String::new(),
+        charging: None,
     }
 }
 

@@ -73,6 +73,40 @@ pub struct RobotKnowledge {
     /// Version of its estimator: bids of different versions are not comparable.
     #[serde(deserialize_with = "bounds::signed_text")]
     pub estimator: String,
+    /// Charging of a free robot; `None` if it neither charges nor needs to.
+    #[serde(default)]
+    pub charging: Option<Charging>,
+}
+
+/// Charging of a free robot. The other robots leave a claimed charger to it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Charging {
+    /// The robot needs charge, and every charger that it may use is taken.
+    Waiting,
+    /// The robot is about to use a charger: it drives there, or connects to it.
+    Bound(ChargerClaim),
+    /// The robot is connected to a charger.
+    Connected(ChargerClaim),
+}
+
+impl Charging {
+    /// Returns the claim, unless the robot waits.
+    pub fn claim(&self) -> Option<&ChargerClaim> {
+        match self {
+            Charging::Waiting => None,
+            Charging::Bound(claim) | Charging::Connected(claim) => Some(claim),
+        }
+    }
+}
+
+/// Claim of a robot to a charger.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ChargerClaim {
+    /// Place of the charger.
+    pub charger: PlaceId,
+    /// Charge of the robot at the time of the claim. Of two claims to a charger, that with less charge prevails.
+    pub battery: BatteryShare,
 }
 
 /// Availability of a robot for a role.

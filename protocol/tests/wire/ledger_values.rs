@@ -63,6 +63,8 @@ pub(crate) fn reason() -> impl Strategy<Value = RefusalReason> {
         any::<u64>().prop_map(|window_ms| RefusalReason::Silent { window_ms }),
         (name(), name()).prop_map(|(item, mission)| RefusalReason::CarriesItem { item, mission }),
         text().prop_map(|cause| RefusalReason::Excluded { cause }),
+        (option::of(place()), text())
+            .prop_map(|(charger, problem)| RefusalReason::ChargerOutOfReach { charger, problem }),
     ]
 }
 

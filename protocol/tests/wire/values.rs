@@ -2,7 +2,9 @@
 
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{ClusterId, PlaceId, TaskType};
-use consort_protocol::knowledge::{Attributes, Availability, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
+use consort_protocol::knowledge::{
+    Attributes, Availability, ChargerClaim, Charging, Knowledge, Proof, Record, RecordStamp, RobotKnowledge,
+};
 use consort_protocol::lease::Epoch;
 use consort_protocol::mission::{
     AlternativeMethod, DomainHash, DomainReference, Escalation, Method, Mission, OnLoss, ResultReference, Role,
@@ -168,6 +170,11 @@ pub(crate) fn availability() -> impl Strategy<Value = Availability> {
     ]
 }
 
+fn charging() -> impl Strategy<Value = Charging> {
+    let claim = || (place(), share()).prop_map(|(charger, battery)| ChargerClaim { charger, battery });
+    prop_oneof![Just(Charging::Waiting), claim().prop_map(Charging::Bound), claim().prop_map(Charging::Connected),]
+}
+
 pub(crate) fn worker() -> impl Strategy<Value = RobotKnowledge> {
     let speed = option::of((0.01..9.0).prop_map(|speed| MetresPerSecond::new(speed).expect("a speed")));
     let pose = (-1e3..1e3, -1e3..1e3, -4.0..4.0).prop_map(|(x, y, yaw)| Pose::new(x, y, yaw));
@@ -175,8 +182,10 @@ pub(crate) fn worker() -> impl Strategy<Value = RobotKnowledge> {
     let attributes = btree_map("[a-z_][a-z0-9_]{0,8}", scalar(), 0..3)
         .prop_map(|attributes| Attributes::try_from(attributes).expect("valid attributes"));
     let abilities = (btree_set(name::<TaskType>(), 0..5), attributes, speed, text());
-    (abilities, place(), pose, share(), rate, share(), availability()).prop_map(
-        |((skills, attributes, speed, estimator), place, pose, battery, discharge, useful_charge, availability)| {
+    let state = (availability(), option::of(charging()));
+    (abilities, place(), pose, share(), rate, share(), state).prop_map(
+        |((skills, attributes, speed, estimator), place, pose, battery, discharge, useful_charge, state)| {
+            let (availability, charging) = state;
             RobotKnowledge {
                 skills,
                 attributes,
@@ -188,6 +197,7 @@ pub(crate) fn worker() -> impl Strategy<Value = RobotKnowledge> {
                 speed,
                 availability,
                 estimator,
+                charging,
             }
         },
     )

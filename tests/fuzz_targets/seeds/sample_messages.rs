@@ -12,7 +12,9 @@ use consort_protocol::auction::{
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec::{encode, encode_for_version, encode_record};
 use consort_protocol::ids::{ClusterId, NodeId, RoleId};
-use consort_protocol::knowledge::{Availability, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge};
+use consort_protocol::knowledge::{
+    Availability, ChargerClaim, Charging, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge,
+};
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
     AnswerContent, Branch, Command, Ledger, MissedOccurrences, OrderChange, OrderRequest, PersonAnswer, PersonQuestion,
@@ -87,6 +89,7 @@ fn record(owner: &str) -> Record {
         speed: None,
         availability: Availability::Free,
         estimator: "calibrated".to_owned(),
+        charging: Some(Charging::Bound(ChargerClaim { charger: slug("Dock"), battery: BatteryShare::FULL })),
     };
     let knowledge = Knowledge {
         may_vote: true,

@@ -139,6 +139,7 @@ impl<'s> TrialRun<'s> {
             domain: Arc::clone(&setup.domain),
             missions: Arc::default(),
             limits: BidLimits::default(),
+            charging: None,
             promises_max: PROMISES_MAX,
             request_limits: RequestLimits::default(),
             history_limits: HistoryLimits::default(),
@@ -248,6 +249,7 @@ impl<'s> TrialRun<'s> {
             speed: speed.map(|speed| MetresPerSecond::new(speed).expect(checked)),
             availability: Availability::Free,
             estimator: "1".to_owned(),
+            charging: None,
         }
     }
 

@@ -9,7 +9,8 @@ use crate::ensemble_exchange::EnsembleExchange;
 use crate::events::EventPublisher;
 use crate::observe::SharedObserver;
 use crate::robot::{
-    ExecutionSettings, PricingSettings, Robot, RobotLinks, RobotMessage, RobotSettings, RobotStart, TaskTimeout,
+    ExecutionSettings, PricingSettings, Robot, RobotCharging, RobotLinks, RobotMessage, RobotSettings, RobotStart,
+    TaskTimeout,
 };
 use crate::robot_driver::{CLIENT_TIMEOUT, DriverClientSettings, DriverServer, DriverServerSettings, RobotDriver};
 use crate::shared_exchanges::SharedExchanges;
@@ -428,12 +429,15 @@ impl Assembly {
             retry_delay: Duration::from_millis(500),
             skill_tick_interval: Duration::from_millis(100),
         };
+        let charging = self.fleet.charging.as_ref();
+        let charging = charging.and_then(|settings| RobotCharging::of(settings, &robot, &part.worker));
         let settings = RobotSettings {
             robot,
             incarnation,
             links,
             pricing,
             execution,
+            charging,
             lease_terms: self.fleet.lease_terms,
             update_interval: Duration::from_millis(250),
         };

@@ -3,6 +3,7 @@
 use crate::autopilot::AutopilotRule;
 use crate::coordinator::RequestLimits;
 use crate::observe::SharedObserver;
+use crate::robot::ChargingSettings;
 use consort_bus::clock::Clock;
 use consort_bus::record_signer::SharedRecordSigner;
 use consort_protocol::auction::{Allocator, BidLimits};
@@ -36,6 +37,8 @@ pub struct FleetSettings {
     pub missions: Arc<NamedMissions>,
     /// Limits that bids must meet.
     pub limits: BidLimits,
+    /// Chargers, and when robots use them; `None` if robots charge by tasks of missions only.
+    pub charging: Option<Arc<ChargingSettings>>,
     /// Maximum number of roles that are promised to a robot while it holds another; 0 for none.
     pub promises_max: u32,
     /// Limits of accepted requests and missions.

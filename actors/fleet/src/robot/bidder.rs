@@ -1,5 +1,6 @@
 //! Bids: a robot prices its own work.
 
+use super::charging::ChargerReserve;
 use super::energy_check::pricing_context;
 use consort_protocol::auction::{Bid, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleReply};
 use consort_protocol::ensemble::{Eligibility, Ineligibility, Membership};
@@ -17,6 +18,7 @@ use std::sync::Arc;
 pub struct Bidder {
     robot: RobotId,
     estimator: Arc<Estimator>,
+    chargers: Option<ChargerReserve>,
 }
 
 /// State of the robot at the time of a call for bids.
@@ -57,7 +59,13 @@ impl PresentWork {
 impl Bidder {
     /// Creates a bidder that prices with this estimator.
     pub fn new(robot: RobotId, estimator: Arc<Estimator>) -> Bidder {
-        Bidder { robot, estimator }
+        Bidder { robot, estimator, chargers: None }
+    }
+
+    /// Refuses roles after which none of the chargers could be reached.
+    #[must_use]
+    pub fn with_chargers(self, chargers: Option<ChargerReserve>) -> Bidder {
+        Bidder { chargers, ..self }
     }
 
     /// Returns a bid or a refusal for every role of a call.
@@ -112,12 +120,17 @@ impl Bidder {
         let context = EstimateContext { place: from.clone(), readings, ..pricing_context(worker, closed) };
         let budget = self.estimator.budget(plan, &context).map_err(|problem| refusal_of(&problem))?;
         let (time, energy) = (budget.time(), budget.energy);
+        let remaining = worker.battery.get() - present.map_or(0.0, |present| present.energy) - energy;
+        if let Some(chargers) = &self.chargers {
+            let end = EstimateContext { place: budget.ends_at, ..context };
+            chargers.check(remaining, worker.useful_charge, &self.estimator, &end)?;
+        }
         Ok(Bid {
             robot: self.robot.clone(),
             role: role.clone(),
             time,
             energy,
-            remaining: worker.battery.get() - present.map_or(0.0, |present| present.energy) - energy,
+            remaining,
             useful_charge: worker.useful_charge,
             from,
             age_ms: *age_ms,

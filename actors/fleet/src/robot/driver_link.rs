@@ -7,7 +7,7 @@ use super::worker_record::WorkerRecord;
 use crate::robot_driver::{OpenQuestion, RobotDriver};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
 use consort_protocol::message::FailureKind;
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::{GoalId, RobotActions, Telemetry};
@@ -44,12 +44,13 @@ impl DriverLink {
     }
 
     /// Properties sensing (thesis, Listing 3.1): reads the latest driver report. `holding` is the
-    /// availability of a robot with a role, and `problem` a problem of the robot that has nothing
-    /// to do with its driver. Returns the worker if it is to be published.
+    /// availability of a robot with a role, `problem` a problem of the robot that has nothing to do
+    /// with its driver, and `charging` its charging. Returns the worker if it is to be published.
     pub(super) fn sense(
         &mut self,
         holding: Option<Availability>,
         problem: Option<String>,
+        charging: Option<Charging>,
         now: NodeTime,
     ) -> Option<RobotKnowledge> {
         self.driver.refresh();
@@ -58,7 +59,7 @@ impl DriverLink {
             (None, Some(problem)) => Availability::out_of_service(problem),
             (None, None) => Availability::Free,
         };
-        self.record.update(self.driver.telemetry(), availability, now)
+        self.record.update(self.driver.telemetry(), availability, charging, now)
     }
 
     fn driver_problem(&self) -> Option<String> {

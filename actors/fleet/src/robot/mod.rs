@@ -22,6 +22,7 @@
 //! | `CheckpointStorage` | writes of the checkpoint |
 //! | `DriverLink` with `WorkerRecord` | telemetry, and the robot's own knowledge record |
 //! | `StandingOrders` | hold and maintenance, ordered by people |
+//! | `ChargeControl` | charging while the robot is free |
 //!
 //! Each skill runs in an actor of its own: a panic in a skill fails the attempt and not the node.
 //!
@@ -32,6 +33,7 @@
 mod active_plan;
 mod actor;
 mod bidder;
+mod charging;
 mod checkpoint;
 mod checkpoint_storage;
 mod checkpoint_writer;
@@ -54,6 +56,8 @@ mod worker_record;
 
 pub(crate) use actor::{Robot, RobotMessage};
 pub use bidder::{BidContext, Bidder, PresentWork};
+pub(crate) use charging::RobotCharging;
+pub use charging::{ChargeThresholds, Charger, ChargerReserve, ChargingSettings};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use sequencer::{AlternativeProgress, OwnProgress, Sequencer, SequencerAction, StepRef};
 pub(crate) use settings::{ExecutionSettings, PricingSettings, RobotLinks, RobotSettings, RobotStart};

@@ -1,5 +1,6 @@
 //! Settings of a robot, grouped by the part that uses them.
 
+use super::charging::RobotCharging;
 use super::task_timeout::TaskTimeout;
 use crate::events::EventPublisher;
 use crate::robot_driver::RobotDriver;
@@ -40,6 +41,8 @@ pub(crate) struct RobotSettings {
     pub(crate) pricing: PricingSettings,
     /// Execution of tasks.
     pub(crate) execution: ExecutionSettings,
+    /// Charging; `None` if the robot charges by tasks of missions only.
+    pub(crate) charging: Option<RobotCharging>,
     /// Durations of leases.
     pub(crate) lease_terms: LeaseTerms,
     /// Interval for properties sensing and for lease checks. Default 250 ms. Gossip is updated at

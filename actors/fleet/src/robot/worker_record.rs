@@ -1,6 +1,6 @@
 //! The robot's own record, as a value: its content, and the choice of changes worth publishing.
 
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::Telemetry;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use std::time::Duration;
 /// exact charge.
 const CHARGE_STEP: f64 = 0.02;
 
-/// Minimum interval of publications while neither place nor availability changes.
+/// Minimum interval of publications while neither place, availability nor charging changes.
 const PUBLISH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The worker as of the latest telemetry, and as last published.
@@ -30,12 +30,13 @@ impl WorkerRecord {
         &self.worker
     }
 
-    /// Updates the record. Without telemetry, place, pose and charge stay. Returns the worker if it
-    /// is to be published now.
+    /// Updates the record. Without telemetry, place, pose and charge stay. Only a free robot charges.
+    /// Returns the worker if it is to be published now.
     pub(super) fn update(
         &mut self,
         telemetry: Option<&Telemetry>,
         availability: Availability,
+        charging: Option<Charging>,
         now: NodeTime,
     ) -> Option<RobotKnowledge> {
         if let Some(report) = telemetry {
@@ -43,6 +44,7 @@ impl WorkerRecord {
             self.worker.pose = report.pose;
             self.worker.battery = report.battery;
         }
+        self.worker.charging = charging.filter(|_| availability == Availability::Free);
         self.worker.availability = availability;
         if !self.must_publish(now) {
             return None;
@@ -54,7 +56,9 @@ impl WorkerRecord {
 
     fn must_publish(&self, now: NodeTime) -> bool {
         let Some(published) = &self.published else { return true };
-        let is_urgent = published.availability != self.worker.availability || published.place != self.worker.place;
+        let is_urgent = published.availability != self.worker.availability
+            || published.place != self.worker.place
+            || published.charging != self.worker.charging;
         let is_due = now.since(self.published_at) >= PUBLISH_INTERVAL;
         is_urgent || is_due && is_worth_publishing(published, &self.worker)
     }
@@ -105,29 +109,44 @@ mod tests {
             speed: None,
             availability: Availability::Free,
             estimator: "standard".to_owned(),
+            charging: None,
         };
         let mut record = WorkerRecord::new(worker, at(0));
-        assert!(record.update(Some(&telemetry("Dock", 0.9)), Availability::Free, at(0)).is_some());
+        assert!(record.update(Some(&telemetry("Dock", 0.9)), Availability::Free, None, at(0)).is_some());
         record
     }
 
     #[test]
     fn a_new_place_or_availability_is_published_at_once() {
         let mut record = record();
-        assert_eq!(record.update(Some(&telemetry("Dock", 0.8)), Availability::Free, at(100)), None);
-        let moved = record.update(Some(&telemetry("Lab", 0.8)), Availability::Free, at(200)).unwrap();
+        assert_eq!(record.update(Some(&telemetry("Dock", 0.8)), Availability::Free, None, at(100)), None);
+        let moved = record.update(Some(&telemetry("Lab", 0.8)), Availability::Free, None, at(200)).unwrap();
         assert_eq!((moved.place.as_str(), moved.battery.get()), ("Lab", 0.8));
         let problem = Availability::OutOfService { problem: "its driver does not reply".to_owned() };
-        let failed = record.update(None, problem.clone(), at(300)).unwrap();
+        let failed = record.update(None, problem.clone(), None, at(300)).unwrap();
         assert_eq!((failed.place.as_str(), failed.availability), ("Lab", problem));
+    }
+
+    #[test]
+    fn charging_of_a_free_robot_is_published_at_once() {
+        let mut record = record();
+        let published = record.update(None, Availability::Free, Some(Charging::Waiting), at(100)).unwrap();
+        assert_eq!(published.charging, Some(Charging::Waiting));
+        let problem = Availability::OutOfService { problem: "its driver does not reply".to_owned() };
+        let failed = record.update(None, problem, Some(Charging::Waiting), at(200)).unwrap();
+        assert_eq!(failed.charging, None);
     }
 
     #[test]
     fn a_small_loss_of_charge_is_not_published() {
         let mut record = record();
-        assert_eq!(record.update(Some(&telemetry("Dock", 0.89)), Availability::Free, at(5_000)), None);
-        assert!(record.update(Some(&telemetry("Dock", 0.87)), Availability::Free, at(5_000)).is_some());
-        assert_eq!(record.update(Some(&telemetry("Dock", 0.5)), Availability::Free, at(5_999)), None, "too early");
-        assert!(record.update(Some(&telemetry("Dock", 0.5)), Availability::Free, at(6_000)).is_some());
+        assert_eq!(record.update(Some(&telemetry("Dock", 0.89)), Availability::Free, None, at(5_000)), None);
+        assert!(record.update(Some(&telemetry("Dock", 0.87)), Availability::Free, None, at(5_000)).is_some());
+        assert_eq!(
+            record.update(Some(&telemetry("Dock", 0.5)), Availability::Free, None, at(5_999)),
+            None,
+            "too early"
+        );
+        assert!(record.update(Some(&telemetry("Dock", 0.5)), Availability::Free, None, at(6_000)).is_some());
     }
 }

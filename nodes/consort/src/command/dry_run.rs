@@ -143,15 +143,15 @@ fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<(AssumedFleet, A
     config.limits.time_s = args.time_limit_s.or(config.limits.time_s);
     set(&mut config.limits.charge_min, args.charge_min);
     let (mut equipment, limits) = (fleet_skill_resources(&config, extensions)?, limits(&config));
-    let (ensembles, missions) = match &args.fleet {
+    let (charging, ensembles, missions) = match &args.fleet {
         Some(_) => {
             let settings = fleet_settings(&config, extensions)?;
             equipment.domain = settings.domain;
-            (Some(settings.ensembles), settings.missions)
+            (settings.charging, Some(settings.ensembles), settings.missions)
         }
-        None => (None, Arc::default()),
+        None => (None, None, Arc::default()),
     };
-    Ok((AssumedFleet { equipment, limits, ensembles }, missions))
+    Ok((AssumedFleet { equipment, limits, charging, ensembles }, missions))
 }
 
 fn mission(

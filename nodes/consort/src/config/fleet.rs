@@ -1,5 +1,6 @@
 //! The fleet file: settings shared by all nodes of a fleet.
 
+use super::charging::ChargingConfig;
 use super::read::{join_normalized, resolve_path};
 use super::{ConfigFile, load, load_unchecked};
 use crate::diagnostic::Diagnostics;
@@ -89,6 +90,9 @@ pub struct FleetConfig {
     pub lease: LeaseConfig,
     /// Settings of auctions.
     pub auction: AuctionConfig,
+    /// Charging by the robots themselves. Default: none, and robots charge by tasks of missions only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub charging: Option<ChargingConfig>,
     /// Ensembles: groups of robots that receive calls for bids. A mission file names those that it
     /// prefers. Default: the ensemble `workers`, of robots with any skill that a mission can use.
     pub ensemble: Vec<EnsembleSpec>,
@@ -177,6 +181,7 @@ impl Default for FleetConfig {
             history: HistoryConfig::default(),
             lease: LeaseConfig::default(),
             auction: AuctionConfig::default(),
+            charging: None,
             ensemble: vec![],
         }
     }
@@ -317,6 +322,7 @@ impl ConfigFile for FleetConfig {
             validate.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
         }
         validate.extend(wrong);
+        validate.extend(self.charging.iter().flat_map(ChargingConfig::validate));
         let mut compiled = vec![];
         for (index, spec) in self.ensemble.iter().enumerate() {
             if self.ensemble[..index].iter().any(|other| other.name == spec.name) {

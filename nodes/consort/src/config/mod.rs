@@ -21,6 +21,7 @@
 
 mod bus;
 mod calibration;
+mod charging;
 mod fleet;
 mod node;
 mod read;
@@ -30,6 +31,7 @@ mod telemetry;
 mod world;
 
 pub use bus::{BusConfig, trust_files};
+pub use charging::{ChargerConfig, ChargingConfig};
 pub(crate) use fleet::DEFAULT_FLEET;
 pub use fleet::{AuctionConfig, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, RequestsConfig};
 pub use node::{CommonConfig, NodeFile};

@@ -93,6 +93,28 @@ fn invalid_policies_are_reported_with_what_is_allowed() {
 }
 
 #[test]
+fn invalid_chargers_are_reported_with_what_is_allowed() {
+    let charger = "[[charging.charger]]\nplace = ";
+    let valid = test_file("charger.toml", &format!("{charger}\"Dock\"\npower_w = 200.0\n"));
+    let place = test_file("charger_place.toml", &format!("{charger}\"Dok\"\n"));
+    let power = test_file("charger_power.toml", &format!("{charger}\"Dock\"\npower_w = 0.0\n"));
+    let none = test_file("no_charger.toml", "[charging]\nbelow = 0.2\n");
+    let order = test_file("charging_order.toml", &format!("[charging]\nbelow = 0.95\n{charger}\"Dock\"\n"));
+    let ran = run(&["check", &valid, &place, &power, &none, &order]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    for expected in [
+        format!("{valid}: ok, a fleet"),
+        format!("{place}: charging.charger: place: \"Dok\" is not on the fleet's map; "),
+        format!("{power}:3:"),
+        "0 is not a power: allowed is a finite number of watts above 0".to_owned(),
+        format!("{none}: charging: the fleet has no charger; "),
+        format!("{order}: charging.below is 0.95, allowed is less than charging.until, 0.9"),
+    ] {
+        assert!(ran.out.contains(&expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+}
+
+#[test]
 fn a_node_with_an_unknown_key_does_not_start() {
     let file = test_file("unknown_key.toml", "name = \"s\"\nstationery = true\n");
     let ran = run(&["station", "--config", &file]);
@@ -188,6 +210,7 @@ fn the_example_fleet_file_contains_every_key() {
         ("[limits]", part("limits")),
         ("[lease]", part("lease")),
         ("[auction]", part("auction")),
+        ("[charging]", part("charging")),
         ("[[ensemble]]", part("ensemble")),
     ] {
         let keys = allowed_keys("fleet", heading);

@@ -110,7 +110,7 @@ pub struct RobotModel {
     pub useful_charge: f64,
     /// True if it can move.
     pub can_move: bool,
-    /// `free`, `holding`, `suspended` or `out_of_service`.
+    /// `free`, `charging`, `holding`, `suspended` or `out_of_service`.
     pub availability: String,
     /// Reason for being out of service, or the orders of people to it.
     pub problem: Option<String>,

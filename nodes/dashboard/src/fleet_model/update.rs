@@ -5,7 +5,7 @@ use super::{FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, bounds};
 use crate::loaded_map::LoadedMap;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
 use consort_protocol::message::Beacon;
 use consort_protocol::mission::{TaskBody, TaskNode};
 use consort_protocol::pose::Pose;
@@ -191,6 +191,7 @@ impl FleetModel {
             Availability::Holding { mission, role, suspended: true } => ("suspended", Some((mission, role)), None),
             Availability::Holding { mission, role, suspended: false } => ("holding", Some((mission, role)), None),
             Availability::OutOfService { problem } => ("out_of_service", None, Some(problem)),
+            Availability::Free if matches!(robot.charging, Some(Charging::Connected(_))) => ("charging", None, None),
             Availability::Free => ("free", None, None),
         };
         word.clone_into(&mut shown.availability);

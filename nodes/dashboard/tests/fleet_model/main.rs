@@ -252,6 +252,25 @@ fn a_robot_at_work_shows_the_orders_of_people() {
     assert_eq!(show(&Value::Null), Value::Null);
 }
 
+#[test]
+fn a_free_robot_at_a_charger_is_shown_as_charging() {
+    let mut model = model();
+    let claim = json!({ "charger": "Dock", "battery": 0.2 });
+    let node = |name: &str, charging: Value| {
+        let mut robot = worker(json!("free"));
+        robot["charging"] = charging;
+        json!({ "node": name, "alive": true, "robot": robot })
+    };
+    let nodes = [
+        node("ada", json!({ "connected": claim })),
+        node("bob", json!({ "bound": claim })),
+        node("cyd", json!("waiting")),
+    ];
+    model.apply_view(&Key::ViewFleet, &fleet(json!(nodes)), NOW);
+    let shown = ["ada", "bob", "cyd"].map(|name| model.robots()[name].availability.as_str());
+    assert_eq!(shown, ["charging", "free", "free"]);
+}
+
 /// Returns the assignments of a role: the robot, start and end in milliseconds after the start, and
 /// the state.
 fn assignments(model: &FleetModel) -> Vec<(&str, u64, Option<u64>, &str)> {

@@ -322,9 +322,9 @@ fn explain_refusal(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, St
             (RobotOutcome::Silent, format!("{robot} was invited and did not reply within {window_ms} ms"))
         }
         RefusalReason::MissingSkills { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
-        RefusalReason::CarriesItem { .. } | RefusalReason::Excluded { .. } => {
-            (RobotOutcome::Refused, format!("{robot} {reason}"))
-        }
+        RefusalReason::CarriesItem { .. }
+        | RefusalReason::Excluded { .. }
+        | RefusalReason::ChargerOutOfReach { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
         RefusalReason::NotFeasible { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
         RefusalReason::Busy { .. } | RefusalReason::OutOfService { .. } | RefusalReason::NotEligible { .. } => {
             (RobotOutcome::Refused, format!("{robot} is {reason}"))

@@ -30,7 +30,7 @@ impl WorldSetup {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
-        let (doors, obstacles) = (Vec::new(), Vec::new());
+        let (chargers, doors, obstacles) = (BTreeMap::new(), Vec::new(), Vec::new());
         let (step_s, wind, program) = (default_step_s(), None, ProgramParts::default());
         let (actions, tasks, readings) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let setup = Self {
@@ -38,6 +38,7 @@ impl WorldSetup {
             robots,
             people,
             objects,
+            chargers,
             doors,
             obstacles,
             seed,
@@ -68,6 +69,7 @@ impl World {
         let systems: Vec<_> = setup.systems.iter().filter_map(|name| setup.program.system(name)).collect();
         let actions = systems_of_actions(&setup.actions, &systems);
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
+        state.chargers = setup.chargers.clone();
         state.own_chassis = setup.program.chassis();
         state.insert_resource(HandoverCount::default());
         let mut world = World::with(state, systems, actions);
@@ -112,6 +114,9 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
     check_systems(setup, &mut errors);
     errors.extend(action_errors(&setup.actions, setup.program));
     environment::check(&setup.map, &setup.doors, &setup.obstacles, &mut errors);
+    for charger in setup.chargers.keys() {
+        check_place(setup, "charger", charger, &mut errors);
+    }
     let mut seen = BTreeSet::new();
     for robot in &setup.robots {
         let subject = format!("robot {}", robot.id);

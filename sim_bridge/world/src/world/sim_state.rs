@@ -12,8 +12,9 @@ use super::system_access::{ComponentType, RunningSystem, SystemIndex, SystemTime
 use crate::kinematics::NamedChassis;
 use crate::map::Map;
 use crate::space::WallGrid;
-use consort_protocol::ids::RobotId;
+use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
+use consort_protocol::units::Watts;
 use consort_skills::actions::{ActionError, BackendEvent};
 use hecs::{Component, Entity, Fetch, Query, QueryMut, Ref, RefMut};
 use std::collections::{BTreeMap, VecDeque};
@@ -54,6 +55,8 @@ pub struct SimState {
     pub(crate) samples: BTreeMap<SampleId, Entity>,
     pub(crate) durations: Durations,
     pub(crate) limits: WorldLimits,
+    /// Chargers besides those of the map, with their powers.
+    pub(crate) chargers: BTreeMap<PlaceId, Option<Watts>>,
     /// Chassis of the program itself.
     pub(crate) own_chassis: &'static [NamedChassis],
     pub(crate) queue: EventQueue<ScheduledEvent>,
@@ -85,6 +88,7 @@ impl SimState {
             samples: BTreeMap::new(),
             durations,
             limits,
+            chargers: BTreeMap::new(),
             own_chassis: &[],
             queue: EventQueue::new(),
             commands: VecDeque::new(),

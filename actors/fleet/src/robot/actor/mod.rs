@@ -1,8 +1,9 @@
 //! The robot actor: mailbox, timers and bus around the values that make the decisions.
 //!
-//! `state` holds the values and performs single effects, `plan` and `role` perform the decisions
-//! about the plan and the role, and this file dispatches messages.
+//! `state` holds the values and performs single effects, `plan`, `role` and `charging` perform the
+//! decisions about the plan, the role and the charge, and this file dispatches messages.
 
+mod charging;
 mod message;
 mod plan;
 mod role;
@@ -11,6 +12,7 @@ mod state;
 pub(crate) use message::RobotMessage;
 
 use super::bidder::{BidContext, Bidder, PresentWork};
+use super::charging::{ChargeControl, ChargerReserve};
 use super::checkpoint::Checkpoint;
 use super::checkpoint_storage::CheckpointStorage;
 use super::driver_link::DriverLink;
@@ -25,7 +27,7 @@ use crate::robot::signals::ReceivedSignals;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Query, Sample};
-use consort_protocol::auction::CallForBids;
+use consort_protocol::auction::{BidLimits, CallForBids, RefusalReason, RoleReply, ViabilityError};
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
@@ -76,6 +78,7 @@ impl Actor for Robot {
             checkpoint: CheckpointStorage::new(restored, now),
             driver,
             signals: SignalExchange::new(bus.clone(), keys.clone()),
+            charging: settings.charging.clone().map(ChargeControl::new),
             decommission: DecommissionRequests::default(),
             orders: StandingOrders::default(),
             tasks,
@@ -164,6 +167,14 @@ async fn read_checkpoint(settings: &RobotSettings) -> Option<Checkpoint> {
     }
 }
 
+/// Checks whether only the charge keeps the robot from a role.
+fn lacks_charge(reply: &RoleReply, limits: &BidLimits) -> bool {
+    match reply {
+        RoleReply::Bid(bid) => matches!(bid.check_viable(limits), Err(ViabilityError::LowCharge { .. })),
+        RoleReply::Refusal(refusal) => matches!(refusal.reason, RefusalReason::ChargerOutOfReach { .. }),
+    }
+}
+
 impl RobotState {
     async fn tick(&mut self) -> Result<(), ActorProcessingErr> {
         let now = self.now();
@@ -179,6 +190,7 @@ impl RobotState {
             self.query_signals();
         }
         self.check_progress(now).await?;
+        self.charge(now).await?;
         self.advance().await
     }
 
@@ -212,7 +224,13 @@ impl RobotState {
         let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
         let (worker, readings) = (self.driver.worker(), self.driver.telemetry().map(|report| &report.readings));
         let context = BidContext { worker, closed_lanes, readings, age_ms, membership, present };
-        let response = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).respond(&call, &context);
+        let limits = pricing.limits;
+        let chargers = self.charging.as_ref().map(|own| ChargerReserve::new(own.usable().clone(), limits));
+        let bidder = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).with_chargers(chargers);
+        let response = bidder.respond(&call, &context);
+        if response.replies.iter().any(|reply| lacks_charge(reply, &limits)) {
+            self.charging.iter_mut().for_each(ChargeControl::note_lack);
+        }
         let key = links.keys.write(&Key::Bid(robot.clone()));
         reply::wire_in(&mut self.tasks, query, key, response);
     }

@@ -17,6 +17,8 @@ use consort_protocol::message::FailureKind;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
+use consort_skills::descriptor::EstimateContext;
+use consort_skills::library::ActiveSkill;
 use consort_skills::skill::SkillContext;
 use ractor::{ActorId, ActorProcessingErr};
 use std::io;
@@ -61,7 +63,6 @@ impl RobotState {
         let ((mission, role), epoch) = (active.mission_and_role(), active.award.epoch);
         let (first_goal, holders) = (active.first_goal(), active.sequencer.holder_robots());
         self.emit_event(EventKind::TaskBegan { mission, role, task: task.clone() });
-        let run = self.execution.next_run();
         let skill = match self.settings.execution.library.load(spec, &SkillContext { holders }) {
             Ok(skill) => skill,
             Err(problem) => {
@@ -73,7 +74,21 @@ impl RobotState {
         };
         self.driver.begin_attempt(first_goal);
         self.driver.question().begin_attempt(epoch, task);
-        let to = self.myself.clone();
+        let (skill, timer) = self.start_skill(spec, skill, &estimate_context).await?;
+        if let Some(active) = &mut self.execution.plan {
+            active.attempt = Some(TaskAttempt { step, skill, timer });
+        }
+        Ok(())
+    }
+
+    /// Starts a skill, and the timer of its task. The end of the skill is a message to this actor.
+    pub(super) async fn start_skill(
+        &mut self,
+        spec: &TaskSpec,
+        skill: ActiveSkill,
+        context: &EstimateContext,
+    ) -> Result<(RunningSkill, TaskTimer), ActorProcessingErr> {
+        let (run, to) = (self.execution.next_run(), self.myself.clone());
         let on_end = Box::new(move |outcome| {
             // A stopped robot needs no outcome.
             let _ = to.cast(RobotMessage::SkillEnded { run, outcome });
@@ -81,16 +96,13 @@ impl RobotState {
         let period = self.settings.execution.skill_tick_interval;
         let skill_run = SkillRun { run, skill, driver: self.driver.driver(), period, on_end };
         let skill = RunningSkill::start(skill_run, self.myself.get_cell()).await?;
-        let estimate = self.settings.pricing.estimator.estimate(spec, &estimate_context);
+        let estimate = self.settings.pricing.estimator.estimate(spec, context);
         let estimate = estimate.ok().map(|estimate| estimate.time);
-        let timer = TaskTimer::new(&self.settings.execution.task_timeout, spec, estimate);
-        if let Some(active) = &mut self.execution.plan {
-            active.attempt = Some(TaskAttempt { step, skill, timer });
-        }
-        Ok(())
+        Ok((skill, TaskTimer::new(&self.settings.execution.task_timeout, spec, estimate)))
     }
 
     pub(super) async fn skill_ended(&mut self, run: u64, outcome: SkillOutcome) -> Result<(), ActorProcessingErr> {
+        let Some(outcome) = self.end_charging_task(run, outcome) else { return Ok(()) };
         let Some(active) = self.execution.plan.as_mut() else { return Ok(()) };
         let Some(attempt) = active.take_attempt(run) else {
             return Ok(()); // the skill was halted meanwhile
@@ -110,6 +122,9 @@ impl RobotState {
 
     /// Handles the failure of an actor: if it executed the current skill, the attempt has failed.
     pub(super) async fn skill_crashed(&mut self, actor: ActorId, problem: String) -> Result<(), ActorProcessingErr> {
+        if self.crash_charging_task(actor, &problem) {
+            return Ok(());
+        }
         let attempt = self.execution.plan.as_mut().map(|active| &mut active.attempt);
         if attempt.and_then(|attempt| attempt.take_if(|attempt| attempt.skill.is_executed_by(actor))).is_none() {
             return Ok(());

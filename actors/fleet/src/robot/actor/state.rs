@@ -2,6 +2,7 @@
 //! and queries.
 
 use super::message::RobotMessage;
+use crate::robot::charging::ChargeControl;
 use crate::robot::checkpoint_storage::{CheckpointStorage, CheckpointWrite};
 use crate::robot::checkpoint_writer::PendingOutput;
 use crate::robot::driver_link::DriverLink;
@@ -19,7 +20,12 @@ use consort_protocol::keys::Key;
 use consort_protocol::message::{FailureKind, Report, TaskFailure};
 use consort_protocol::units::NodeTime;
 use ractor::{ActorRef, RpcReplyPort};
+use std::time::Duration;
 use tracing::debug;
+
+/// Time for which a free robot may act, in node time, counted from the latest check of its charge. Raised:
+/// the body of a robot whose node fails drives on for longer. It covers some intervals of the check.
+const CHARGING_PERMISSION: Duration = Duration::from_secs(2);
 
 /// Cause of a release because of a decommission.
 const DECOMMISSION_CAUSE: &str = "it leaves the fleet";
@@ -34,6 +40,7 @@ pub(crate) struct RobotState {
     pub(super) checkpoint: CheckpointStorage,
     pub(super) driver: DriverLink,
     pub(super) signals: SignalExchange,
+    pub(super) charging: Option<ChargeControl>,
     pub(super) decommission: DecommissionRequests,
     pub(super) orders: StandingOrders,
     pub(super) tasks: Tasks,
@@ -88,10 +95,14 @@ impl RobotState {
         self.settings.links.clock.now()
     }
 
-    /// Lets the driver act until the end of the lease, while the plan continues and the robot is not held.
+    /// Lets the driver act until the end of the lease, while the plan continues, and while the robot
+    /// charges without a role; not while the robot is held.
     pub(super) fn update_permission(&mut self) {
-        let may_act = self.execution.continuing_plan().is_some() && !self.orders.is_held(self.now());
-        self.driver.allow_until(self.lease.acts_until().filter(|_| may_act));
+        let now = self.now();
+        let until = self.lease.acts_until().filter(|_| self.execution.continuing_plan().is_some());
+        let charges = self.charging.as_ref().is_some_and(ChargeControl::is_acting);
+        let until = until.or_else(|| charges.then(|| now + CHARGING_PERMISSION));
+        self.driver.allow_until(until.filter(|_| !self.orders.is_held(now)));
     }
 
     /// Publishes an event of the robot.
@@ -119,7 +130,12 @@ impl RobotState {
         let leaving = self.decommission.is_leaving().then(|| DECOMMISSION_CAUSE.to_owned());
         let ordered = || self.orders.problem(now).map(str::to_owned);
         let problem = leaving.or_else(|| self.checkpoint.problem()).or_else(ordered);
-        let Some(worker) = self.driver.sense(self.lease.holding(), problem, now) else { return };
+        let holding = self.lease.holding();
+        if holding.is_some() || problem.is_some() {
+            self.stop_charging();
+        }
+        let charging = self.charging.as_ref().and_then(ChargeControl::published);
+        let Some(worker) = self.driver.sense(holding, problem, charging, now) else { return };
         let worker = self.settings.pricing.ensembles.published(worker);
         if self.settings.links.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {
             debug!(robot = %self.settings.robot, "gossip has stopped");

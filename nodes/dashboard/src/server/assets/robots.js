@@ -56,5 +56,5 @@ function activity(item) {
   if (item.availability === 'out_of_service' || item.canMove === false) return ['bad', 'out of service'];
   if (item.availability === 'suspended') return ['warn', `suspended: ${item.job}`];
   if (item.job) return ['work', item.job];
-  return ['wait', 'free'];
+  return ['wait', item.availability === 'charging' ? 'charging' : 'free'];
 }

@@ -9,7 +9,7 @@ pub enum SetupError {
     /// The setup names a place that is not on the map.
     #[error("{subject}: there is no place {place:?} on map {map}{hint}", place = place.as_str())]
     UnknownPlace {
-        /// `robot r1`, `person Nia`, `object tray`, `obstacle trolley`.
+        /// `robot r1`, `person Nia`, `object tray`, `obstacle trolley`, `charger`.
         subject: String,
         /// The place as given.
         place: PlaceId,

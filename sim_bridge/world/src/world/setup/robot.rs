@@ -3,7 +3,7 @@
 use crate::kinematics::Kinematics;
 use crate::space::Sensor;
 use consort_protocol::ids::{PlaceId, RobotId};
-use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WattHours};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +28,10 @@ pub struct RobotSetup {
     /// the published rig.
     #[serde(default = "default_idle_factor")]
     pub idle_factor: f64,
+    /// Capacity of the battery, in watt-hours: it charges with the power of the charger, if the fleet
+    /// file states one. Default: none, and it charges at `charging_share_per_s`.
+    #[serde(rename = "capacity_wh", default, skip_serializing_if = "Option::is_none")]
+    pub capacity: Option<WattHours>,
     /// Charge per second while docked at a charger; the discharge is subtracted from it. Default:
     /// 0.0005 /s, a guess: full in somewhat more than half an hour.
     #[serde(rename = "charging_share_per_s", default = "default_charging")]
@@ -102,6 +106,7 @@ impl RobotSetup {
             battery,
             discharge,
             idle_factor: default_idle_factor(),
+            capacity: None,
             charging: default_charging(),
             mobile: true,
             has_drawer: true,

@@ -6,7 +6,8 @@ use super::person::PersonSetup;
 use super::program_parts::ProgramParts;
 use super::robot::RobotSetup;
 use crate::map::Map;
-use consort_protocol::ids::{ActionName, TaskType};
+use consort_protocol::ids::{ActionName, PlaceId, TaskType};
+use consort_protocol::units::Watts;
 use consort_skills::domain_file::{ActionForm, DomainFile, ReadingForm};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,6 +24,9 @@ pub struct WorldSetup {
     pub people: Vec<PersonSetup>,
     /// Objects on tables at the start.
     pub objects: Vec<ObjectSetup>,
+    /// Places where robots charge, besides the chargers of the map, with their powers. A robot whose capacity or
+    /// whose charger's power is unknown charges at its own rate.
+    pub chargers: BTreeMap<PlaceId, Option<Watts>>,
     /// Doors with settings other than the defaults.
     pub doors: Vec<DoorSetup>,
     /// Obstacles, with their times.

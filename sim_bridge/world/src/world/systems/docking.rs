@@ -95,7 +95,7 @@ impl SimState {
                 return Err(action_error(ErrorCode::OutOfReach, message));
             }
         }
-        if place.kind != PlaceKind::Charger {
+        if place.kind != PlaceKind::Charger && !self.chargers.contains_key(&place.id) {
             return Err(action_error(ErrorCode::Charger, format!("{} is not a charger", place.id)));
         }
         Ok(())

@@ -1,7 +1,8 @@
 //! Charge as a function of time.
 //!
 //! While a robot has an active goal, its battery loses charge at the discharge rate, otherwise at
-//! that rate times the idle factor. Docked at a charger, it also gains charge at the charging rate.
+//! that rate times the idle factor. Docked at a charger, it also gains charge: the power of the
+//! charger over the capacity of the battery, or the charging rate of the robot if either is unknown.
 //! Between two such changes the charge is linear, so the instant at which it crosses the stopping
 //! share is known in advance and is scheduled.
 
@@ -10,6 +11,7 @@ use crate::world::components::SimRobot;
 use crate::world::event::WorldEvent;
 use crate::world::event_queue::TimerId;
 use crate::world::goal_history::GoalHistory;
+use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::setup::RobotSetup;
 use crate::world::sim_state::SimState;
@@ -18,7 +20,7 @@ use crate::world::system::System;
 use crate::world::system_access::{ComponentType, SystemTimer};
 use crate::world::systems::docking::Docked;
 use consort_protocol::ids::RobotId;
-use consort_protocol::units::BatteryShare;
+use consort_protocol::units::{BatteryShare, SharePerSecond};
 use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Goal};
 use hecs::Entity;
 
@@ -70,7 +72,7 @@ impl System for Power {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        component_types![SimRobot, Docked, GoalHistory]
+        component_types![SimRobot, Docked, GoalHistory, RobotLocation]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
@@ -138,11 +140,9 @@ impl World {
 impl SimState {
     /// Changes the discharge rate at the start or end of a goal.
     fn set_working(&mut self, robot: Entity, working: bool) {
-        let charging = self.find::<Docked>(robot).is_some_and(|docked| docked.0);
-        let rate = {
-            let body = &self.get::<SimRobot>(robot).0;
-            body.rate(working).get() - if charging { body.charging.get() } else { 0.0 }
-        };
+        let docked = self.find::<Docked>(robot).is_some_and(|docked| docked.0);
+        let gain = if docked { self.charging_rate(robot).get() } else { 0.0 };
+        let rate = self.get::<SimRobot>(robot).0.rate(working).get() - gain;
         let now = self.now;
         let (old, depletion_time) = {
             let mut battery = self.get_mut::<Battery>(robot);
@@ -155,6 +155,17 @@ impl SimState {
         }
         let timer = depletion_time.map(|time| self.schedule(time, robot, 0));
         self.get_mut::<Battery>(robot).depletion_timer = timer;
+    }
+
+    /// Returns the share per second that a docked robot gains.
+    fn charging_rate(&self, robot: Entity) -> SharePerSecond {
+        let place = self.require_place(robot).ok().map(|place| &self.map.place_at(place).id);
+        let power = place.and_then(|place| self.chargers.get(place).copied().flatten());
+        let body = &self.get::<SimRobot>(robot).0;
+        match (power, body.capacity) {
+            (Some(power), Some(capacity)) => power.fills(capacity),
+            _ => body.charging,
+        }
     }
 
     fn set_charge(&mut self, robot: Entity, charge: BatteryShare) {

@@ -2,7 +2,9 @@
 
 use super::*;
 use consort_protocol::pose::Pose;
+use consort_protocol::units::{WattHours, Watts};
 use consort_skills::actions::{Dock, FollowWaypoints, GoalProgress, NavigateToPose, Spin, Undock, Waypoint};
+use std::collections::BTreeMap;
 
 pub(super) fn yard() -> WorldSetup {
     let text = "{name: yard, places: [{name: Charger, kind: charger, x_m: 0, y_m: 0}, {name: Gate, kind: other, x_m: 10, y_m: 0}, \
@@ -39,6 +41,30 @@ fn a_docked_robot_charges_until_it_is_full() {
     world.advance(at(1_102.0));
     assert!((full - charge(&world) - 0.01).abs() < 1e-12, "idle again");
     assert_eq!(logged(&mut world, |what| matches!(what, WorldEvent::Docked { .. }).then_some(())).len(), 2);
+}
+
+#[test]
+fn a_docked_robot_charges_with_the_power_of_its_charger() {
+    // 360 W fill 100 Wh, which are 360 kJ, by 0.1 % a second. A robot with a goal loses as much, and an idle robot a tenth.
+    let capacity = Some(WattHours::new(100.0).unwrap());
+    for (place_name, capacity, gain) in [("Gate", capacity, 0.001), ("Gate", None, 0.004), ("Charger", capacity, 0.004)]
+    {
+        let robot = RobotSetup { capacity, ..half_full("r1", place_name) };
+        let chargers = BTreeMap::from([(place("Gate"), Watts::new(360.0).ok())]);
+        let mut world = World::new(WorldSetup { chargers, ..yard().robot(robot) }).unwrap();
+        run_to_success(&mut world, "r1", 1, dock());
+        let docked = charge(&world);
+        world.advance(at(world.now().as_secs() + 100.0));
+        let expected = 100.0 * (gain - 0.0001);
+        assert!((charge(&world) - docked - expected).abs() < 1e-9, "{place_name}, {capacity:?}: {}", charge(&world));
+    }
+}
+
+#[test]
+fn a_charger_is_at_a_place_of_the_map() {
+    let chargers = BTreeMap::from([(place("Gat"), None)]);
+    let error = World::new(WorldSetup { chargers, ..yard() }).err().unwrap().to_string();
+    assert!(error.contains("charger: there is no place \"Gat\" on map yard; did you mean \"Gate\"?"), "{error}");
 }
 
 #[test]

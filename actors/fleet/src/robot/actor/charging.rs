@@ -1,0 +1,144 @@
+//! The robot actor charges: it performs the decisions of [`ChargeControl`].
+
+use super::state::RobotState;
+use crate::robot::charging::{ChargeControl, ChargingTask, OtherRobot, Situation};
+use crate::robot::skill_runner::SkillOutcome;
+use consort_gossip::SharedKnowledge;
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::knowledge::Availability;
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::units::NodeTime;
+use consort_skills::skill::SkillContext;
+use ractor::{ActorId, ActorProcessingErr};
+use tracing::{debug, info, warn};
+
+impl RobotState {
+    /// Decides whether the free robot charges, and performs the next task of that.
+    pub(super) async fn charge(&mut self, now: NodeTime) -> Result<(), ActorProcessingErr> {
+        if self.charging.is_none() {
+            return Ok(());
+        }
+        if self.driver.worker().availability != Availability::Free || self.driver.telemetry().is_none() {
+            self.stop_charging();
+            return Ok(());
+        }
+        let context = self.driver.estimate_context();
+        let Some(control) = &mut self.charging else { return Ok(()) };
+        let (robot, estimator) = (&self.settings.robot, &self.settings.pricing.estimator);
+        let worker = self.driver.worker();
+        let (place, battery, lacked_charge) = (&worker.place, worker.battery, control.lacks_charge());
+        let alone = Situation { robot, place, battery, lacked_charge, others: &[], now };
+        let others = match control.depends_on_others(&alone) {
+            true => other_robots(&self.settings.links.knowledge, robot),
+            false => vec![],
+        };
+        let was_acting = control.is_acting();
+        let changed = control.decide(&Situation { others: &others, ..alone }, estimator, &context);
+        if changed {
+            debug!(%robot, charging = ?control.published(), battery = %battery.percent(), "charging changes");
+        }
+        let task = control.next_task(&others, estimator, &context, now);
+        if changed {
+            if was_acting {
+                self.driver.stop();
+            }
+            self.sense(now);
+        }
+        self.update_permission();
+        match task {
+            Some(task) => self.start_charging_task(&task, now).await,
+            None => {
+                self.check_charging_task(now);
+                Ok(())
+            }
+        }
+    }
+
+    async fn start_charging_task(&mut self, task: &TaskSpec, now: NodeTime) -> Result<(), ActorProcessingErr> {
+        let skill = match self.settings.execution.library.load(task, &SkillContext::default()) {
+            Ok(skill) => skill,
+            Err(problem) => {
+                self.fail_charging(&problem.to_string(), now);
+                return Ok(());
+            }
+        };
+        let context = self.driver.estimate_context();
+        self.driver.begin_attempt(self.driver.next_goal());
+        let (skill, timer) = self.start_skill(task, skill, &context).await?;
+        if let Some(control) = &mut self.charging {
+            control.set_running(ChargingTask { skill, timer });
+        }
+        Ok(())
+    }
+
+    fn check_charging_task(&mut self, now: NodeTime) {
+        let (world, silent_for) = (self.driver.world_time(), self.driver.silent_for());
+        let problem = self.charging.as_mut().and_then(|control| control.check_timer(world, silent_for));
+        if let Some(problem) = problem {
+            self.fail_charging(&problem, now);
+        }
+    }
+
+    /// Handles the end of a skill. Returns the outcome if the skill was not for charging.
+    pub(super) fn end_charging_task(&mut self, run: u64, outcome: SkillOutcome) -> Option<SkillOutcome> {
+        let ended = self.charging.as_mut().and_then(|control| control.take_task(run));
+        if ended.is_none() {
+            return Some(outcome);
+        }
+        let now = self.now();
+        match outcome {
+            SkillOutcome::Succeeded(_) => {
+                self.charging.iter_mut().for_each(ChargeControl::task_succeeded);
+                info!(robot = %self.settings.robot, "a task of charging has ended");
+                self.sense(now);
+                self.update_permission();
+            }
+            SkillOutcome::Failed { cause, .. } => self.fail_charging(&cause, now),
+        }
+        None
+    }
+
+    /// Handles the crash of a skill. Returns true if the skill was for charging.
+    pub(super) fn crash_charging_task(&mut self, actor: ActorId, problem: &str) -> bool {
+        let crashed = self.charging.as_mut().and_then(|control| control.take_task_of(actor)).is_some();
+        if crashed {
+            self.fail_charging(problem, self.now());
+        }
+        crashed
+    }
+
+    fn fail_charging(&mut self, problem: &str, now: NodeTime) {
+        warn!(robot = %self.settings.robot, problem, "cannot charge");
+        self.charging.iter_mut().for_each(|control| control.task_failed(now));
+        self.driver.stop();
+        self.update_permission();
+        self.sense(now);
+    }
+
+    /// Ends charging: the robot has a role, or is out of service.
+    pub(super) fn stop_charging(&mut self) {
+        if self.charging.as_mut().is_some_and(ChargeControl::stop) {
+            self.driver.stop();
+            self.update_permission();
+        }
+    }
+}
+
+/// Returns the other robots. A robot that is down stands where it was, and claims no charger.
+fn other_robots(knowledge: &SharedKnowledge, own: &RobotId) -> Vec<OtherRobot> {
+    let own = NodeId::from(own.clone());
+    let known: Vec<(NodeId, OtherRobot)> = knowledge.read(|base| {
+        let others = base.iter().filter(|(node, _)| **node != own);
+        let other = others.filter_map(|(node, known)| {
+            let robot = known.record.knowledge.robot.as_ref()?;
+            let (place, charging) = (robot.place.clone(), robot.charging.clone());
+            Some((node.clone(), OtherRobot { robot: RobotId::from(node.clone()), place, charging }))
+        });
+        other.collect()
+    });
+    let alive = |(node, other): (NodeId, OtherRobot)| {
+        let charging = other.charging.filter(|_| knowledge.is_alive(&node));
+        OtherRobot { charging, ..other }
+    };
+    known.into_iter().map(alive).collect()
+}

@@ -1,0 +1,202 @@
+//! Charging of a robot: its activity, and the tasks that it executes for that.
+
+use super::RobotCharging;
+use super::drives::{dock_at, drive_to, nearest, places};
+use super::policy::{Activity, OtherRobot, Situation};
+use crate::robot::skill_runner::RunningSkill;
+use crate::robot::task_timeout::TaskTimer;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::knowledge::Charging;
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::units::{NodeTime, WorldTime};
+use consort_skills::descriptor::{EstimateContext, Estimator};
+use ractor::ActorId;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// Node time for which a robot avoids a place where a task of charging has failed. A guess: most
+/// obstacles are gone by then.
+const AVOID_TIME: Duration = Duration::from_secs(60);
+
+/// State of a robot with respect to its charge.
+pub(crate) struct ChargeControl {
+    settings: RobotCharging,
+    activity: Activity,
+    trip: Option<Trip>,
+    /// The charge was too low for a role since the robot last had enough.
+    lacks_charge: bool,
+    /// Places where a task has failed, until these times.
+    avoided: BTreeMap<PlaceId, NodeTime>,
+}
+
+/// Tasks of an activity, in their order.
+struct Trip {
+    destination: PlaceId,
+    tasks: VecDeque<TaskSpec>,
+    running: Option<ChargingTask>,
+}
+
+/// A running task.
+pub(crate) struct ChargingTask {
+    pub(crate) skill: RunningSkill,
+    pub(crate) timer: TaskTimer,
+}
+
+impl ChargeControl {
+    pub(crate) fn new(settings: RobotCharging) -> ChargeControl {
+        ChargeControl { settings, activity: Activity::Idle, trip: None, lacks_charge: false, avoided: BTreeMap::new() }
+    }
+
+    /// Returns the chargers that the robot may use.
+    pub(crate) fn usable(&self) -> &BTreeSet<PlaceId> {
+        &self.settings.usable
+    }
+
+    /// Records that the charge is too low for a role: the robot charges until it has enough or gets another role.
+    pub(crate) fn note_lack(&mut self) {
+        self.lacks_charge = true;
+    }
+
+    /// Checks whether the charge was too low for a role since the robot last had enough.
+    pub(crate) fn lacks_charge(&self) -> bool {
+        self.lacks_charge
+    }
+
+    /// Returns what the robot publishes.
+    pub(crate) fn published(&self) -> Option<Charging> {
+        self.activity.published()
+    }
+
+    /// Checks whether the robot acts.
+    pub(crate) fn is_acting(&self) -> bool {
+        self.trip.is_some()
+    }
+
+    /// Checks whether the records of the other robots may change the activity.
+    pub(crate) fn depends_on_others(&self, situation: &Situation<'_>) -> bool {
+        let is_enough = self.settings.thresholds.is_enough(situation.battery, situation.lacked_charge);
+        let stays = self.activity == Activity::Idle && is_enough;
+        !stays || self.settings.all.contains(situation.place)
+    }
+
+    /// Decides about the activity. Returns true if it has changed: the tasks of the former activity have ended.
+    pub(crate) fn decide(
+        &mut self,
+        situation: &Situation<'_>,
+        estimator: &Estimator,
+        context: &EstimateContext,
+    ) -> bool {
+        let RobotCharging { thresholds, usable, all } = &self.settings;
+        self.lacks_charge &= situation.battery < thresholds.until;
+        self.avoided.retain(|_, until| situation.now < *until);
+        let nearest_first = || {
+            let chargers = usable.iter().filter(|charger| !self.avoided.contains_key(*charger));
+            nearest(estimator, context, chargers).into_iter().map(|drive| drive.to).collect::<Vec<_>>()
+        };
+        let next = thresholds.next(&self.activity, situation, all, nearest_first);
+        let changed = next != self.activity;
+        if changed {
+            self.end_trip();
+            self.activity = next;
+        }
+        changed
+    }
+
+    /// Returns the task to be started now, if any.
+    pub(crate) fn next_task(
+        &mut self,
+        others: &[OtherRobot],
+        estimator: &Estimator,
+        context: &EstimateContext,
+        now: NodeTime,
+    ) -> Option<TaskSpec> {
+        if self.trip.is_none() {
+            self.trip = self.new_trip(others, estimator, context, now);
+        }
+        let trip = self.trip.as_mut().filter(|trip| trip.running.is_none())?;
+        trip.tasks.pop_front()
+    }
+
+    fn new_trip(
+        &self,
+        others: &[OtherRobot],
+        estimator: &Estimator,
+        context: &EstimateContext,
+        now: NodeTime,
+    ) -> Option<Trip> {
+        match &self.activity {
+            Activity::Claimed(claim) if claim.is_settled(now) => {
+                let charger = claim.published.charger.clone();
+                let tasks = VecDeque::from([drive_to(&charger), dock_at(&charger)]);
+                Some(Trip { destination: charger, tasks, running: None })
+            }
+            Activity::Leaving => {
+                let is_free = |place: &&PlaceId| {
+                    let is_avoided = self.settings.all.contains(*place) || self.avoided.contains_key(*place);
+                    !is_avoided && others.iter().all(|other| other.place != **place)
+                };
+                let drives = nearest(estimator, context, places(estimator).filter(is_free));
+                let destination = drives.into_iter().next()?.to;
+                let tasks = VecDeque::from([drive_to(&destination)]);
+                Some(Trip { destination, tasks, running: None })
+            }
+            Activity::Idle | Activity::Waiting | Activity::Claimed(_) | Activity::Connected(_) => None,
+        }
+    }
+
+    /// Records that the task has started.
+    pub(crate) fn set_running(&mut self, task: ChargingTask) {
+        if let Some(trip) = &mut self.trip {
+            trip.running = Some(task);
+        }
+    }
+
+    /// Returns the reason to abort the running task, if any.
+    pub(crate) fn check_timer(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
+        self.trip.as_mut()?.running.as_mut()?.timer.check(world, silent_for)
+    }
+
+    /// Takes the running task if it has this number.
+    pub(crate) fn take_task(&mut self, run: u64) -> Option<ChargingTask> {
+        self.trip.as_mut()?.running.take_if(|task| task.skill.run() == run)
+    }
+
+    /// Takes the running task if this actor executes it.
+    pub(crate) fn take_task_of(&mut self, actor: ActorId) -> Option<ChargingTask> {
+        self.trip.as_mut()?.running.take_if(|task| task.skill.is_executed_by(actor))
+    }
+
+    /// Handles the success of a task.
+    pub(crate) fn task_succeeded(&mut self) {
+        if self.trip.as_ref().is_none_or(|trip| !trip.tasks.is_empty()) {
+            return;
+        }
+        self.trip = None;
+        self.activity = match std::mem::replace(&mut self.activity, Activity::Idle) {
+            Activity::Claimed(claim) | Activity::Connected(claim) => Activity::Connected(claim),
+            Activity::Idle | Activity::Waiting | Activity::Leaving => Activity::Idle,
+        };
+    }
+
+    /// Handles the failure of a task: the robot avoids its destination for a while.
+    pub(crate) fn task_failed(&mut self, now: NodeTime) {
+        if let Some(trip) = self.end_trip() {
+            self.avoided.insert(trip.destination, now + AVOID_TIME);
+        }
+        self.activity = Activity::Idle;
+    }
+
+    /// Ends the activity. Returns true if the robot was acting.
+    pub(crate) fn stop(&mut self) -> bool {
+        (self.activity, self.lacks_charge) = (Activity::Idle, false);
+        self.end_trip().is_some()
+    }
+
+    fn end_trip(&mut self) -> Option<Trip> {
+        let trip = self.trip.take()?;
+        if let Some(task) = &trip.running {
+            task.skill.halt();
+        }
+        Some(trip)
+    }
+}

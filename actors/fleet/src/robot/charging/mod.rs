@@ -1,0 +1,84 @@
+//! Charging: a free robot drives to a charger by itself, with or without a coordinator.
+//!
+//! ```text
+//!         less than `below`             drives once the claim is 2 s old, and docks
+//!  Idle ───┬───────────────▶ Claimed ─────────────────────────────────────────────▶ Connected
+//!          │                  ▲   │ another claim prevails                             │ `until` is reached
+//!          │ all are taken    │   ▼                                                    ▼
+//!          └───────────────▶ Waiting                       Idle, or Leaving if another robot waits
+//! ```
+//!
+//! An award ends each of these activities. A robot bids at any charge that suffices for the role and for the way to
+//! a charger afterwards ([`ChargerReserve`]).
+//!
+//! Robots exclude each other by *claims* in their knowledge records: a robot claims a charger that no
+//! other robot claims or occupies, publishes the claim, and drives once the claim is old enough to have
+//! reached the others. If two robots claim a charger at the same time, the claim with less charge
+//! prevails, then the first name. A partition can hide a claim; the robots then meet at the charger, and
+//! one of them gives way once they receive each other's records.
+//!
+//! The decisions are in `policy`, the estimates of drives in `drives`, and the state of the robot in
+//! `control`. The actor performs them.
+
+mod control;
+mod drives;
+mod policy;
+mod reserve;
+#[cfg(test)]
+mod tests;
+
+pub(super) use control::{ChargeControl, ChargingTask};
+pub use policy::ChargeThresholds;
+pub(super) use policy::{OtherRobot, Situation};
+pub use reserve::ChargerReserve;
+
+use consort_protocol::ensemble::Eligibility;
+use consort_protocol::ids::{PlaceId, RobotId};
+use consort_protocol::knowledge::RobotKnowledge;
+use std::collections::BTreeSet;
+
+/// Charging in a fleet.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChargingSettings {
+    /// Charges at which a robot begins and ends to charge.
+    pub thresholds: ChargeThresholds,
+    /// Chargers.
+    pub chargers: Vec<Charger>,
+}
+
+/// A charger.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Charger {
+    /// Its place.
+    pub place: PlaceId,
+    /// Condition on the robots that may use it, in CEL; `None` for all robots.
+    pub eligible: Option<String>,
+}
+
+/// Charging of a single robot.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct RobotCharging {
+    pub(super) thresholds: ChargeThresholds,
+    /// Chargers that the robot may use.
+    pub(super) usable: BTreeSet<PlaceId>,
+    /// All chargers of the fleet.
+    pub(super) all: BTreeSet<PlaceId>,
+}
+
+impl RobotCharging {
+    /// Returns the charging of a robot with this record. Returns `None` for a robot without battery, for
+    /// a robot that does not drive, and without a charger that it may use.
+    pub(crate) fn of(settings: &ChargingSettings, robot: &RobotId, worker: &RobotKnowledge) -> Option<RobotCharging> {
+        if worker.speed.is_none() || worker.discharge.get() == 0.0 {
+            return None;
+        }
+        let may_use = |charger: &&Charger| {
+            let condition = charger.eligible.as_ref();
+            condition.is_none_or(|text| Eligibility::check_text(text, robot, worker).is_ok())
+        };
+        let place = |charger: &Charger| charger.place.clone();
+        let usable: BTreeSet<PlaceId> = settings.chargers.iter().filter(may_use).map(place).collect();
+        let all = settings.chargers.iter().map(place).collect();
+        (!usable.is_empty()).then_some(RobotCharging { thresholds: settings.thresholds, usable, all })
+    }
+}

@@ -1,0 +1,209 @@
+//! Decisions of a free robot about its charge, as a function of its state and the records of others.
+
+use consort_protocol::ids::{PlaceId, RobotId};
+use consort_protocol::knowledge::{ChargerClaim, Charging};
+use consort_protocol::units::{BatteryShare, NodeTime};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// Age of a claim at which the robot acts on it, in node time. Raised: fewer drives to a charger that another robot
+/// has claimed at the same time; charging begins later. A guess: a record takes some milliseconds, and a
+/// lost record is repaired by anti-entropy within seconds.
+pub(super) const CLAIM_AGE: Duration = Duration::from_secs(2);
+
+/// Charges at which a robot begins and ends to charge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChargeThresholds {
+    /// A free robot with less goes to a charger.
+    pub below: BatteryShare,
+    /// A robot charges until it has this much.
+    pub until: BatteryShare,
+    /// A free robot with less uses a charger that no other robot needs; `None`: never.
+    pub opportunistic: Option<BatteryShare>,
+}
+
+/// Activity of a robot with respect to its charge.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Activity {
+    /// The robot does not charge.
+    Idle,
+    /// The robot needs charge, and every charger is taken.
+    Waiting,
+    /// The robot has claimed a charger, and drives there once the claim is old enough.
+    Claimed(Claim),
+    /// The robot is connected to a charger.
+    Connected(Claim),
+    /// The robot drives away from a charger for which another robot waits, until the drive has ended.
+    Leaving,
+}
+
+/// Claim of this robot.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Claim {
+    pub(super) published: ChargerClaim,
+    /// Time of the claim.
+    pub(super) since: NodeTime,
+    pub(super) purpose: Purpose,
+}
+
+/// Reason to charge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// The charge is low.
+    Need,
+    /// The robot has no other work, or not the charge for it. It gives way to robots with low charge.
+    TopUp,
+}
+
+/// Another robot, as known from its record.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct OtherRobot {
+    pub(crate) robot: RobotId,
+    /// Current or last place.
+    pub(crate) place: PlaceId,
+    /// Charging; `None` for a robot that is down.
+    pub(crate) charging: Option<Charging>,
+}
+
+/// State of the robot and of the others.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Situation<'a> {
+    pub(crate) robot: &'a RobotId,
+    /// Current or last place.
+    pub(crate) place: &'a PlaceId,
+    pub(crate) battery: BatteryShare,
+    /// The charge was too low for a role since the robot last had enough.
+    pub(crate) lacked_charge: bool,
+    pub(crate) others: &'a [OtherRobot],
+    pub(crate) now: NodeTime,
+}
+
+impl Activity {
+    /// Returns what the robot publishes.
+    pub(super) fn published(&self) -> Option<Charging> {
+        match self {
+            Activity::Idle | Activity::Leaving => None,
+            Activity::Waiting => Some(Charging::Waiting),
+            Activity::Claimed(claim) => Some(Charging::Bound(claim.published.clone())),
+            Activity::Connected(claim) => Some(Charging::Connected(claim.published.clone())),
+        }
+    }
+}
+
+impl Claim {
+    /// Checks whether the other robots have had time to receive the claim.
+    pub(super) fn is_settled(&self, now: NodeTime) -> bool {
+        now.since(self.since) >= CLAIM_AGE
+    }
+}
+
+impl ChargeThresholds {
+    /// Checks whether a robot has no reason to charge.
+    pub(super) fn is_enough(&self, battery: BatteryShare, lacked_charge: bool) -> bool {
+        let least = self.opportunistic.unwrap_or(self.below);
+        battery >= if lacked_charge { self.until } else { least }
+    }
+
+    /// Returns the next activity of a free robot. `all` are the chargers of the fleet, and `nearest_first`
+    /// returns those that the robot can use, in the order of preference.
+    pub(super) fn next(
+        &self,
+        activity: &Activity,
+        situation: &Situation<'_>,
+        all: &BTreeSet<PlaceId>,
+        nearest_first: impl FnOnce() -> Vec<PlaceId>,
+    ) -> Activity {
+        let goes_on = match activity {
+            Activity::Idle | Activity::Waiting => false,
+            Activity::Leaving => situation.battery >= self.below,
+            Activity::Claimed(claim) => {
+                situation.keeps(activity)
+                    && !situation.is_occupied(&claim.published.charger)
+                    && !situation.yields(claim)
+            }
+            Activity::Connected(claim) => {
+                let is_there = *situation.place == claim.published.charger;
+                is_there && situation.battery < self.until && situation.keeps(activity) && !situation.yields(claim)
+            }
+        };
+        if goes_on { activity.clone() } else { self.begin(situation, all, nearest_first) }
+    }
+
+    fn begin(
+        &self,
+        situation: &Situation<'_>,
+        all: &BTreeSet<PlaceId>,
+        nearest_first: impl FnOnce() -> Vec<PlaceId>,
+    ) -> Activity {
+        let Some(purpose) = self.purpose(situation) else {
+            let makes_room = situation.is_awaited() && all.contains(situation.place);
+            return if makes_room { Activity::Leaving } else { Activity::Idle };
+        };
+        match (nearest_first().into_iter().find(|charger| !situation.is_taken(charger)), purpose) {
+            (Some(charger), purpose) => {
+                let published = ChargerClaim { charger, battery: situation.battery };
+                Activity::Claimed(Claim { published, since: situation.now, purpose })
+            }
+            (None, Purpose::Need) => Activity::Waiting,
+            (None, Purpose::TopUp) => Activity::Idle,
+        }
+    }
+
+    fn purpose(&self, situation: &Situation<'_>) -> Option<Purpose> {
+        if situation.battery < self.below {
+            return Some(Purpose::Need);
+        }
+        let is_enough = self.is_enough(situation.battery, situation.lacked_charge);
+        (!is_enough && !situation.is_awaited()).then_some(Purpose::TopUp)
+    }
+}
+
+impl Situation<'_> {
+    /// Checks whether another robot waits for a charger.
+    fn is_awaited(&self) -> bool {
+        self.others.iter().any(|other| other.charging == Some(Charging::Waiting))
+    }
+
+    fn yields(&self, claim: &Claim) -> bool {
+        claim.purpose == Purpose::TopUp && self.is_awaited()
+    }
+
+    /// Checks whether another robot claims the charger, or stands there.
+    fn is_taken(&self, charger: &PlaceId) -> bool {
+        self.claims_to(charger).next().is_some() || self.others.iter().any(|other| other.place == *charger)
+    }
+
+    /// Checks whether another robot stands at the charger without a claim to it.
+    fn is_occupied(&self, charger: &PlaceId) -> bool {
+        self.others.iter().any(|other| other.place == *charger && other.claim_to(charger).is_none())
+    }
+
+    fn claims_to(&self, charger: &PlaceId) -> impl Iterator<Item = (&RobotId, &Charging)> {
+        self.others.iter().filter_map(|other| other.claim_to(charger).map(|charging| (&other.robot, charging)))
+    }
+
+    /// Checks whether the robot's claim prevails over the claims of all others.
+    fn keeps(&self, activity: &Activity) -> bool {
+        let Some(own) = activity.published() else { return false };
+        let Some(claim) = own.claim() else { return false };
+        self.claims_to(&claim.charger).all(|other| prevails((self.robot, &own), other))
+    }
+}
+
+impl OtherRobot {
+    fn claim_to(&self, charger: &PlaceId) -> Option<&Charging> {
+        self.charging.as_ref().filter(|charging| charging.claim().is_some_and(|claim| claim.charger == *charger))
+    }
+}
+
+/// Checks which of two claims to a charger prevails: that of a connected robot, then that with less charge, then
+/// that of the first robot by name. Of two different robots exactly one prevails.
+pub(super) fn prevails(one: (&RobotId, &Charging), other: (&RobotId, &Charging)) -> bool {
+    let order = |charging: &Charging| {
+        let battery = charging.claim().map_or(BatteryShare::FULL, |claim| claim.battery);
+        (!matches!(charging, Charging::Connected(_)), battery.get())
+    };
+    let ((one_apart, one_charge), (other_apart, other_charge)) = (order(one.1), order(other.1));
+    let by_charge = one_apart.cmp(&other_apart).then(one_charge.total_cmp(&other_charge));
+    by_charge.then_with(|| one.0.cmp(other.0)).is_lt()
+}

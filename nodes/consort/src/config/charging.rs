@@ -1,0 +1,189 @@
+//! Charging in the fleet file.
+
+use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
+use consort_protocol::ensemble::Eligibility;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::units::{BatteryShare, Watts};
+use consort_text::AllowedNames;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// `[charging]`: free robots charge by themselves, and bid only for roles after which they can reach a
+/// charger. Chargers are the places of kind `charger` on the fleet's map, and those listed here.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ChargingConfig {
+    /// Charge below which a free robot goes to a charger, as a share. Higher: robots drive to chargers more often, and
+    /// have more charge for long roles. Default 0.3.
+    pub below: BatteryShare,
+    /// Charge at which a robot has charged enough, as a share. Default 0.9.
+    pub until: BatteryShare,
+    /// Charge below which a free robot uses a charger that no other robot needs, as a share. Default: none, and robots
+    /// charge only below `below`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub opportunistic: Option<BatteryShare>,
+    /// Chargers at places that are not of kind `charger` on the map, and chargers with other settings than the
+    /// defaults.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub charger: Vec<ChargerConfig>,
+}
+
+/// `[[charging.charger]]`: a charger.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ChargerConfig {
+    /// Its place on the fleet's map.
+    pub place: PlaceId,
+    /// Its power, in watts: simulated robots with `capacity_wh` charge with it. Default: unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub power_w: Option<Watts>,
+    /// Condition on the robots that may use it, in CEL, as `robot.attributes.plug == "a"` or `robot.name in ["ada"]`,
+    /// evaluated when the robot's node starts. Default: all robots.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eligible: Option<String>,
+}
+
+impl Default for ChargingConfig {
+    fn default() -> Self {
+        let share = |share| BatteryShare::new(share).expect("a default from 0 to 1");
+        ChargingConfig { below: share(0.3), until: share(0.9), opportunistic: None, charger: vec![] }
+    }
+}
+
+impl ChargingConfig {
+    /// Returns the semantic problems, except for unknown places.
+    pub(super) fn validate(&self) -> Vec<String> {
+        let mut problems = vec![];
+        let ChargingConfig { below, until, .. } = self;
+        if below >= until {
+            problems.push(format!(
+                "charging.below is {}, allowed is less than charging.until, {}",
+                below.get(),
+                until.get()
+            ));
+        }
+        if let Some(top_up) = self.opportunistic.filter(|top_up| !(below..=until).contains(&top_up)) {
+            let (top_up, below, until) = (top_up.get(), below.get(), until.get());
+            problems.push(format!(
+                "charging.opportunistic is {top_up}, allowed is {below} (charging.below) to {until} (charging.until)"
+            ));
+        }
+        let mut seen = BTreeSet::new();
+        for charger in &self.charger {
+            let place = &charger.place;
+            if !seen.insert(place) {
+                problems.push(format!("charging.charger {place}: is declared twice"));
+            }
+            if let Some(Err(problem)) = charger.eligible.as_deref().map(Eligibility::compile) {
+                problems.push(format!("charging.charger {place}: eligible: {problem}"));
+            }
+        }
+        problems
+    }
+
+    /// Returns the chargers of the fleet: those of the file, and the other `chargers` of the map. `places` are all
+    /// places of the map.
+    ///
+    /// # Errors
+    /// Descriptions of unknown places, or of the lack of any charger.
+    pub(crate) fn chargers<'a>(
+        &self,
+        chargers: impl IntoIterator<Item = &'a PlaceId>,
+        places: &BTreeSet<&PlaceId>,
+    ) -> Result<Vec<ChargerConfig>, Vec<String>> {
+        let unknown = self.charger.iter().map(|charger| &charger.place).filter(|place| !places.contains(place));
+        let problems: Vec<String> = unknown
+            .map(|place| {
+                let allowed = AllowedNames::suggest_for(place.as_str(), places.iter().copied());
+                format!("charging.charger: place: {:?} is not on the fleet's map; {allowed}", place.as_str())
+            })
+            .collect();
+        if !problems.is_empty() {
+            return Err(problems);
+        }
+        let of_map = |place: &PlaceId| ChargerConfig { place: place.clone(), power_w: None, eligible: None };
+        let mut all: BTreeMap<PlaceId, ChargerConfig> =
+            chargers.into_iter().map(|place| (place.clone(), of_map(place))).collect();
+        all.extend(self.charger.iter().map(|charger| (charger.place.clone(), charger.clone())));
+        if all.is_empty() {
+            let problem = "charging: the fleet has no charger; declare [[charging.charger]] with a place, or places of kind \
+                           charger on the map";
+            return Err(vec![problem.to_owned()]);
+        }
+        Ok(all.into_values().collect())
+    }
+
+    /// Returns the settings of nodes, with these chargers.
+    pub(crate) fn settings(&self, chargers: Vec<ChargerConfig>) -> ChargingSettings {
+        let ChargingConfig { below, until, opportunistic, .. } = *self;
+        let charger = |charger: ChargerConfig| Charger { place: charger.place, eligible: charger.eligible };
+        ChargingSettings {
+            thresholds: ChargeThresholds { below, until, opportunistic },
+            chargers: chargers.into_iter().map(charger).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config(text: &str) -> ChargingConfig {
+        toml::from_str(text).unwrap()
+    }
+
+    fn places(names: &[&str]) -> BTreeSet<PlaceId> {
+        names.iter().map(|name| name.parse().unwrap()).collect()
+    }
+
+    #[test]
+    fn thresholds_and_chargers_are_checked() {
+        let charger = "[[charger]]\nplace = \"Dock\"\neligible = ";
+        for (text, problems) in [
+            ("".to_owned(), vec![]),
+            ("below = 0.9".to_owned(), vec!["charging.below is 0.9, allowed is less than charging.until, 0.9"]),
+            (
+                "opportunistic = 0.2".to_owned(),
+                vec!["charging.opportunistic is 0.2, allowed is 0.3 (charging.below) to 0.9 (charging.until)"],
+            ),
+            ("opportunistic = 0.9".to_owned(), vec![]),
+            (
+                format!("{charger}'robot.name in [\"ada\"]'\n[[charger]]\nplace = \"Dock\""),
+                vec!["charging.charger Dock: is declared twice"],
+            ),
+        ] {
+            assert_eq!(config(&text).validate(), problems, "{text}");
+        }
+        let wrong = config(&format!("{charger}'robot.plug == 1'")).validate();
+        assert!(wrong[0].starts_with("charging.charger Dock: eligible: "), "{wrong:?}");
+    }
+
+    #[test]
+    fn chargers_of_the_file_replace_those_of_the_map() {
+        let known = places(&["Dock", "Hall", "Station"]);
+        let known = known.iter().collect();
+        let of_map = places(&["Station"]);
+        let file =
+            config("[[charger]]\nplace = \"Dock\"\npower_w = 600.0\n[[charger]]\nplace = \"Station\"\npower_w = 300.0");
+        let powers = |config: &ChargingConfig| {
+            let chargers = config.chargers(&of_map, &known).unwrap().into_iter();
+            chargers.map(|charger| (charger.place.to_string(), charger.power_w.map(Watts::get))).collect::<Vec<_>>()
+        };
+        assert_eq!(powers(&file), [("Dock".to_owned(), Some(600.0)), ("Station".to_owned(), Some(300.0))]);
+        assert_eq!(powers(&config("")), [("Station".to_owned(), None)]);
+    }
+
+    #[test]
+    fn a_charger_needs_a_place_of_the_map() {
+        let known = places(&["Dock", "Hall"]);
+        let known = known.iter().collect();
+        let problems = config("[[charger]]\nplace = \"Dok\"").chargers(&BTreeSet::new(), &known).unwrap_err();
+        assert!(
+            problems[0].starts_with("charging.charger: place: \"Dok\" is not on the fleet's map; "),
+            "{problems:?}"
+        );
+        let problems = config("").chargers(&BTreeSet::new(), &known).unwrap_err();
+        assert!(problems[0].starts_with("charging: the fleet has no charger; "), "{problems:?}");
+    }
+}

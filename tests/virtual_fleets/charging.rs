@@ -1,0 +1,209 @@
+//! Robots that charge by themselves.
+
+use consort_fleet::node::NodeSettings;
+use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
+use consort_protocol::auction::{BidVerdict, RefusalReason};
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::MissionId;
+use consort_protocol::keys::ApiCall;
+use consort_protocol::knowledge::Charging;
+use consort_protocol::units::{BatteryShare, WattHours, Watts};
+use consort_skills::actions::RobotBackend as _;
+use consort_tests::{ChargingSetup, Fleet, RobotSpec, for_each_seed, slug};
+use consort_world::world::WorldEvent as InWorld;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+const SEEDS: [u64; 2] = [941, 942];
+
+/// Time for a drive across the hospital (63 m), for waiting, and for charging: at most 15 minutes of world time, which
+/// is ten times as fast.
+const SOON: Duration = Duration::from_secs(90);
+
+/// The only charger.
+const CHARGER: &str = "Dock";
+
+const BELOW: f64 = 0.4;
+const UNTIL: f64 = 0.9;
+
+/// Power of the charger and capacity of the batteries: a battery gains 0.4 % a second.
+const POWER_W: f64 = 1440.0;
+const CAPACITY_WH: f64 = 100.0;
+
+/// Discharge of the robots per second of work: a drive from one of these rooms to the other (59 m) takes 98 s and
+/// 9.8 % of a battery; the drive to the charger takes 6 % from the first (36 m) and 5.3 % from the second (32 m).
+const DISCHARGE: f64 = 0.001;
+const ROOMS: [&str; 2] = ["PC Room 8", "IC Room 6"];
+const DRIVE_M: f64 = 59.0;
+const SPEED_MPS: f64 = 0.6;
+/// Charge below which the robots are not useful, which is the reserve at the charger.
+const USEFUL: f64 = 0.08;
+
+fn share(share: f64) -> BatteryShare {
+    BatteryShare::new(share).expect("a share")
+}
+
+fn setup(below: f64) -> ChargingSetup {
+    let thresholds = ChargeThresholds { below: share(below), until: share(UNTIL), opportunistic: None };
+    let chargers = vec![Charger { place: slug(CHARGER), eligible: None }];
+    ChargingSetup {
+        settings: ChargingSettings { thresholds, chargers },
+        power: Watts::new(POWER_W).expect("a power"),
+        capacity: WattHours::new(CAPACITY_WH).expect("a capacity"),
+    }
+}
+
+fn carrier(name: &str, place: &str, battery: f64) -> RobotSpec {
+    RobotSpec { discharge: DISCHARGE, ..RobotSpec::carrier(name, place).with_speed(SPEED_MPS).with_charge(battery) }
+}
+
+async fn fleet(seed: u64, robots: Vec<RobotSpec>, below: f64) -> Fleet {
+    let stations = ["aster", "basil", "clove"];
+    let mut fleet = Fleet::hospital_with_chargers(seed, robots, &stations, setup(below), Box::new(|_| ())).await;
+    fleet.wait_for_coordinator().await;
+    fleet
+}
+
+/// Submits a mission that visits rooms in their order.
+async fn submit(fleet: &Fleet, rooms: &[&str]) -> MissionId {
+    let visit = |(number, room): (usize, &&str)| {
+        json!({ "task": format!("visit_{number}"), "type": "navigation", "roles": ["r1"], "parameters": { "to": room },
+            "reaches": { "location": room } })
+    };
+    let visits: Vec<Value> = rooms.iter().enumerate().map(visit).collect();
+    let root = json!({ "task": "round", "method": "sequential", "tasks": visits });
+    let mission = json!({ "mission": "round", "roles": { "r1": { "kind": "managed" } }, "root": root });
+    let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
+    slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
+}
+
+fn battery(fleet: &Fleet, robot: &str) -> f64 {
+    fleet.world.telemetry(&slug(robot)).expect("a robot of this world").battery.get()
+}
+
+/// Returns what a station knows about the charging of a robot.
+fn charging(fleet: &Fleet, robot: &str) -> Option<Charging> {
+    fleet.knowledge_of("aster", &slug(robot))?.charging
+}
+
+fn is_connected(fleet: &Fleet, robot: &str) -> bool {
+    matches!(charging(fleet, robot), Some(Charging::Connected(claim)) if claim.charger.as_str() == CHARGER)
+}
+
+/// Returns the robots in the order in which they connected to the charger.
+///
+/// # Panics
+/// If two robots were connected at the same time.
+fn connections(fleet: &Fleet) -> Vec<String> {
+    let (mut connected, mut order) = (BTreeSet::new(), vec![]);
+    for entry in fleet.journal() {
+        if let InWorld::Docked { robot, docked } = &entry.event {
+            match docked {
+                true => connected.insert(robot.to_string()),
+                false => connected.remove(robot.as_str()),
+            };
+            if *docked {
+                order.push(robot.to_string());
+            }
+            assert!(connected.len() <= 1, "seed {}: {connected:?} are connected to one charger", fleet.seed);
+        }
+    }
+    order
+}
+
+#[test]
+fn a_fleet_serves_missions_that_need_more_than_its_batteries() {
+    const MISSIONS: usize = 12;
+    const CHARGE: f64 = 0.5;
+    // Each mission contains at least the drive from one room to the other.
+    let needed = MISSIONS as f64 * DRIVE_M / SPEED_MPS * DISCHARGE;
+    assert!(needed > 2.0 * (CHARGE - USEFUL), "without charging the robots could do them");
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![carrier("fern", ROOMS[1], CHARGE), carrier("gorse", ROOMS[1], CHARGE)];
+        let mut fleet = fleet(seed, robots, BELOW).await;
+        for _ in 0..MISSIONS {
+            let mission = submit(&fleet, &ROOMS).await;
+            fleet.assert_completes(&mission).await;
+        }
+        assert!(!connections(&fleet).is_empty(), "seed {seed}\n{}", fleet.event_log_text());
+    });
+}
+
+#[test]
+fn a_robot_charges_without_a_coordinator() {
+    for_each_seed(SEEDS, async |seed| {
+        // No ledger is created, since fewer nodes than expected meet.
+        let adjust = Box::new(|node: &mut NodeSettings| node.fleet.bootstrap_expect = 100);
+        let robots = vec![carrier("fern", ROOMS[1], BELOW - 0.05)];
+        let mut fleet = Fleet::hospital_with_chargers(seed, robots, &["aster"], setup(BELOW), adjust).await;
+        fleet.wait_until("a connection", SOON, |fleet| is_connected(fleet, "fern")).await;
+        fleet.wait_until("a charged battery", SOON, |fleet| battery(fleet, "fern") >= UNTIL).await;
+        assert_eq!(connections(&fleet), ["fern"], "seed {seed}");
+        assert_eq!(fleet.coordinating(), None, "seed {seed}");
+    });
+}
+
+#[test]
+fn two_robots_use_a_single_charger_in_turn() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![carrier("fern", "IC Room 1", BELOW - 0.05), carrier("gorse", "IC Room 4", BELOW - 0.1)];
+        let mut fleet = fleet(seed, robots, BELOW).await;
+        let one_waits = |fleet: &Fleet| {
+            let waits = |robot| charging(fleet, robot) == Some(Charging::Waiting);
+            waits("fern") || waits("gorse")
+        };
+        fleet.wait_until("a robot that waits", SOON, one_waits).await;
+        for robot in ["fern", "gorse"] {
+            fleet
+                .wait_until(&format!("{robot} to be charged"), SOON * 2, |fleet| {
+                    connections(fleet).iter().any(|connected| connected == robot) && battery(fleet, robot) >= BELOW
+                })
+                .await;
+        }
+        fleet.wait_until("no robot that needs charge", SOON, |fleet| !one_waits(fleet)).await;
+        assert_eq!(connections(&fleet).len(), 2, "seed {seed}: {:?}", connections(&fleet));
+    });
+}
+
+#[test]
+fn an_award_ends_charging() {
+    for_each_seed(SEEDS, async |seed| {
+        // A drive from the charger to the room (36 m) and back needs 12 %, and the reserve is 8 %.
+        let mut fleet = fleet(seed, vec![carrier("fern", CHARGER, BELOW - 0.01)], BELOW).await;
+        fleet.wait_until("a connection", SOON, |fleet| is_connected(fleet, "fern")).await;
+        let mission = submit(&fleet, &ROOMS[..1]).await;
+        fleet.assert_completes(&mission).await;
+        let drives_off = |event: &InWorld| matches!(event, InWorld::Docked { docked: false, .. });
+        assert!(fleet.journal().iter().any(|entry| drives_off(&entry.event)), "seed {seed}: it was connected");
+        assert!(battery(&fleet, "fern") < UNTIL, "seed {seed}: it had not charged until the end");
+    });
+}
+
+#[test]
+fn a_bid_needs_the_way_to_a_charger() {
+    for_each_seed(SEEDS, async |seed| {
+        // The drive leaves 12 %, of which 6 % are left at the charger.
+        let battery = DRIVE_M / SPEED_MPS * DISCHARGE + 0.12;
+        let mut fleet = fleet(seed, vec![carrier("fern", ROOMS[1], battery)], 0.2).await;
+        let mission = submit(&fleet, &ROOMS[..1]).await;
+        let verdict = |fleet: &Fleet| {
+            fleet.events().into_iter().find_map(|event| match event {
+                EventKind::Closed { record, .. } if record.auction.mission == mission => {
+                    record.entries.into_iter().find(|entry| entry.robot.as_str() == "fern").map(|entry| entry.verdict)
+                }
+                _ => None,
+            })
+        };
+        fleet.wait_until("an auction", SOON, |fleet| verdict(fleet).is_some()).await;
+        let verdict = verdict(&fleet).expect("checked before");
+        let BidVerdict::Refused { reason: RefusalReason::ChargerOutOfReach { charger, problem } } = verdict else {
+            panic!("seed {seed}: {verdict:?}")
+        };
+        assert_eq!(charger, Some(slug(CHARGER)), "seed {seed}");
+        assert!(problem.ends_with("charge left at Dock is not above the reserve of 8.0 %"), "seed {seed}: {problem}");
+        // The robot charges until it has enough.
+        fleet.assert_completes(&mission).await;
+        assert_eq!(connections(&fleet), ["fern"], "seed {seed}");
+    });
+}
