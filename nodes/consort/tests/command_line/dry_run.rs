@@ -159,6 +159,29 @@ fn members_of_the_first_ensemble_come_before_faster_robots() {
     assert!(ran.out.contains("r1 = cyd"), "without a fleet file each worker is a member\n{}", ran.out);
 }
 
+#[test]
+fn a_worker_that_could_not_reach_a_charger_afterwards_refuses() {
+    let worker = |name: &str, battery: f64| {
+        format!(
+            "[[worker]]\nname = {name:?}\nplace = \"Laboratory\"\nskills = [\"navigation\"]\nspeed_mps = 0.5\n\
+            discharge_share_per_s = 0.001\nbattery = {battery}\n"
+        )
+    };
+    let workers = test_file("charger_workers.toml", &(worker("ada", 0.2) + &worker("bob", 0.9)));
+    let mission = "mission: m\nroles: { r1: { kind: managed } }\n\
+        root: { task: go, type: navigation, roles: [r1], parameters: { to: IC Room 6 } }\n";
+    let mission = test_file("charger_mission.yaml", mission);
+    let fleet = test_file("charger_fleet.toml", "[[charging.charger]]\nplace = \"Dock\"\n");
+    let ran = run(&["dry-run", &mission, "--workers", &workers, "--fleet", &fleet]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    // The 39 m to the room take 7.8 %, and the 32 m to the charger 6.4 %.
+    let why =
+        "refuses: could not reach a charger afterwards: 5.8 % charge left at Dock is not above the reserve of 8.0 %";
+    assert!(ran.out.contains(why) && ran.out.contains("r1 = bob"), "{}", ran.out);
+    let ran = run(&["dry-run", &mission, "--workers", &workers]);
+    assert!(!ran.out.contains("refuses"), "without chargers a robot bids\n{}", ran.out);
+}
+
 /// Writes a domain whose task `enter` asks a nurse twice, workers, and a mission: a clerk
 /// acknowledges an alert, which is escalated to `other`, and a robot enters, whose first question
 /// is escalated to `head`.

@@ -19,7 +19,7 @@ use std::time::Duration;
 const AVOID_TIME: Duration = Duration::from_secs(60);
 
 /// State of a robot with respect to its charge.
-pub(crate) struct ChargeControl {
+pub(in crate::robot) struct ChargeControl {
     settings: RobotCharging,
     activity: Activity,
     trip: Option<Trip>,
@@ -37,50 +37,50 @@ struct Trip {
 }
 
 /// A running task.
-pub(crate) struct ChargingTask {
-    pub(crate) skill: RunningSkill,
-    pub(crate) timer: TaskTimer,
+pub(in crate::robot) struct ChargingTask {
+    pub(in crate::robot) skill: RunningSkill,
+    pub(in crate::robot) timer: TaskTimer,
 }
 
 impl ChargeControl {
-    pub(crate) fn new(settings: RobotCharging) -> ChargeControl {
+    pub(in crate::robot) fn new(settings: RobotCharging) -> ChargeControl {
         ChargeControl { settings, activity: Activity::Idle, trip: None, lacks_charge: false, avoided: BTreeMap::new() }
     }
 
     /// Returns the chargers that the robot may use.
-    pub(crate) fn usable(&self) -> &BTreeSet<PlaceId> {
+    pub(in crate::robot) fn usable(&self) -> &BTreeSet<PlaceId> {
         &self.settings.usable
     }
 
     /// Records that the charge is too low for a role: the robot charges until it has enough or gets another role.
-    pub(crate) fn note_lack(&mut self) {
+    pub(in crate::robot) fn note_lack(&mut self) {
         self.lacks_charge = true;
     }
 
     /// Checks whether the charge was too low for a role since the robot last had enough.
-    pub(crate) fn lacks_charge(&self) -> bool {
+    pub(in crate::robot) fn lacks_charge(&self) -> bool {
         self.lacks_charge
     }
 
     /// Returns what the robot publishes.
-    pub(crate) fn published(&self) -> Option<Charging> {
+    pub(in crate::robot) fn published(&self) -> Option<Charging> {
         self.activity.published()
     }
 
     /// Checks whether the robot acts.
-    pub(crate) fn is_acting(&self) -> bool {
+    pub(in crate::robot) fn is_acting(&self) -> bool {
         self.trip.is_some()
     }
 
     /// Checks whether the records of the other robots may change the activity.
-    pub(crate) fn depends_on_others(&self, situation: &Situation<'_>) -> bool {
+    pub(in crate::robot) fn depends_on_others(&self, situation: &Situation<'_>) -> bool {
         let is_enough = self.settings.thresholds.is_enough(situation.battery, situation.lacked_charge);
         let stays = self.activity == Activity::Idle && is_enough;
         !stays || self.settings.all.contains(situation.place)
     }
 
     /// Decides about the activity. Returns true if it has changed: the tasks of the former activity have ended.
-    pub(crate) fn decide(
+    pub(in crate::robot) fn decide(
         &mut self,
         situation: &Situation<'_>,
         estimator: &Estimator,
@@ -103,7 +103,7 @@ impl ChargeControl {
     }
 
     /// Returns the task to be started now, if any.
-    pub(crate) fn next_task(
+    pub(in crate::robot) fn next_task(
         &mut self,
         others: &[OtherRobot],
         estimator: &Estimator,
@@ -145,29 +145,29 @@ impl ChargeControl {
     }
 
     /// Records that the task has started.
-    pub(crate) fn set_running(&mut self, task: ChargingTask) {
+    pub(in crate::robot) fn set_running(&mut self, task: ChargingTask) {
         if let Some(trip) = &mut self.trip {
             trip.running = Some(task);
         }
     }
 
     /// Returns the reason to abort the running task, if any.
-    pub(crate) fn check_timer(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
+    pub(in crate::robot) fn check_timer(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
         self.trip.as_mut()?.running.as_mut()?.timer.check(world, silent_for)
     }
 
     /// Takes the running task if it has this number.
-    pub(crate) fn take_task(&mut self, run: u64) -> Option<ChargingTask> {
+    pub(in crate::robot) fn take_task(&mut self, run: u64) -> Option<ChargingTask> {
         self.trip.as_mut()?.running.take_if(|task| task.skill.run() == run)
     }
 
     /// Takes the running task if this actor executes it.
-    pub(crate) fn take_task_of(&mut self, actor: ActorId) -> Option<ChargingTask> {
+    pub(in crate::robot) fn take_task_of(&mut self, actor: ActorId) -> Option<ChargingTask> {
         self.trip.as_mut()?.running.take_if(|task| task.skill.is_executed_by(actor))
     }
 
     /// Handles the success of a task.
-    pub(crate) fn task_succeeded(&mut self) {
+    pub(in crate::robot) fn task_succeeded(&mut self) {
         if self.trip.as_ref().is_none_or(|trip| !trip.tasks.is_empty()) {
             return;
         }
@@ -179,7 +179,7 @@ impl ChargeControl {
     }
 
     /// Handles the failure of a task: the robot avoids its destination for a while.
-    pub(crate) fn task_failed(&mut self, now: NodeTime) {
+    pub(in crate::robot) fn task_failed(&mut self, now: NodeTime) {
         if let Some(trip) = self.end_trip() {
             self.avoided.insert(trip.destination, now + AVOID_TIME);
         }
@@ -187,7 +187,7 @@ impl ChargeControl {
     }
 
     /// Ends the activity. Returns true if the robot was acting.
-    pub(crate) fn stop(&mut self) -> bool {
+    pub(in crate::robot) fn stop(&mut self) -> bool {
         (self.activity, self.lacks_charge) = (Activity::Idle, false);
         self.end_trip().is_some()
     }

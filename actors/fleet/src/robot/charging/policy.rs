@@ -57,25 +57,25 @@ pub(super) enum Purpose {
 
 /// Another robot, as known from its record.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct OtherRobot {
-    pub(crate) robot: RobotId,
+pub(in crate::robot) struct OtherRobot {
+    pub(in crate::robot) robot: RobotId,
     /// Current or last place.
-    pub(crate) place: PlaceId,
+    pub(in crate::robot) place: PlaceId,
     /// Charging; `None` for a robot that is down.
-    pub(crate) charging: Option<Charging>,
+    pub(in crate::robot) charging: Option<Charging>,
 }
 
 /// State of the robot and of the others.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Situation<'a> {
-    pub(crate) robot: &'a RobotId,
+pub(in crate::robot) struct Situation<'a> {
+    pub(in crate::robot) robot: &'a RobotId,
     /// Current or last place.
-    pub(crate) place: &'a PlaceId,
-    pub(crate) battery: BatteryShare,
+    pub(in crate::robot) place: &'a PlaceId,
+    pub(in crate::robot) battery: BatteryShare,
     /// The charge was too low for a role since the robot last had enough.
-    pub(crate) lacked_charge: bool,
-    pub(crate) others: &'a [OtherRobot],
-    pub(crate) now: NodeTime,
+    pub(in crate::robot) lacked_charge: bool,
+    pub(in crate::robot) others: &'a [OtherRobot],
+    pub(in crate::robot) now: NodeTime,
 }
 
 impl Activity {
@@ -179,7 +179,7 @@ impl Situation<'_> {
     }
 
     fn claims_to(&self, charger: &PlaceId) -> impl Iterator<Item = (&RobotId, &Charging)> {
-        self.others.iter().filter_map(|other| other.claim_to(charger).map(|charging| (&other.robot, charging)))
+        self.others.iter().filter_map(move |other| other.claim_to(charger).map(|charging| (&other.robot, charging)))
     }
 
     /// Checks whether the robot's claim prevails over the claims of all others.
