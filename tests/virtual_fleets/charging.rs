@@ -17,7 +17,7 @@ use std::time::Duration;
 
 const SEEDS: [u64; 2] = [941, 942];
 
-/// Time for a drive across the hospital (63 m), for waiting, and for charging: at most 15 minutes of world time, which
+/// Time for a drive across the hospital (59 m), for waiting, and for charging: at most 15 minutes of world time, which
 /// is ten times as fast.
 const SOON: Duration = Duration::from_secs(90);
 

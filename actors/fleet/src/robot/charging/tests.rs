@@ -184,7 +184,7 @@ impl Simulated {
                 (self.place, self.activity, self.has_charged) = (charger, Activity::Connected(claim), true);
             }
             (None, Activity::Leaving) => {
-                (self.place, self.activity) = (place(&format!("Park {number}")), Activity::Idle)
+                (self.place, self.activity) = (place(&format!("Park {number}")), Activity::Idle);
             }
             _ => {}
         }
