@@ -78,6 +78,13 @@ pub struct RobotKnowledge {
     pub charging: Option<Charging>,
 }
 
+impl RobotKnowledge {
+    /// Checks whether the robot is free and connected to a charger.
+    pub fn is_charging(&self) -> bool {
+        self.availability == Availability::Free && matches!(self.charging, Some(Charging::Connected(_)))
+    }
+}
+
 /// Charging of a free robot. The other robots leave a claimed charger to it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

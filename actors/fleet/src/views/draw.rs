@@ -270,6 +270,7 @@ impl ViewContext<'_> {
         if let (false, Some(worker)) = (alive, &mut robot) {
             worker.availability =
                 availability_when_down(&worker.availability, by_ledger.as_ref().and_then(Option::as_ref));
+            worker.charging = None;
         }
         // Without the ledger, use the robot's own record.
         let holds = by_ledger.unwrap_or_else(|| match robot.as_ref().map(|worker| &worker.availability) {

@@ -151,6 +151,7 @@ impl MetricSources {
 
 fn state(worker: &RobotKnowledge) -> &'static str {
     match &worker.availability {
+        Availability::Free if worker.is_charging() => "charging",
         Availability::Free => "free",
         Availability::Holding { suspended: false, .. } => "holding",
         Availability::Holding { suspended: true, .. } => "suspended",

@@ -5,7 +5,7 @@ use super::{FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, bounds};
 use crate::loaded_map::LoadedMap;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
-use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::message::Beacon;
 use consort_protocol::mission::{TaskBody, TaskNode};
 use consort_protocol::pose::Pose;
@@ -177,6 +177,7 @@ impl FleetModel {
         let shown = self.robots.get_or_insert_with(name.to_owned(), RobotModel::default);
         shown.alive = node.alive;
         shown.last_contact_ms = node.last_contact_ms;
+        let is_charging = robot.is_charging();
         shown.skills = names(robot.skills);
         shown.speed = robot.speed.map(|speed| speed.get());
         shown.useful_charge = robot.useful_charge.get();
@@ -191,7 +192,7 @@ impl FleetModel {
             Availability::Holding { mission, role, suspended: true } => ("suspended", Some((mission, role)), None),
             Availability::Holding { mission, role, suspended: false } => ("holding", Some((mission, role)), None),
             Availability::OutOfService { problem } => ("out_of_service", None, Some(problem)),
-            Availability::Free if matches!(robot.charging, Some(Charging::Connected(_))) => ("charging", None, None),
+            Availability::Free if is_charging => ("charging", None, None),
             Availability::Free => ("free", None, None),
         };
         word.clone_into(&mut shown.availability);
