@@ -75,7 +75,7 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Release => drop(parse_request::<ReleaseRequest>(call, payload)?),
         ApiCall::Maintenance => drop(parse_request::<MaintenanceRequest>(call, payload)?),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
-            drop(parse_read_options(call, payload)?);
+            parse_read_options(call, payload)?;
         }
         ApiCall::Help | ApiCall::Backup => {}
     }

@@ -32,12 +32,7 @@ pub(crate) fn of_fleet(
     Diagnostics::into_result(problems).map(|()| missions)
 }
 
-fn add(
-    missions: &mut NamedMissions,
-    path: &Path,
-    domain: &Domain,
-    library: &SkillLibrary,
-) -> Result<(), Diagnostics> {
+fn add(missions: &mut NamedMissions, path: &Path, domain: &Domain, library: &SkillLibrary) -> Result<(), Diagnostics> {
     let file = path.display().to_string();
     let document = inputs::mission_file(path, &[])?;
     describe(&document, &file, domain, library)?;

@@ -158,6 +158,7 @@ mod tests {
             speed: None,
             availability: Availability::Free,
             estimator: "standard".to_owned(),
+            charging: None,
         };
         [("ada", "icu"), ("bob", "er")].map(|(name, section)| (name.parse().unwrap(), robot(section))).into()
     }

@@ -199,6 +199,7 @@ mod tests {
             speed: None,
             availability: Availability::Free,
             estimator: "standard".to_owned(),
+            charging: None,
         };
         let readings = serde_json::from_value(readings.clone()).unwrap();
         let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };

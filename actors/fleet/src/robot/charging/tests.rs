@@ -267,6 +267,7 @@ fn context(at_place: &str) -> EstimateContext {
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
         attributes: Attributes::default(),
+        readings: None,
     }
 }
 

@@ -284,7 +284,7 @@ fn a_mission_that_ends_with_the_parcel_in_a_box_needs_intervention() {
         assert_eq!(log.apply(end(&log, canceled)), CommandOutcome::Done);
         let cause = format!("{cause}; the parcel is with amber at IC Room 6");
         assert_eq!(log.intervention(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
-        let resolved = Command::Resolve { mission: log.2.clone(), by: "Nia".to_owned() };
+        let resolved = Command::Resolve { mission: log.2.clone(), by: "Nia".to_owned(), at_ms: 0 };
         assert_eq!(log.apply(resolved), CommandOutcome::Done);
         let cause = format!("{cause}; resolved by Nia");
         assert_eq!(log.entry().state, MissionState::Failed { cause, class });
