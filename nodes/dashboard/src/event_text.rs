@@ -85,10 +85,10 @@ pub fn describe_event(event: &Event) -> EventText {
         }
         EventKind::Released { mission, role, cause } => alarm("released", format!("{role} of {mission}: {cause}")),
         EventKind::Mission { mission, state, .. } => match state {
-            MissionState::Failed { cause, class } => alarm("mission", format!("{mission} failed: {cause} ({class})")),
+            MissionState::Failed { cause, class } => alarm("mission", format!("{mission} failed: {cause}; class {class}")),
             MissionState::Canceled { by } => alarm("mission", format!("{mission} canceled by {by}")),
             MissionState::NeedsIntervention { cause, class, .. } => {
-                alarm("mission", format!("{mission} needs intervention: {cause} ({class})"))
+                alarm("mission", format!("{mission} needs intervention: {cause}; class {class}"))
             }
             MissionState::Pending | MissionState::Running | MissionState::Completed => {
                 normal("mission", format!("{mission} is {}", state.as_str()))
@@ -122,7 +122,7 @@ pub fn describe_event(event: &Event) -> EventText {
             normal("question", format!("{task} of {mission}: the question to {role} is closed: {cause}"))
         }
         EventKind::TaskFailed { mission, role, task, cause, class } => {
-            alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause} ({class})"))
+            alarm("task failed", format!("{task}: {node} as {role} of {mission}: {cause}; class {class}"))
         }
         EventKind::Sent { signal, .. } => normal("sync", signal_text(signal)),
         EventKind::Received { signal, .. } => normal("sync", format!("{} (received)", signal_text(signal))),

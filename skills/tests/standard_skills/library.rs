@@ -52,7 +52,8 @@ fn the_models_in_the_files_are_those_of_the_leaves() {
         let models = |text: &str| -> Vec<String> {
             let (_, models) = text.split_once("<TreeNodesModel>").unwrap();
             let (models, _) = models.split_once("</TreeNodesModel>").unwrap();
-            models.split("<Action").skip(1).map(|model| format!("<Action{}", model.trim_end())).collect()
+            let model = |text: &str| text.split_once("</Action>").map(|(model, _)| format!("<Action{model}</Action>"));
+            models.split("<Action").skip(1).filter_map(model).collect()
         };
         for model in models(&file) {
             assert!(models(&written).contains(&model), "{name}: {model}\nis none of\n{written}");

@@ -201,10 +201,10 @@ fn last_known_places(items: &[HeldItem]) -> String {
 pub(super) fn detail(state: &MissionState) -> String {
     match state {
         MissionState::Pending | MissionState::Running | MissionState::Completed => String::new(),
-        MissionState::Failed { cause, class } => format!(": {cause} ({class})"),
+        MissionState::Failed { cause, class } => format!(": {cause}; class {class}"),
         MissionState::Canceled { by } => format!(": by {by}"),
         MissionState::NeedsIntervention { cause, items, class } => {
-            format!(": {cause} ({class}), {}", last_known_places(items))
+            format!(": {cause}; class {class}; {}", last_known_places(items))
         }
     }
 }
@@ -247,7 +247,7 @@ mod tests {
         assert_eq!(shown(json!("running"), fever.clone(), Some("no viable bid")), "fever=true");
         assert_eq!(shown(json!("pending"), fever.clone(), Some("no viable bid")), "no viable bid; fever=true");
         let failed = json!({ "failed": { "cause": "no cuff", "class": "task" } });
-        assert_eq!(shown(failed, fever, None), "no cuff (task); fever=true");
+        assert_eq!(shown(failed, fever, None), "no cuff; class task; fever=true");
         assert_eq!(shown(json!("running"), json!({}), None), "");
     }
 }
