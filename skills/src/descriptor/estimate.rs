@@ -89,7 +89,7 @@ pub enum EstimateError {
         condition: String,
         /// `is false`, or the reason for which it has no value.
         problem: String,
-        /// True if the condition uses readings of the robot, which may change.
+        /// True if the readings of the robot, which may change, decide about the condition.
         may_change: bool,
     },
     /// The task was made with another content of the domain file.

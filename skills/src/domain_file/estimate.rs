@@ -2,7 +2,7 @@
 
 use super::expression::{ATTRIBUTES, DISTANCE, Expression, TRAVEL_S};
 use super::form::{EstimateForm, ParameterForm, ParameterKind, TaskForm};
-use super::requirement::Requirement;
+use super::requirement::{Requirement, Unmet};
 use crate::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 use crate::environment::{Environment, EnvironmentDescriptor, Passages, Routes};
 use crate::waypoints::parse_points;
@@ -311,11 +311,9 @@ impl SkillDescriptor for DeclaredEstimate {
         let needs_variables = self.expressions().next().is_some();
         let mut variables = needs_variables.then(|| self.variables(&task.parameters, &robot, drive)).transpose()?;
         if let (Some(requires), Some(variables)) = (&self.requires, &mut variables) {
-            requires.check(variables, context.readings.as_ref()).map_err(|problem| EstimateError::Requirement {
-                task_type: self.task_type.clone(),
-                condition: requires.expression().text.clone(),
-                problem,
-                may_change: requires.uses_readings(),
+            requires.check(variables, context.readings.as_ref()).map_err(|Unmet { problem, may_change }| {
+                let (task_type, condition) = (self.task_type.clone(), requires.expression().text.clone());
+                EstimateError::Requirement { task_type, condition, problem, may_change }
             })?;
         }
         let number = |formula| self.number(formula, task, context, environment, variables.as_ref());

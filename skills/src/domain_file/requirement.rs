@@ -15,11 +15,21 @@ use std::collections::{BTreeMap, HashMap};
 /// Variable with the readings of the robot's driver.
 const READINGS: &str = "readings";
 
+const IS_FALSE: &str = "is false";
+
 /// The compiled condition.
 pub(super) struct Requirement {
     condition: Expression,
     /// Readings that it uses.
     readings: BTreeMap<String, ValueKind>,
+}
+
+/// A condition that is false or has no value.
+pub(super) struct Unmet {
+    /// `is false`, or the reason for which it has no value.
+    pub(super) problem: String,
+    /// True if other readings may change it.
+    pub(super) may_change: bool,
 }
 
 impl Requirement {
@@ -42,7 +52,9 @@ impl Requirement {
         }
         let requirement = Requirement { condition, readings };
         if !requirement.condition.uses_attributes() {
-            requirement.add_readings(&mut variables, &examples);
+            if requirement.uses_readings() {
+                requirement.add_readings(&mut variables, &examples);
+            }
             requirement.condition.condition(&variables).map_err(|problem| format!("`{text}` {problem}"))?;
         }
         Ok(requirement)
@@ -53,41 +65,41 @@ impl Requirement {
         &self.condition
     }
 
-    /// Checks whether the condition uses readings, so that its value may change.
-    pub(super) fn uses_readings(&self) -> bool {
+    fn uses_readings(&self) -> bool {
         !self.readings.is_empty()
     }
 
-    /// Checks the condition for a robot.
+    /// Checks the condition for a robot. `variables` are all variables except the readings.
     ///
     /// # Errors
-    /// `is false`, or the reason for which it has no value.
+    /// The condition is false or has no value. It may change if the readings decide about it.
     pub(super) fn check(
         &self,
         variables: &mut Context<'static, 'static>,
         readings: Option<&BTreeMap<String, Scalar>>,
-    ) -> Result<(), String> {
-        if let Some(readings) = readings {
-            self.add_readings(variables, readings);
-        }
+    ) -> Result<(), Unmet> {
         match (self.condition.condition(variables), readings) {
-            (Ok(true), _) => Ok(()),
-            (Ok(false), _) => Err("is false".to_owned()),
-            (Err(_), None) if self.uses_readings() => Ok(()),
-            (Err(problem), None) => Err(problem),
-            (Err(problem), Some(readings)) => Err(self.unknown_reading(readings).unwrap_or(problem)),
+            (Ok(true), _) => return Ok(()),
+            (Ok(false), _) => return Err(Unmet { problem: IS_FALSE.to_owned(), may_change: false }),
+            (Err(problem), _) if !self.uses_readings() => return Err(Unmet { problem, may_change: false }),
+            (Err(_), None) => return Ok(()),
+            (Err(_), Some(readings)) => self.add_readings(variables, readings),
         }
+        let problem = match self.condition.condition(variables) {
+            Ok(true) => return Ok(()),
+            Ok(false) => IS_FALSE.to_owned(),
+            Err(problem) => readings.and_then(|readings| self.unknown_reading(readings)).unwrap_or(problem),
+        };
+        Err(Unmet { problem, may_change: true })
     }
 
     fn add_readings(&self, variables: &mut Context<'static, 'static>, readings: &BTreeMap<String, Scalar>) {
-        if self.uses_readings() {
-            let value = |(name, kind): (&String, &ValueKind)| {
-                let value = kind.accept(readings.get(name)?)?;
-                Some((name.clone(), cel_value(&value)))
-            };
-            let values: HashMap<String, cel::Value> = self.readings.iter().filter_map(value).collect();
-            variables.add_variable_from_value(READINGS, values);
-        }
+        let value = |(name, kind): (&String, &ValueKind)| {
+            let value = kind.accept(readings.get(name)?)?;
+            Some((name.clone(), cel_value(&value)))
+        };
+        let values: HashMap<String, cel::Value> = self.readings.iter().filter_map(value).collect();
+        variables.add_variable_from_value(READINGS, values);
     }
 
     /// Describes the first used reading without a valid value.

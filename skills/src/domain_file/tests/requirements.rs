@@ -63,6 +63,29 @@ fn a_condition_on_attributes_and_readings_is_evaluated_without_readings() {
     assert_eq!((accepts(true), accepts(false)), (true, false));
 }
 
+/// A robot without the attribute never does the task, whatever its readings are.
+#[test]
+fn a_condition_that_no_reading_changes_is_final() {
+    let both = "readings.tank_l >= litres && attributes.arm";
+    let domain = check(&TANK.replace("readings.tank_l >= litres && !readings.lid_open", both)).unwrap();
+    let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new()).unwrap();
+    let may_change = |arm: bool, readings: serde_json::Value| {
+        let attributes = serde_json::from_value(json!({ "arm": arm })).unwrap();
+        let readings = Some(serde_json::from_value(readings).unwrap());
+        let context = EstimateContext { attributes, readings, ..robot() };
+        match estimator.estimate(&task("water", &[("litres", "3")]), &context) {
+            Err(EstimateError::Requirement { may_change, .. }) => may_change,
+            other => panic!("{other:?}"),
+        }
+    };
+    for readings in [json!({ "tank_l": 5 }), json!({ "tank_l": 1 }), json!({})] {
+        assert!(!may_change(false, readings.clone()), "{readings}");
+    }
+    for readings in [json!({ "tank_l": 1 }), json!({})] {
+        assert!(may_change(true, readings.clone()), "{readings}");
+    }
+}
+
 #[test]
 fn a_wrong_reading_in_a_condition_is_reported_with_its_place() {
     let with = |condition: &str| TANK.replace("readings.tank_l >= litres && !readings.lid_open", condition);
