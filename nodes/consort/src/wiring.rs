@@ -211,7 +211,8 @@ pub(crate) fn fleet_skill_resources(
     let equipment = skill_resources(&map_loader::load(&fleet.map)?, extensions)?;
     let Some(file) = &fleet.calibration else { return Ok(equipment) };
     let learned: Arc<Calibration> = Arc::new(config::load(file, &extensions.domain())?);
-    let estimator = extensions.descriptors(learned.descriptors()).resolve(equipment.estimator.environment().clone());
+    let descriptors = learned.correct(extensions.descriptors(DescriptorRegistry::standard()));
+    let estimator = descriptors.resolve(equipment.estimator.environment().clone());
     let estimator = estimator.map_err(|problem| Diagnostic::for_file(file.display(), problem))?;
     Ok(SkillResources { estimator: Arc::new(estimator), ..equipment })
 }

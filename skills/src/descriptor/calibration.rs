@@ -109,8 +109,8 @@ impl Calibration {
         upper_normal_quantile(self.quantile.clamp(0.5, 0.9999))
     }
 
-    /// Returns the standard descriptors with these factors, and with a reserve for the quantile.
-    pub fn descriptors(self: &Arc<Calibration>) -> DescriptorRegistry {
+    /// Returns these descriptors with the factors, and with a reserve for the quantile.
+    pub fn correct(self: &Arc<Calibration>, descriptors: DescriptorRegistry) -> DescriptorRegistry {
         let correct = |descriptor: Box<dyn SkillDescriptor>| -> Box<dyn SkillDescriptor> {
             let is_observed = descriptor.destination().is_some() || self.skills.contains_key(descriptor.task_type());
             // Tasks with a given duration are not corrected.
@@ -119,7 +119,7 @@ impl Calibration {
                 false => descriptor,
             }
         };
-        DescriptorRegistry::standard().map(correct).with_energy_margin(self.margin_sds())
+        descriptors.map(correct).with_energy_margin(self.margin_sds())
     }
 }
 
@@ -225,6 +225,7 @@ fn upper_normal_quantile(share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::domain_file::DomainFile;
     use crate::environment::{Edge, Routes, TopologicalMap};
     use consort_protocol::knowledge::Attributes;
     use consort_protocol::pose::Pose;
@@ -274,7 +275,20 @@ mod tests {
             edges: vec![Edge { a: place("A"), b: place("B"), length_m: 10.0, one_way: false }],
         };
         let environment = Environment::new().with(Routes::new(&map).unwrap());
-        let estimator = learned().descriptors().resolve(environment).unwrap();
+        let vans = serde_json::json!({
+            "domain": "vans",
+            "actions": { "drive": { "parameters": { "to": { "type": "place" } } } },
+            "tasks": {
+                "haul": {
+                    "parameters": { "to": { "type": "place" } },
+                    "action": "drive",
+                    "estimate": { "time_s": "travel_s.to", "ends_at": "to" },
+                },
+            },
+        });
+        let vans = DomainFile::check(serde_json::from_value(vans).unwrap(), &BTreeMap::new(), &[]).unwrap();
+        let descriptors = vans.extend_descriptors(DescriptorRegistry::standard());
+        let estimator = learned().correct(descriptors).resolve(environment).unwrap();
         let context = EstimateContext {
             place: place("A"),
             pose: None,
@@ -298,6 +312,7 @@ mod tests {
         close(estimate.energy_sd, 0.02 * 0.11_f64.sqrt());
         close(estimator.margin_sds(), 1.281_552);
         assert_eq!(estimator.estimate(&task("carry"), &context).unwrap(), estimate, "it is a drive, too");
+        assert_eq!(estimator.estimate(&task("haul"), &context).unwrap(), estimate, "as is a drive of a domain file");
         let destination = |name| estimator.destination(&task(name));
         let drives = ["navigation", "carry", "disinfect", "follow_path"].map(|name| destination(name).is_some());
         assert_eq!(drives, [true, true, false, false]);

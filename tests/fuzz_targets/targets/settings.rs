@@ -7,7 +7,7 @@ use consort_lab::design_file::DesignFile;
 use consort_nodes::config::{ConfigFile, FleetConfig, RobotConfig, StationConfig, WorldConfig, from_text, to_toml};
 use consort_nodes::inputs;
 use consort_protocol::mission::Domain;
-use consort_skills::descriptor::Calibration;
+use consort_skills::descriptor::{Calibration, DescriptorRegistry};
 use consort_skills::extensions::Extensions;
 use consort_tests::chaos::Schedule;
 
@@ -51,7 +51,7 @@ pub(super) fn design(bytes: &[u8]) -> bool {
 pub(super) fn calibration(bytes: &[u8]) -> bool {
     let Some(learned) = text(bytes).and_then(survives::<Calibration>) else { return false };
     assert!(learned.margin_sds().is_finite(), "a reserve that is no number");
-    std::sync::Arc::new(learned).descriptors();
+    std::sync::Arc::new(learned).correct(DescriptorRegistry::standard());
     true
 }
 

@@ -95,9 +95,10 @@ impl ExperimentSetup {
         let resolve = |registry: DescriptorRegistry| {
             registry.resolve(environment.clone()).map(Arc::new).map_err(|error| single_error(error.to_string()))
         };
-        let standard = resolve(extensions.descriptors(DescriptorRegistry::standard()))?;
+        let descriptors = || extensions.descriptors(DescriptorRegistry::standard());
+        let standard = resolve(descriptors())?;
         let estimator = match &calibration {
-            Some(calibration) => resolve(extensions.descriptors(calibration.descriptors()))?,
+            Some(calibration) => resolve(calibration.correct(descriptors()))?,
             None => Arc::clone(&standard),
         };
         Ok(ExperimentSetup {
