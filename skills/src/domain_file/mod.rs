@@ -78,7 +78,7 @@ pub struct DomainFile {
     readings: BTreeMap<String, ParameterForm>,
     /// The task types with a tree in which an item may be handed over.
     handing_over: BTreeSet<TaskType>,
-    /// Kinds of the goals with which systems of the simulator do that, by task type.
+    /// Kinds of the goals that hand an item over in the simulator, by task type.
     handover_kinds: BTreeMap<TaskType, ActionName>,
     hash: DomainHash,
     /// The standard domain is part of the program, so its tasks do not refer to it.

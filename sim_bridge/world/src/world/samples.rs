@@ -56,6 +56,13 @@ pub(crate) struct PayloadData {
     pub(crate) distance_m: f64,
 }
 
+impl PayloadData {
+    /// Returns the properties of a sample within reach.
+    pub(crate) fn of_sample() -> PayloadData {
+        PayloadData { weight_kg: sample_kg(), distance_m: 0.0 }
+    }
+}
+
 /// Sequence number of transfers in this world.
 #[derive(Default)]
 pub(crate) struct HandoverCount(u64);
@@ -73,7 +80,7 @@ impl SimState {
 
     /// Creates a sample during the run of the world.
     pub(crate) fn create_sample(&mut self, id: SampleId, holder: HolderEntity) {
-        self.spawn_sample(id.clone(), holder, PayloadData { weight_kg: sample_kg(), distance_m: 0.0 });
+        self.spawn_sample(id.clone(), holder, PayloadData::of_sample());
         let holder = self.sample_holder(holder);
         self.log_event(WorldEvent::SampleCreated { sample: id, holder });
     }

@@ -113,8 +113,8 @@ impl System for DeclaredActions {
 }
 
 impl SimState {
-    /// Draws the end of a goal and changes the readings of its robot. Returns the results, and the item to move with its
-    /// new holder.
+    /// Draws the end of a goal and changes the readings of its robot. Returns the results, and what the goal does with an
+    /// item.
     fn end_declared_goal(&self, robot: Entity, goal: &Goal) -> Result<(GoalResult, Option<ItemChange>), ActionError> {
         let mut models = self.resource_mut::<ActionModels>();
         let ActionModels { actions, readings, chance, .. } = &mut *models;

@@ -25,7 +25,6 @@ use crate::world::location::RobotLocation;
 use crate::world::names::PersonName;
 use crate::world::preconditions::action_error;
 use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
-use crate::world::setup::environment::sample_kg;
 use crate::world::setup::{PersonSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
@@ -172,8 +171,7 @@ impl SimState {
         self.insert(entity, SampleSupply { endless: person.endless_samples, made: vec![] });
         self.people.insert(person.name.clone(), entity);
         for sample in &person.samples {
-            let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
-            self.spawn_sample(sample.clone(), HolderEntity::Hands(entity), load);
+            self.spawn_sample(sample.clone(), HolderEntity::Hands(entity), PayloadData::of_sample());
         }
     }
 
@@ -439,8 +437,7 @@ impl SimState {
             return Some(used);
         }
         let id = self.free_sample_id(self.get::<PersonInfo>(person).name.as_str(), made.len() + 1);
-        let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
-        self.spawn_sample(id.clone(), HolderEntity::Hands(person), load);
+        self.spawn_sample(id.clone(), HolderEntity::Hands(person), PayloadData::of_sample());
         let sample = self.samples.get(&id).copied()?;
         made.push(sample);
         self.get_mut::<SampleSupply>(person).made = made;
