@@ -197,11 +197,12 @@ pub struct OrderNotice {
 }
 
 impl OrdersNotice {
-    /// Returns the orders of a robot. `now_ms` is the time of day in milliseconds since 1970.
-    pub fn of(ledger: &Ledger, robot: &RobotId, now_ms: u64) -> OrdersNotice {
-        let notice = |order: &RobotOrder, text| OrderNotice {
-            text,
-            remaining_ms: order.until_ms.map(|until_ms| until_ms.saturating_sub(now_ms)),
+    /// Returns the orders of a robot. `confirmed_ms` is the time of day that a majority of the voters confirms, in
+    /// milliseconds since 1970. Without it the whole period of an order remains: a single wrong clock ends no hold.
+    pub fn of(ledger: &Ledger, robot: &RobotId, confirmed_ms: Option<u64>) -> OrdersNotice {
+        let notice = |order: &RobotOrder, text| {
+            let now_ms = confirmed_ms.unwrap_or(order.since_ms);
+            OrderNotice { text, remaining_ms: order.until_ms.map(|until_ms| until_ms.saturating_sub(now_ms)) }
         };
         let orders = ledger.orders_of(robot);
         let hold = orders.and_then(|orders| orders.hold.as_ref());

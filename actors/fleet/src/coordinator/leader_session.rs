@@ -194,11 +194,6 @@ impl LeaderSession {
         self.clocks.confirmed_ms(&self.voters(), node, clock.wall_ms(), self.context.now())
     }
 
-    /// Returns the time of day in milliseconds since 1970: by this node's clock until a majority confirms it.
-    fn time_of_day_ms(&self) -> u64 {
-        self.confirmed_ms().unwrap_or_else(|| self.context.settings.parts.clock.wall_ms())
-    }
-
     /// Publishes the beacon: the node, term and voters of this coordinator.
     async fn publish_beacon(&self) {
         let NodeParts { node, replica, .. } = &self.context.settings.parts;
@@ -254,8 +249,8 @@ impl LeaderSession {
     /// Compares the ledger with the session, publishes changes and performs the pending actions.
     pub(super) fn reconcile(&mut self) {
         let now = self.context.now();
-        let (now_ms, confirmed_ms) = (self.time_of_day_ms(), self.confirmed_ms());
-        self.orders.follow(&mut self.context, now, now_ms, confirmed_ms);
+        let confirmed_ms = self.confirmed_ms();
+        self.orders.follow(&mut self.context, now, confirmed_ms);
         self.changes.publish(&mut self.context, now);
         for action in self.pending_actions(now) {
             self.perform(action, now);
@@ -367,7 +362,7 @@ impl LeaderSession {
         let Some((query, report)) = reply::decode_or_refuse_in::<Report>(&mut self.context.tasks, query) else {
             return;
         };
-        let handler = ReportHandler::new(&self.context, self.time_of_day_ms());
+        let handler = ReportHandler::new(&self.context, self.confirmed_ms());
         self.context.tasks.spawn(async move {
             if !query.author.may_be(report.robot.as_str()) {
                 let problem = format!("{} may not report for role {}", query.author, report.role);

@@ -62,15 +62,9 @@ impl OrderDelivery {
         OrderDelivery { sent: BTreeMap::new(), published, position, checked_at: NodeTime::ZERO, expired_at: None }
     }
 
-    /// Sends and publishes the orders that have changed. `now_ms` is the time of day in milliseconds since
-    /// 1970, and `confirmed_ms` the same if a majority of the voters confirms it.
-    pub(super) fn follow(
-        &mut self,
-        context: &mut SessionContext,
-        now: NodeTime,
-        now_ms: u64,
-        confirmed_ms: Option<u64>,
-    ) {
+    /// Sends and publishes the orders that have changed. `confirmed_ms` is the time of day that a majority of the
+    /// voters confirms, in milliseconds since 1970.
+    pub(super) fn follow(&mut self, context: &mut SessionContext, now: NodeTime, confirmed_ms: Option<u64>) {
         let position = context.read_ledger(Ledger::orders_changed);
         let has_changed = position != self.position;
         if has_changed {
@@ -82,7 +76,7 @@ impl OrderDelivery {
             return;
         }
         self.checked_at = now;
-        for (robot, notice) in self.due(context, now, now_ms) {
+        for (robot, notice) in self.due(context, now, confirmed_ms) {
             context.notify_orders(robot, notice);
         }
         let Some(now_ms) = confirmed_ms else { return };
@@ -101,7 +95,12 @@ impl OrderDelivery {
     }
 
     /// Returns the notices that are due, to robots that this node can reach.
-    fn due(&mut self, context: &SessionContext, now: NodeTime, now_ms: u64) -> Vec<(RobotId, OrdersNotice)> {
+    fn due(
+        &mut self,
+        context: &SessionContext,
+        now: NodeTime,
+        confirmed_ms: Option<u64>,
+    ) -> Vec<(RobotId, OrdersNotice)> {
         let parts = &context.settings.parts;
         let robots: Vec<NodeId> = parts.knowledge.read(|base| {
             let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
@@ -112,7 +111,7 @@ impl OrderDelivery {
             let robot = RobotId::from(node);
             let (orders, notice) = context.read_ledger(|ledger| {
                 let orders = ledger.orders_of(&robot).cloned().unwrap_or_default();
-                (orders, OrdersNotice::of(ledger, &robot, now_ms))
+                (orders, OrdersNotice::of(ledger, &robot, confirmed_ms))
             });
             if self.sent.get(&robot).is_none_or(|sent| sent.needs_repetition(&orders, now)) {
                 let sent = SentOrders { orders, as_of: notice.as_of, at: now, is_acknowledged: false };

@@ -3,6 +3,7 @@ use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::{MissionId, RoleId};
 use crate::ledger::robot_order::ORDER_REQUESTS_BYTES_MAX;
 use crate::ledger::{Branch, Command, OrderChange, RobotOrder, Submission};
+use crate::message::OrdersNotice;
 use crate::mission::{Mission, Role, RoleKind};
 use crate::plan::{Division, LocalPlan};
 
@@ -100,6 +101,15 @@ fn the_latest_hold_counts_and_maintenance_is_independent_of_it() {
     assert!(log.0.orders_of(&robot("ada")).is_some_and(|orders| orders.maintenance.is_some()), "it has no end");
     log.order(&["ada"], OrderChange::EndMaintenance, 600);
     assert_eq!(log.0.orders_of(&robot("ada")), None);
+}
+
+#[test]
+fn a_clock_that_no_majority_confirms_ends_no_hold() {
+    let mut log = Log::new();
+    log.order(&["ada"], hold(500), 100);
+    let remaining = |confirmed_ms| OrdersNotice::of(&log.0, &robot("ada"), confirmed_ms).hold.unwrap().remaining_ms;
+    assert_eq!([remaining(Some(350)), remaining(Some(600))], [Some(150), Some(0)]);
+    assert_eq!(remaining(None), Some(400), "the whole period");
 }
 
 /// A robot ignores orders of an earlier position.

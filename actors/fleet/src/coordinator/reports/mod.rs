@@ -41,12 +41,12 @@ pub(super) struct ReportHandler {
     clock: Clock,
     lease_monitor: SharedLeaseMonitor,
     mailbox: ActorRef<CoordinatorMessage>,
-    /// Time of day in milliseconds since 1970.
-    now_ms: u64,
+    /// Time of day that a majority of the voters confirms, in milliseconds since 1970.
+    confirmed_ms: Option<u64>,
 }
 
 impl ReportHandler {
-    pub(super) fn new(context: &SessionContext, now_ms: u64) -> ReportHandler {
+    pub(super) fn new(context: &SessionContext, confirmed_ms: Option<u64>) -> ReportHandler {
         let NodeParts { replica, clock, .. } = &context.settings.parts;
         ReportHandler {
             replica: replica.clone(),
@@ -54,7 +54,7 @@ impl ReportHandler {
             clock: *clock,
             lease_monitor: context.lease_monitor.clone(),
             mailbox: context.mailbox.clone(),
-            now_ms,
+            confirmed_ms,
         }
     }
 
@@ -93,7 +93,7 @@ impl ReportHandler {
     /// Adds the orders of people to the renewal of a lease: a robot that was cut off gets them before it acts.
     fn with_orders(&self, mut reply: ReportReply, report: &Report) -> ReportReply {
         if let ReportReply::Renewed { orders, .. } = &mut reply {
-            **orders = self.replica.read(|ledger| OrdersNotice::of(ledger, &report.robot, self.now_ms));
+            **orders = self.replica.read(|ledger| OrdersNotice::of(ledger, &report.robot, self.confirmed_ms));
         }
         reply
     }
