@@ -144,6 +144,25 @@ fn a_robot_charges_without_a_coordinator() {
     });
 }
 
+/// A robot that restarts lacks its orders until a coordinator reaches it.
+#[test]
+fn a_held_robot_does_not_drive_to_a_charger_after_a_restart() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, vec![carrier("fern", ROOMS[1], BELOW - 0.05)], BELOW).await;
+        let start = fleet.position("fern");
+        fleet.wait_until("a drive to the charger", SOON, |fleet| fleet.position("fern") != start).await;
+        let reply = fleet.request_answered(ApiCall::Hold, &json!({ "robots": ["fern"], "for_s": 600 })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        fleet.wait_for_rest("fern").await;
+        fleet.kill("fern").await;
+        fleet.cut_off(&["fern"]);
+        fleet.restart("fern").await;
+        let place = fleet.position("fern");
+        let moves = |fleet: &Fleet| fleet.position("fern") != place;
+        fleet.assert_never("a move", Duration::from_secs(8), moves).await;
+    });
+}
+
 #[test]
 fn two_robots_use_a_single_charger_in_turn() {
     for_each_seed(SEEDS, async |seed| {

@@ -6,6 +6,10 @@ use consort_protocol::message::{OrderNotice, OrdersNotice};
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
 
+/// Time after the start of a robot in which it leaves its place only for a role. A restarted robot lacks its orders,
+/// and a coordinator that reaches it sends them within this time. Raised: a robot without a coordinator charges later.
+const FIRST_NOTICE_WAIT: Duration = Duration::from_secs(10);
+
 /// Orders of people to this robot.
 #[derive(Debug, Default)]
 pub(super) struct StandingOrders {
@@ -13,6 +17,8 @@ pub(super) struct StandingOrders {
     as_of: Epoch,
     hold: Option<StandingOrder>,
     maintenance: Option<StandingOrder>,
+    /// Time from which the robot may act without a role.
+    acts_alone_from: NodeTime,
 }
 
 #[derive(Debug)]
@@ -33,18 +39,29 @@ impl StandingOrder {
 }
 
 impl StandingOrders {
+    /// Creates the orders of a robot that starts now: they are unknown.
+    pub(super) fn new(now: NodeTime) -> StandingOrders {
+        StandingOrders { acts_alone_from: now + FIRST_NOTICE_WAIT, ..StandingOrders::default() }
+    }
+
     /// Receives the orders from a coordinator. A notice that is older than the latest has no effect.
     pub(super) fn receive(&mut self, OrdersNotice { as_of, hold, maintenance }: OrdersNotice, now: NodeTime) {
         if as_of < self.as_of {
             return;
         }
         let standing = |order: Option<OrderNotice>| order.map(|order| StandingOrder::new(order, now));
-        *self = StandingOrders { as_of, hold: standing(hold), maintenance: standing(maintenance) };
+        let (hold, maintenance) = (standing(hold), standing(maintenance));
+        *self = StandingOrders { as_of, hold, maintenance, acts_alone_from: now };
     }
 
     /// Accepts any position from now on: the positions of another cluster are counted anew.
     pub(super) fn clear_position(&mut self) {
         self.as_of = Epoch::default();
+    }
+
+    /// Checks whether the robot may act without a role: a coordinator has sent its orders, or none does.
+    pub(super) fn may_act_alone(&self, now: NodeTime) -> bool {
+        now >= self.acts_alone_from
     }
 
     /// Checks whether the robot has to stand still.
@@ -79,6 +96,14 @@ mod tests {
         orders.receive(notice(5, order("held by Nia", Some(1_000))), at(500));
         assert!(orders.is_held(at(500)) && orders.is_held(at(1_499)) && !orders.is_held(at(1_500)));
         assert_eq!((orders.problem(at(1_499)), orders.problem(at(1_500))), (Some("held by Nia"), None));
+    }
+
+    #[test]
+    fn a_restarted_robot_acts_alone_once_its_orders_are_known_or_none_arrive() {
+        let mut orders = StandingOrders::new(at(0));
+        assert!(!orders.may_act_alone(at(9_999)) && orders.may_act_alone(at(10_000)));
+        orders.receive(notice(5, None), at(100));
+        assert!(orders.may_act_alone(at(100)));
     }
 
     #[test]

@@ -15,7 +15,7 @@ use tracing::{debug, info, warn};
 impl RobotState {
     /// Decides whether the free robot charges, and performs the next task of that.
     pub(super) async fn charge(&mut self, now: NodeTime) -> Result<(), ActorProcessingErr> {
-        if self.charging.is_none() {
+        if self.charging.is_none() || !self.orders.may_act_alone(now) {
             return Ok(());
         }
         if self.driver.worker().availability != Availability::Free || self.driver.telemetry().is_none() {

@@ -80,7 +80,7 @@ impl Actor for Robot {
             signals: SignalExchange::new(bus.clone(), keys.clone()),
             charging: settings.charging.clone().map(ChargeControl::new),
             decommission: DecommissionRequests::default(),
-            orders: StandingOrders::default(),
+            orders: StandingOrders::new(now),
             tasks,
             myself,
             settings,
