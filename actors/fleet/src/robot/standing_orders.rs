@@ -6,8 +6,8 @@ use consort_protocol::message::{OrderNotice, OrdersNotice};
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
 
-/// Time after the start of a robot in which it leaves its place only for a role. A restarted robot lacks its orders,
-/// and a coordinator that reaches it sends them within this time. Raised: a robot without a coordinator charges later.
+/// Time within which a coordinator that reaches a robot sends its orders. Until then a robot that has started leaves its
+/// place only for a role. Raised: a robot without a coordinator charges later. A guess: some repetitions of a notice.
 const FIRST_NOTICE_WAIT: Duration = Duration::from_secs(10);
 
 /// Orders of people to this robot.
@@ -54,9 +54,14 @@ impl StandingOrders {
         *self = StandingOrders { as_of, hold, maintenance, acts_alone_from: now };
     }
 
-    /// Accepts any position from now on: the positions of another cluster are counted anew.
-    pub(super) fn clear_position(&mut self) {
+    /// Accepts any position from now on: the positions of another cluster are counted anew. A cluster without orders
+    /// sends none, and its people cannot end those of the former one: they end by themselves.
+    pub(super) fn change_cluster(&mut self, now: NodeTime) {
         self.as_of = Epoch::default();
+        let end = now + FIRST_NOTICE_WAIT;
+        for order in self.hold.iter_mut().chain(&mut self.maintenance) {
+            order.until = Some(order.until.map_or(end, |until| until.min(end)));
+        }
     }
 
     /// Checks whether the robot may act without a role: a coordinator has sent its orders, or none does.
@@ -123,10 +128,20 @@ mod tests {
     fn orders_of_another_cluster_replace_those_of_the_former_one() {
         let mut orders = StandingOrders::default();
         orders.receive(notice(100, order("held by Nia", Some(1_000))), at(0));
-        orders.clear_position();
+        orders.change_cluster(at(0));
         assert!(orders.is_held(at(1)), "until the other cluster states its orders");
         orders.receive(notice(3, None), at(2));
         assert!(!orders.is_held(at(2)));
+    }
+
+    #[test]
+    fn orders_end_in_a_cluster_that_has_none() {
+        let mut orders = StandingOrders::default();
+        let maintenance = order("in maintenance by Nia: tyres", None);
+        orders.receive(OrdersNotice { maintenance, ..notice(100, order("held by Nia", Some(600_000))) }, at(0));
+        orders.change_cluster(at(1_000));
+        assert!(orders.is_held(at(10_999)) && !orders.is_held(at(11_000)));
+        assert_eq!(orders.problem(at(11_000)), None, "its maintenance had no end");
     }
 
     #[test]

@@ -200,10 +200,11 @@ impl RobotState {
             Err(problem) => return warn!(%problem, "beacon cannot be decoded"),
         };
         let node = beacon.node.clone();
-        let Some(change) = self.lease.follow(beacon, self.now()) else { return };
+        let now = self.now();
+        let Some(change) = self.lease.follow(beacon, now) else { return };
         if change.other_cluster {
             info!(robot = %self.settings.robot, %node, "follows the coordinator of another cluster");
-            self.orders.clear_position();
+            self.orders.change_cluster(now);
         }
         if change.new_session {
             self.report();
