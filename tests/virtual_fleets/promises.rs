@@ -52,6 +52,10 @@ async fn assert_all_complete(fleet: &mut Fleet, missions: &[MissionId]) {
     fleet.assert_exclusive_roles();
 }
 
+fn is_postponed(what: &EventKind) -> bool {
+    matches!(what, EventKind::GaveUp { kind: FailureKind::Postponed, .. })
+}
+
 #[test]
 fn one_arm_serves_missions_that_are_under_way_together() {
     let postponed = Cell::new(0);
@@ -78,10 +82,25 @@ fn one_arm_serves_missions_that_are_under_way_together() {
                 .all(|id| ledger.mission(id).is_some_and(|entry| entry.roles[&arm].phase == RolePhase::Ended))
         });
         assert_eq!(ended, Some(true), "seed {seed}");
-        let is_postponed = |what: &EventKind| matches!(what, EventKind::GaveUp { kind: FailureKind::Postponed, .. });
         postponed.set(postponed.get() + fleet.event_log.count(is_postponed));
     });
     assert!(postponed.get() > 0, "the arm never left a mission whose sample was still on its way");
+}
+
+#[test]
+fn a_held_robot_keeps_the_role_in_which_it_waits() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, &["lab-arm"], &["aba"]).await;
+        let missions = submit_all(&fleet).await;
+        fleet.wait_until("promises", SOON, |fleet| has_promises(fleet, 3)).await;
+        let reply = fleet.request_answered(ApiCall::Hold, &json!({ "robots": ["lab-arm"], "for_s": 600 })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        let postponed = fleet.event_log.count(is_postponed);
+        fleet.assert_never("a return of its role", SOON, |fleet| fleet.event_log.count(is_postponed) > postponed).await;
+        let reply = fleet.request_answered(ApiCall::Release, &json!({ "robots": ["lab-arm"] })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        assert_all_complete(&mut fleet, &missions).await;
+    });
 }
 
 #[test]

@@ -23,7 +23,10 @@ pub(super) fn promises_due(
     let held = missions.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot));
     let mut waiting: BTreeMap<&RobotId, AwardedRole> = BTreeMap::new();
     for entry in missions {
-        let untouched = entry.held_roles().filter(|(role, held, _)| held.ended.is_empty() && !entry.can_proceed(role));
+        // A robot under orders keeps its role, since it would get no other.
+        let untouched = entry.held_roles().filter(|(role, held, holder)| {
+            held.ended.is_empty() && !entry.can_proceed(role) && ledger.orders_of(&holder.robot).is_none()
+        });
         waiting.extend(untouched.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
     }
     let proposed = rounds.values().flat_map(|round| match &round.phase {
