@@ -190,7 +190,7 @@ impl People {
             }
             Ok(PersonEvent::CancelMission { by, role, robot, at_ms }) => {
                 let by = sample.author.name().map_or(by.clone(), |host| format!("{by}, according to {host}"));
-                self.cancel_mission(context, CancelOrder { by, robot, at_ms }, &role);
+                self.cancel_mission(context, CancelOrder { by, robot, at_ms }, &role, confirmed_ms);
             }
             Err(problem) => warn!(%problem, "event of a person cannot be decoded"),
         }
@@ -230,7 +230,13 @@ impl People {
 
     /// Cancels the mission for which a robot came to a simulated person: the mission in which both the
     /// robot and the person's role take part. The host repeats its order, and so does the proposal.
-    fn cancel_mission(&mut self, context: &mut SessionContext, order: CancelOrder, role: &RoleId) {
+    fn cancel_mission(
+        &mut self,
+        context: &mut SessionContext,
+        order: CancelOrder,
+        role: &RoleId,
+        confirmed_ms: Option<u64>,
+    ) {
         let mission = match self.cancel_orders.mission(&order) {
             Some(mission) => mission.clone(),
             None => {
@@ -247,7 +253,8 @@ impl People {
         };
         if context.read_ledger(|ledger| ledger.mission(&mission).is_some_and(|entry| !entry.state.is_final())) {
             let places = context.places_of(&mission);
-            let at_ms = context.settings.parts.clock.wall_ms();
+            // An unknown time: the trail would keep that of a wrong clock.
+            let at_ms = confirmed_ms.unwrap_or_default();
             context.propose(Command::Cancel { mission, by: order.by, places, at_ms });
         }
     }
