@@ -32,7 +32,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Timeout for the ledger to commit a request.
-pub(super) const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
+const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Minutes for which a request is put off by default.
 const LATER_MINUTES: u32 = 10;
@@ -411,7 +411,7 @@ impl ApiHandler {
     }
 
     /// Proposes a command with the texts of the client shortened.
-    async fn propose(&self, command: Command) -> Result<CommandOutcome, ProposeError> {
+    pub(super) async fn propose(&self, command: Command) -> Result<CommandOutcome, ProposeError> {
         self.replica.propose(command.limited(), COMMIT_TIMEOUT).await
     }
 }

@@ -1,6 +1,6 @@
 //! Requests of people that hold robots, release them, or take them out of service.
 
-use super::api::{ApiError, ApiHandler, COMMIT_TIMEOUT, not_committed};
+use super::api::{ApiError, ApiHandler, not_committed};
 use super::submission::rfc3339_ms;
 use consort_protocol::api::{
     HOLD_S, HOLD_S_MAX, HoldRequest, MaintenanceAction, MaintenanceRequest, OrdersReply, ReleaseRequest,
@@ -77,7 +77,7 @@ impl ApiHandler {
         let request = request.map_err(|problem| problem.to_string())?;
         let order = OrderRequest { change, by: self.responsible(by), at_ms: self.time_ms()?, request };
         let command = Command::OrderRobots { robots: robots.clone(), order };
-        match self.replica.propose(command, COMMIT_TIMEOUT).await {
+        match self.propose(command).await {
             Ok(CommandOutcome::Refused(refused)) => {
                 // A new ledger gets its version right after its creation.
                 let may_retry = self.replica.read(Ledger::wire).is_none();
