@@ -133,7 +133,8 @@ fn the_position_of_the_latest_change_grows_with_changes_only() {
 fn a_copy_of_a_signed_request_changes_nothing() {
     let mut log = Log::new();
     let signed = |number: usize, change| {
-        let request = Some(format!("kim-{number}").parse().unwrap());
+        // The longest name.
+        let request = Some(format!("kim-{number:060}").parse().unwrap());
         OrderRequest { change, by: "kim".to_owned(), at_ms: 100, request }
     };
     log.request(&["ada"], signed(1, hold(500)));
