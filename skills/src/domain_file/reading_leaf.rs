@@ -29,5 +29,5 @@ fn holds(name: &str, kind: ParameterKind, leaf: &mut LeafContext<'_, '_>) -> Res
     let reading = reading.ok_or_else(|| Cause::new("the reading is unknown: the driver has not published it"))?;
     let value = Value::from(reading).convert(port_type(kind));
     let value = value.map_err(|error| Cause::new(format!("the reading is wrong: {error}")))?;
-    value_holds("the reading", &value, leaf)
+    value_holds(&format!("the reading is {value},"), &value, leaf)
 }

@@ -1,5 +1,5 @@
 //! The leaf of an exchanged value: a condition on the newest value that a member of an ensemble has sent
-//! to the others.
+//! to the others. Its cause does not contain the value: events and the ledger show causes to every node.
 
 use super::context::TaskContext;
 use super::value_condition::{EQUALS, MAXIMUM, MINIMUM, VALUE, value_holds};
@@ -48,10 +48,10 @@ fn holds(leaf: &mut LeafContext<'_, '_>) -> Result<bool, Cause> {
     };
     for limit in [MINIMUM, MAXIMUM] {
         if leaf.read_optional::<f64>(limit)?.is_some() && !matches!(value, Value::Number(_)) {
-            return Err(Cause::new(format!("{subject} is {value}; `{limit}` is for numbers")));
+            return Err(Cause::new(format!("{subject} is no number; `{limit}` is for numbers")));
         }
     }
-    value_holds(&subject, &value, leaf)
+    value_holds(&format!("{subject} is"), &value, leaf)
 }
 
 /// Returns the error of each node that reads a value which its ensemble does not exchange. Ports that are
@@ -153,19 +153,19 @@ mod tests {
 
     #[test]
     fn an_exchanged_value_is_a_condition_of_trees() {
-        let bag = "MemberValue: `readings.bag_g` of bob in icu is 12";
-        let owner = "MemberValue: `attributes.owner` of bob in icu is ward 3";
+        let bag = "MemberValue: `readings.bag_g` of bob in icu is";
+        let owner = "MemberValue: `attributes.owner` of bob in icu is";
         for (exchanged, ports, cause) in [
             ("readings.bag_g", "", None),
             ("readings.bag_g", "minimum=\"12\" maximum=\"12.5\" equals=\"12.0\"", None),
-            ("readings.bag_g", "maximum=\"11\"", Some(format!("{bag}, above the maximum 11"))),
-            ("readings.bag_g", "minimum=\"12.5\"", Some(format!("{bag}, below the minimum 12.5"))),
-            ("readings.bag_g", "equals=\"13\"", Some(format!("{bag}, not 13"))),
+            ("readings.bag_g", "maximum=\"11\"", Some(format!("{bag} above the maximum 11"))),
+            ("readings.bag_g", "minimum=\"12.5\"", Some(format!("{bag} below the minimum 12.5"))),
+            ("readings.bag_g", "equals=\"13\"", Some(format!("{bag} not 13"))),
             ("readings.lid", "equals=\"false\"", None),
-            ("readings.lid", "", Some("MemberValue: `readings.lid` of bob in icu is false, not true".to_owned())),
+            ("readings.lid", "", Some("MemberValue: `readings.lid` of bob in icu is not true".to_owned())),
             ("attributes.owner", "equals=\"ward 3\"", None),
-            ("attributes.owner", "equals=\"ward 4\"", Some(format!("{owner}, not ward 4"))),
-            ("attributes.owner", "minimum=\"1\"", Some(format!("{owner}; `minimum` is for numbers"))),
+            ("attributes.owner", "equals=\"ward 4\"", Some(format!("{owner} not ward 4"))),
+            ("attributes.owner", "minimum=\"1\"", Some(format!("{owner} no number; `minimum` is for numbers"))),
         ] {
             let node = format!("<MemberValue ensemble=\"icu\" robot=\"bob\" exchanged=\"{exchanged}\" {ports}/>");
             assert_eq!(run(&node), cause, "{node}");

@@ -9,23 +9,19 @@ pub(crate) const EQUALS: &str = "equals";
 pub(crate) const VALUE: &str = "value";
 
 /// Writes a value to the port `value`, and checks it against the other ports. A boolean without `equals`
-/// must be true. Only numbers have limits. `subject` names the value in the cause.
-pub(crate) fn value_holds(subject: &str, value: &Value, leaf: &mut LeafContext<'_, '_>) -> Result<bool, Cause> {
+/// must be true. Only numbers have limits. `found` begins the cause, as `the reading is 3,`.
+pub(crate) fn value_holds(found: &str, value: &Value, leaf: &mut LeafContext<'_, '_>) -> Result<bool, Cause> {
     leaf.write(VALUE, value.clone())?;
     let is_true = matches!(value, Value::Bool(_)).then_some(Value::Bool(true));
     let expected = read(leaf, EQUALS, value)?.or(is_true);
     if let Some(expected) = expected.filter(|expected| expected != value) {
-        return Err(Cause::new(format!("{subject} is {value}, not {expected}")));
+        return Err(Cause::new(format!("{found} not {expected}")));
     }
     let Some(number) = number(value) else { return Ok(true) };
     let limit = |port: &str| Ok::<_, Cause>(read(leaf, port, value)?.as_ref().and_then(self::number));
     match (limit(MINIMUM)?, limit(MAXIMUM)?) {
-        (Some(minimum), _) if number < minimum => {
-            Err(Cause::new(format!("{subject} is {value}, below the minimum {minimum}")))
-        }
-        (_, Some(maximum)) if number > maximum => {
-            Err(Cause::new(format!("{subject} is {value}, above the maximum {maximum}")))
-        }
+        (Some(minimum), _) if number < minimum => Err(Cause::new(format!("{found} below the minimum {minimum}"))),
+        (_, Some(maximum)) if number > maximum => Err(Cause::new(format!("{found} above the maximum {maximum}"))),
         _ => Ok(true),
     }
 }
