@@ -258,3 +258,23 @@ fn trees_of_members_read_the_values_of_other_members() {
         assert_eq!(look(&mut fleet, "amber", "birch").await, json!("unknown"), "seed {seed}: birch has failed");
     });
 }
+
+#[test]
+fn readings_of_a_silent_driver_are_unknown_to_the_other_members() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![robot("amber", "Dock", "icu"), robot("birch", "Dock", "icu")];
+        let mut fleet = fleet(seed, robots, "member.attributes.section == 'icu'", false).await;
+        let known = async |fleet: &Fleet| {
+            let view = exchanged(fleet, "seen/amber").await?;
+            view["robots"]["birch"]["readings"]["bag_g"].is_number().then_some(())
+        };
+        fleet.poll_until("readings of birch at amber", SOON, known).await;
+        // This node executes the drivers of all robots.
+        fleet.kill("world").await;
+        let unknown = async |fleet: &Fleet| {
+            let birch = exchanged(fleet, "seen/amber").await?["robots"]["birch"].clone();
+            (birch["readings"] == json!({}) && birch["attributes"]["code"] == "birch-code-5").then_some(())
+        };
+        fleet.poll_until("attributes of birch without readings", SOON, unknown).await;
+    });
+}

@@ -12,7 +12,7 @@ use consort_bus::tasks::Tasks;
 use consort_bus::{BusError, Delivery, Encoding, Sample, SharedBus, Stream};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::codec;
-use consort_protocol::ensemble::{Ensembles, ExchangeAction, MemberValues};
+use consort_protocol::ensemble::{Ensembles, ExchangeAction, MemberValues, VALUE_AGE_MAX};
 use consort_protocol::ids::{EnsembleId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Attributes;
@@ -85,7 +85,9 @@ impl EnsembleExchange {
         let followed = latest_beacon.lock().unwrap_or_else(PoisonError::into_inner);
         let coordinator = followed.beacon().map_or_else(|| self.node.clone(), |beacon| beacon.node.clone());
         drop(followed);
-        let readings = self.driver.get().and_then(RobotDriver::readings).unwrap_or_default();
+        // The last readings of a silent driver would look recent to the other members.
+        let driver = self.driver.get().filter(|driver| driver.silent_for() <= VALUE_AGE_MAX);
+        let readings = driver.and_then(RobotDriver::readings).unwrap_or_default();
         let mut actions = vec![];
         for (name, exchange) in self.exchanges.lock().iter_mut() {
             let Some(ensemble) = self.ensembles.get(name) else { continue };

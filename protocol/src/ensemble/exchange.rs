@@ -34,9 +34,10 @@ const PUBLISH_INTERVAL: Duration = Duration::from_secs(1);
 /// maximum time until a member has all values. Raised: fewer messages.
 const REFRESH_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Maximum age of a value that a robot uses. More than two intervals, because a publication may be lost.
-/// Raised: robots use older values.
-const VALUE_AGE_MAX: Duration = REFRESH_INTERVAL.saturating_mul(3);
+/// Maximum age of a value that a robot uses, and time without a state of the driver after which a robot
+/// sends no readings. More than two intervals, because a publication may be lost. Raised: robots use older
+/// values.
+pub const VALUE_AGE_MAX: Duration = REFRESH_INTERVAL.saturating_mul(3);
 
 /// A value that the members of an ensemble exchange, as `attributes.owner` or `readings.dust_g`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

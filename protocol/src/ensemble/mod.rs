@@ -29,7 +29,9 @@ mod spec;
 pub use condition::ConditionError;
 pub use eligibility::{Eligibility, Ineligibility};
 pub use ensembles::Ensembles;
-pub use exchange::{ExchangeAction, ExchangedValue, ExchangedValueError, KnowledgeExchange, MemberValues};
+pub use exchange::{
+    ExchangeAction, ExchangedValue, ExchangedValueError, KnowledgeExchange, MemberValues, VALUE_AGE_MAX,
+};
 pub use private_attributes::private_attribute_problems;
 pub use spec::EnsembleSpec;
 
