@@ -135,11 +135,14 @@ impl ChargeThresholds {
         all: &BTreeSet<PlaceId>,
         nearest_first: impl FnOnce() -> Vec<PlaceId>,
     ) -> Activity {
-        let Some(purpose) = self.purpose(situation) else {
+        let purpose = self.purpose(situation);
+        let chargers = if purpose.is_some() { nearest_first() } else { vec![] };
+        // A robot that can use no charger does not wait: the others would leave theirs in vain.
+        let Some(purpose) = purpose.filter(|_| !chargers.is_empty()) else {
             let makes_room = situation.is_awaited() && all.contains(situation.place);
             return if makes_room { Activity::Leaving } else { Activity::Idle };
         };
-        match (nearest_first().into_iter().find(|charger| !situation.is_taken(charger)), purpose) {
+        match (chargers.into_iter().find(|charger| !situation.is_taken(charger)), purpose) {
             (Some(charger), purpose) => {
                 let published = ChargerClaim { charger, battery: situation.battery };
                 Activity::Claimed(Claim { published, since: situation.now, purpose })

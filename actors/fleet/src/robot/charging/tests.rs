@@ -83,6 +83,25 @@ fn a_free_robot_claims_a_charger_that_no_other_robot_uses() {
 }
 
 #[test]
+fn a_robot_that_can_use_no_charger_does_not_wait_for_one() {
+    let (robot, stands_at) = (robot("m"), ["Hall", "P"].map(place));
+    let waits = [other("a", "Hall", Some(Charging::Waiting))];
+    let next = |at_place: &PlaceId, others: &[OtherRobot]| {
+        let situation = Situation {
+            robot: &robot,
+            place: at_place,
+            battery: share(0.1),
+            lacked_charge: false,
+            others,
+            now: at(5_000),
+        };
+        thresholds().next(&Activity::Idle, &situation, &places(&["P"]), Vec::new)
+    };
+    assert_eq!(stands_at.each_ref().map(|at_place| next(at_place, &[])), [Activity::Idle, Activity::Idle]);
+    assert_eq!(stands_at.each_ref().map(|at_place| next(at_place, &waits)), [Activity::Idle, Activity::Leaving]);
+}
+
+#[test]
 fn a_robot_charges_until_it_has_enough() {
     let needs = Activity::Connected(own_claim("P", 0.2, at(0), Purpose::Need));
     let tops_up = Activity::Connected(own_claim("P", 0.5, at(0), Purpose::TopUp));
@@ -361,7 +380,7 @@ fn a_robot_avoids_a_charger_for_a_minute_after_a_failure() {
     control.next_task(&[], &estimator, &context, at(2_000)).expect("the drive");
     control.task_failed(at(10_000));
     control.decide(&situation(at(69_999)), &estimator, &context);
-    assert_eq!(control.published(), Some(Charging::Waiting));
+    assert_eq!(control.published(), None);
     control.decide(&situation(at(70_000)), &estimator, &context);
     assert_eq!(control.published(), Some(Charging::Bound(claim("A", 0.2))));
 }
