@@ -8,8 +8,9 @@
 //!          └───────────────▶ Waiting                       Idle, or Leaving if another robot waits
 //! ```
 //!
-//! An award ends each of these activities. A robot bids at any charge that suffices for the role and for the way to
-//! a charger afterwards ([`ChargerReserve`]).
+//! An award, a hold and maintenance end each of these activities. After a start of its node a robot begins
+//! only when it has received its orders, or after 10 s. A robot bids at any charge that suffices for the role
+//! and for the way to a charger afterwards ([`ChargerReserve`]).
 //!
 //! Robots exclude each other by *claims* in their knowledge records: a robot claims a charger that no
 //! other robot claims or occupies, publishes the claim, and drives once the claim is old enough to have
