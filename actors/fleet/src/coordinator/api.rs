@@ -14,7 +14,7 @@ use consort_protocol::api::{
     SubmitRequest, UpgradeReply, UpgradeRequest, parse_request,
 };
 use consort_protocol::event::{EventKind, ScheduleChange};
-use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
+use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId, ScheduleId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{
     AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer, ScheduleEntry, SchedulePause,
@@ -172,6 +172,18 @@ impl ApiHandler {
         Ok(author.missions.check(&author.name, name)?)
     }
 
+    /// Checks whether the signer may resume a schedule, which submits missions again. The name of its mission counts:
+    /// the person that added the schedule had the right to its plan. The ledger rejects an unknown schedule.
+    fn check_resume_right(&self, schedule: &ScheduleId) -> Result<(), ApiError> {
+        let Some(Requester { author, .. }) = &self.requester else { return Ok(()) };
+        let name =
+            |ledger: &Ledger| ledger.schedule(schedule).map(|entry| entry.schedule.submission.mission.name.clone());
+        match self.replica.read(name) {
+            Some(name) => Ok(author.missions.check(&author.name, Some(name.as_str()))?),
+            None => Ok(()),
+        }
+    }
+
     pub(super) fn time_ms(&self) -> Result<u64, ApiError> {
         let text = "the coordinator does not know the time of day of the voters yet".to_owned();
         self.time_ms.ok_or(ApiError { text, may_retry: true })
@@ -255,6 +267,9 @@ impl ApiHandler {
         let mut request: ScheduleRequest = parse_request(ApiCall::Schedule, payload)?;
         if let Some(submit) = &request.submit {
             self.check_mission_right(&submit.mission)?;
+        }
+        if request.action == ScheduleAction::Resume {
+            self.check_resume_right(&request.schedule)?;
         }
         let (id, action, by, at_ms) =
             (request.schedule.clone(), request.action, self.responsible(request.by.take()), self.time_ms()?);

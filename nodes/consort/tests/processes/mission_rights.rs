@@ -91,6 +91,24 @@ fn a_right_to_missions_of_the_fleet_allows_no_other_plan() {
     let added = with("POST /api/schedules/daily", &in_schedule(&json!({ "mission": "visit" })));
     assert_eq!(added.status, 200, "{}", added.body);
 
+    // A resumed schedule submits its mission again.
+    let unrestricted = format!("Bearer {}", closed.token("submit", &[]));
+    let change = |bearer: &str, schedule: &str, body: &str| {
+        let headers = [("Authorization", bearer), ("Content-Type", "application/json")];
+        http(&page, &format!("POST /api/schedules/{schedule}"), &headers, body)
+    };
+    let (pause, resume) = (r#"{ "action": "pause" }"#, r#"{ "action": "resume" }"#);
+    let rounds = in_schedule(&json!({ "mission": "vital-signs" }));
+    for (schedule, body) in [("rounds", rounds.as_str()), ("rounds", pause), ("daily", pause)] {
+        let changed = change(&unrestricted, schedule, body);
+        assert_eq!(changed.status, 200, "{schedule}: {}", changed.body);
+    }
+    let refused = change(&bearer, "rounds", resume);
+    assert_eq!(refused.status, 400, "{}", refused.body);
+    assert!(error(&refused).contains("lee may not submit \"vital-signs\""), "{}", refused.body);
+    let resumed = change(&bearer, "daily", resume);
+    assert_eq!(resumed.status, 200, "{}", resumed.body);
+
     let submits = closed.of("submit").display().to_string();
     let refused = closed.fleet.run(&["submit", "lok", "--certs", &submits], "station-1").expect(1).stderr;
     let expected = "the fleet has no mission \"lok\"; allowed: look, visit, bed-transfer, ";
