@@ -10,8 +10,10 @@ use consort_protocol::ledger::Command;
 use consort_protocol::message::ClusterEnvelope;
 use consort_tests::{Fleet, Observation, for_each_seed};
 use serde_json::json;
+use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
 
 /// Answers calls for bids as a robot that refuses each role at length.
 async fn refuse_at_length(fleet: &Fleet, name: &str) {
@@ -49,20 +51,30 @@ fn long_refusals_do_not_prevent_an_award() {
 }
 
 #[test]
-fn the_log_contains_no_long_name_of_a_client() {
+fn the_log_contains_no_long_text_of_a_client() {
     for_each_seed([131, 132], async |seed| {
         let fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        let cancel = json!({ "mission": mission, "by": "Nia ".repeat(5_000) });
-        fleet.request_answered(ApiCall::Cancel, &cancel).await;
+        let (by, reason) = ("Nia ".repeat(5_000), "a spill ".repeat(2_500));
+        let hold = json!({ "robots": "all", "reason": reason, "by": by });
+        // The coordinator first needs the records of the robots.
+        let held = async |fleet: &Fleet| {
+            let reply = fleet.request(ApiCall::Hold, &hold).await?;
+            reply.get("error").is_none().then_some(reply)
+        };
+        fleet.poll_until("a hold", SOON, held).await;
+        fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": by })).await;
         let entries = fleet.event_log.entries();
         let commands = entries.iter().flat_map(|(_, entry)| match entry {
             Observation::EntryApplied { commands, .. } => &commands[..],
             _ => &[],
         });
-        let canceling: Vec<_> = commands.filter(|command| matches!(command, Command::Cancel { .. })).collect();
-        assert!(!canceling.is_empty(), "seed {seed}");
-        for command in canceling {
+        let of_clients: Vec<_> = commands
+            .filter(|command| matches!(command, Command::OrderRobots { .. } | Command::Cancel { .. }))
+            .collect();
+        assert!(of_clients.iter().any(|command| matches!(command, Command::OrderRobots { .. })), "seed {seed}");
+        assert!(of_clients.iter().any(|command| matches!(command, Command::Cancel { .. })), "seed {seed}");
+        for command in of_clients {
             assert_eq!(command.clone().limited(), *command, "seed {seed}");
         }
     });
