@@ -50,13 +50,13 @@ pub(crate) struct DryRunOutcome {
     pub failure: Option<String>,
 }
 
-/// Fleet whose auction is computed.
+/// The fleet of the computed auction.
 pub(crate) struct AssumedFleet {
     /// Estimator of its robots, and the domain of its missions.
     pub equipment: SkillResources,
     /// Limits of bids.
     pub limits: BidLimits,
-    /// Its chargers, if robots must be able to reach one after a role.
+    /// Its chargers, if robots must be able to reach a charger after a role.
     pub charging: Option<Arc<ChargingSettings>>,
     /// Its ensembles. `None`: every worker is a member of every ensemble.
     pub ensembles: Option<Arc<Ensembles>>,

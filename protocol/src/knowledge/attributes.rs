@@ -26,7 +26,7 @@ impl Attributes {
         self.0.iter()
     }
 
-    /// Removes the attributes whose names do not fit.
+    /// Removes the attributes with names that do not fit.
     pub(crate) fn retain(&mut self, fits: impl Fn(&str) -> bool) {
         self.0.retain(|name, _| fits(name));
     }

@@ -265,7 +265,7 @@ pub enum Command {
         /// The change, and who requests it.
         order: OrderRequest,
     },
-    /// Ends the orders to robots whose time has passed.
+    /// Ends the expired orders to robots.
     ExpireOrders {
         /// Time that a majority of the voters confirms, in milliseconds since 1970.
         now_ms: u64,

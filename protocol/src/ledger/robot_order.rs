@@ -93,7 +93,7 @@ impl RobotOrder {
         self.until_ms.is_some_and(|until_ms| until_ms <= now_ms)
     }
 
-    /// Returns the reason after a colon, if there is one.
+    /// Returns the reason after a colon; empty without a reason.
     fn reason_text(&self) -> String {
         if self.reason.is_empty() { String::new() } else { format!(": {}", self.reason) }
     }
@@ -128,7 +128,7 @@ impl RobotOrders {
         if orders.is_empty() { "under no orders".to_owned() } else { orders.join("; ") }
     }
 
-    /// Removes the orders whose time has passed.
+    /// Removes the orders that have expired.
     pub(super) fn expire(&mut self, now_ms: u64) {
         self.hold.take_if(|order| order.is_over(now_ms));
         self.maintenance.take_if(|order| order.is_over(now_ms));

@@ -345,7 +345,7 @@ pub enum ReportReply {
         /// Known outcomes of the tasks whose results the role uses.
         #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
         outcomes: TaskOutcomes,
-        /// Answer to the question of the report, if there is one.
+        /// Answer to the question of the report; `None` without an answer.
         answer: Option<QuestionAnswer>,
         /// Orders of people to the robot.
         orders: Box<OrdersNotice>,

@@ -52,7 +52,7 @@ pub enum NodeMessage {
         #[serde(default)]
         resumed: bool,
     },
-    /// Renew the permission of a goal; it replaces the one before.
+    /// Renew the permission of a goal. The new time replaces the former time.
     Keep {
         /// Id of the goal.
         #[serde(with = "goal_id")]

@@ -30,7 +30,7 @@ pub struct Goal {
     /// object is done once, and fails the second time.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub repeatable: bool,
-    /// Whether the goal may move items, if the declaration of the action says so.
+    /// True if the goal may move items; `None` if the declaration of the action does not state it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hands_over: Option<bool>,
 }

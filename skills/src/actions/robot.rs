@@ -75,7 +75,7 @@ pub trait RobotActions {
         Some(Err("this robot cannot ask people".to_owned()))
     }
 
-    /// Withdraws the open question. Without one it has no effect.
+    /// Withdraws the open question, if there is an open question.
     fn withdraw_question(&mut self) {}
 
     /// Consumes a completion of this goal by an earlier attempt at the same task: an attempt that

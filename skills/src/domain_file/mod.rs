@@ -328,7 +328,7 @@ fn moving_actions<'a>(
     actions.into_iter().filter(|(_, form)| !form.by_people && form.may_move_items())
 }
 
-/// Returns the first node with one of these ids.
+/// Returns the first node with any of these ids.
 fn node_of<'a>(node: &'a NodeSpec, ids: &BTreeSet<&str>) -> Option<&'a NodeSpec> {
     let is_action = node.kind != Some(NodeKind::SubTree) && ids.contains(node.id.as_str());
     if is_action { Some(node) } else { node.children.iter().find_map(|child| node_of(child, ids)) }

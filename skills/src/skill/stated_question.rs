@@ -13,7 +13,7 @@ pub struct StatedQuestion {
     pub message: String,
     /// Seconds after which it expires; `None` if it does not.
     pub patience_s: Option<String>,
-    /// Role of the people to whom it is escalated.
+    /// Role to which it is escalated.
     pub escalate_to: Option<String>,
     /// Seconds after which it is escalated.
     pub escalate_after_s: Option<String>,

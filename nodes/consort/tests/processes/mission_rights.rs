@@ -59,7 +59,7 @@ fn a_right_to_missions_of_the_fleet_allows_no_other_plan() {
     let shown = closed.fleet.run(&["missions", "look-1", "--json", "--certs", &certs], "station-1").expect(0).stdout;
     assert!(shown.contains("look_in"), "the plan is that of the fleet: {shown}");
 
-    // Another plan under a permitted name, and even a copy of the permitted one.
+    // Another plan under a permitted name, and even a copy of the permitted plan.
     let allowed = "the right `missions` of the certificate allows look, visit, by name";
     let a_file = format!("lee may not submit a mission file: {allowed}");
     for (name, text) in [("attack.yaml", LOOK.replace("look_in", "wander")), ("copy.yaml", LOOK.to_owned())] {

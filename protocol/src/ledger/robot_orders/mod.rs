@@ -70,7 +70,7 @@ impl Ledger {
         Ok(CommandOutcome::Done)
     }
 
-    /// Ends the orders whose time has passed.
+    /// Ends the orders that have expired.
     pub(super) fn expire_orders(&mut self, now_ms: u64, at: Epoch) -> CommandOutcome {
         let mut changed = self.order_book().robots.clone();
         changed.values_mut().for_each(|orders| orders.expire(now_ms));

@@ -409,7 +409,7 @@ async fn goal_is_answered_after_a_restart(trial: &Trial) -> Result<(), CaseFailu
     drop(probe);
     let (mut probe, hello) = Probe::ready(trial).await?;
     if !hello.resumes {
-        // The node ends the goal, and sends the next one.
+        // The node ends the goal, and sends the next goal.
         probe.start_goal(2, &sample(trial, &hello)?).await?;
         return expect(probe.follow_to_end(2).await?, ResultStatus::Succeeded);
     }

@@ -95,7 +95,7 @@ impl SimState {
         }
     }
 
-    /// Returns the name of a new item: the given one, or else a free one.
+    /// Returns the name of a new item: the given name, or else a free name.
     fn new_item(&self, goal: &Goal, name: Option<&str>) -> Result<SampleId, ActionError> {
         let (items, max) = (self.samples.len(), self.limits.entities_max);
         if items >= max {

@@ -77,14 +77,14 @@ pub enum Mutant {
     ReleasedInMotion,
     /// The ledger forgets missions as they end.
     OutcomesForgotten,
-    /// The ledger keeps many more ended missions whole than the settings say.
+    /// The ledger keeps many more ended missions whole than its settings permit.
     HistoryKept,
     /// Robots ignore requests to give way to a better-ranked mission.
     CircularWaitKept,
     /// Driver servers ignore how long a command may be acted on, and stop a robot only by their own
     /// limit for silent nodes.
     KeptTooLong,
-    /// An empty store that replaces a damaged one keeps its Raft id.
+    /// An empty store that replaces a damaged store keeps its Raft id.
     IdentityKept,
     /// A node notices no end of a lease or command while it waits for its bus.
     StoppedWithBus,
