@@ -140,25 +140,14 @@ fn select(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::test_values::idle_robot;
     use consort_protocol::api::AllRobots;
-    use consort_protocol::knowledge::Availability;
-    use consort_protocol::pose::Pose;
-    use consort_protocol::units::{BatteryShare, SharePerSecond};
     use serde_json::json;
 
     fn known() -> BTreeMap<RobotId, RobotKnowledge> {
         let robot = |section: &str| RobotKnowledge {
-            skills: BTreeSet::new(),
             attributes: serde_json::from_value(json!({ "section": section })).unwrap(),
-            place: "Dock".parse().unwrap(),
-            pose: Pose::default(),
-            battery: BatteryShare::FULL,
-            discharge: SharePerSecond::new(0.001).unwrap(),
-            useful_charge: BatteryShare::new(0.1).unwrap(),
-            speed: None,
-            availability: Availability::Free,
-            estimator: "standard".to_owned(),
-            charging: None,
+            ..idle_robot()
         };
         [("ada", "icu"), ("bob", "er")].map(|(name, section)| (name.parse().unwrap(), robot(section))).into()
     }

@@ -154,10 +154,8 @@ fn refusal_of(problem: &PriceError) -> RefusalReason {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::test_values::idle_robot;
     use consort_protocol::auction::AuctionId;
-    use consort_protocol::knowledge::Attributes;
-    use consort_protocol::pose::Pose;
-    use consort_protocol::units::{BatteryShare, SharePerSecond};
     use consort_skills::descriptor::DescriptorRegistry;
     use consort_skills::domain_file::DomainFile;
     use consort_skills::environment::Environment;
@@ -190,16 +188,7 @@ mod tests {
         };
         let worker = RobotKnowledge {
             skills: BTreeSet::from(["water", "lift"].map(|skill| skill.parse().unwrap())),
-            attributes: Attributes::default(),
-            place: "Dock".parse().unwrap(),
-            pose: Pose::default(),
-            battery: BatteryShare::FULL,
-            discharge: SharePerSecond::new(0.001).unwrap(),
-            useful_charge: BatteryShare::new(0.1).unwrap(),
-            speed: None,
-            availability: Availability::Free,
-            estimator: "standard".to_owned(),
-            charging: None,
+            ..idle_robot()
         };
         let readings = serde_json::from_value(readings.clone()).unwrap();
         let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };

@@ -51,7 +51,7 @@ mod skill_runner;
 mod standing_orders;
 mod task_timeout;
 #[cfg(test)]
-mod test_values;
+pub(crate) mod test_values;
 mod worker_record;
 
 pub(crate) use actor::{Robot, RobotMessage};

@@ -2,8 +2,10 @@
 
 use super::active_plan::{ActivePlan, PlanStart};
 use super::checkpoint::Checkpoint;
+use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::lease::{Award, Epoch};
-use consort_protocol::units::NodeTime;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, NodeTime, SharePerSecond};
 use consort_skills::actions::GoalId;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,6 +13,23 @@ use std::time::Duration;
 
 pub(super) fn at(ms: u64) -> NodeTime {
     NodeTime::default() + Duration::from_millis(ms)
+}
+
+/// Returns the record of a free robot with a full battery and no skills.
+pub(crate) fn idle_robot() -> RobotKnowledge {
+    RobotKnowledge {
+        skills: BTreeSet::new(),
+        attributes: Attributes::default(),
+        place: "Dock".parse().unwrap(),
+        pose: Pose::default(),
+        battery: BatteryShare::FULL,
+        discharge: SharePerSecond::new(0.001).unwrap(),
+        useful_charge: BatteryShare::new(0.1).unwrap(),
+        speed: None,
+        availability: Availability::Free,
+        estimator: "standard".to_owned(),
+        charging: None,
+    }
 }
 
 /// Returns an award of role `r1` to robot `ada`. Its plan drives, sends a signal to the arm, and

@@ -76,10 +76,9 @@ fn is_worth_publishing(published: &RobotKnowledge, now: &RobotKnowledge) -> bool
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::knowledge::Attributes;
+    use crate::robot::test_values::idle_robot;
     use consort_protocol::pose::Pose;
-    use consort_protocol::units::{BatteryShare, SharePerSecond, WorldTime};
-    use std::collections::BTreeSet;
+    use consort_protocol::units::{BatteryShare, WorldTime};
 
     fn at(ms: u64) -> NodeTime {
         NodeTime::default() + Duration::from_millis(ms)
@@ -98,19 +97,7 @@ mod tests {
     }
 
     fn record() -> WorkerRecord {
-        let worker = RobotKnowledge {
-            skills: BTreeSet::new(),
-            attributes: Attributes::default(),
-            place: "Yard".parse().unwrap(),
-            pose: Pose::default(),
-            battery: BatteryShare::FULL,
-            discharge: SharePerSecond::new(0.001).unwrap(),
-            useful_charge: BatteryShare::new(0.1).unwrap(),
-            speed: None,
-            availability: Availability::Free,
-            estimator: "standard".to_owned(),
-            charging: None,
-        };
+        let worker = RobotKnowledge { place: "Yard".parse().unwrap(), ..idle_robot() };
         let mut record = WorkerRecord::new(worker, at(0));
         assert!(record.update(Some(&telemetry("Dock", 0.9)), Availability::Free, None, at(0)).is_some());
         record
