@@ -33,7 +33,7 @@ async fn submit_all(fleet: &Fleet) -> Vec<MissionId> {
     missions
 }
 
-/// Returns the robots with promises, each as often as it has one.
+/// Returns the robot of each promise.
 fn promised(ledger: &Ledger) -> Vec<RobotId> {
     let missions = ledger.active_missions();
     missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| robot.robot.clone())).collect()

@@ -133,7 +133,7 @@ fn the_next_coordinator_keeps_a_robot_held() {
     });
 }
 
-/// The coordinator does not take a held robot for one that makes no progress.
+/// The coordinator does not treat a held robot as a robot without progress.
 #[test]
 fn a_robot_keeps_its_role_in_a_long_hold() {
     for_each_seed([1215, 1216], async |seed| {

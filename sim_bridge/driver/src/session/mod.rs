@@ -392,7 +392,7 @@ impl DriverSession {
         vec![]
     }
 
-    /// Keeps the declared readings. Each other one is logged as a wrong line.
+    /// Keeps the declared readings. Each other reading is logged as a wrong line.
     fn update_readings(&mut self, values: &BTreeMap<String, Scalar>) -> Vec<SessionAction> {
         let mut logs = vec![];
         for (name, value) in values {

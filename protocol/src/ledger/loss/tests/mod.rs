@@ -94,7 +94,7 @@ impl Log {
         self.apply(Command::Award { mission, branch, holders, auction })
     }
 
-    /// Awards open roles to robots whose bids have estimated this energy.
+    /// Awards open roles to robots that have estimated this energy.
     fn award_with_energy(&mut self, holders: &[(&str, &str, f64)]) -> Epoch {
         let (mission, branch, record) = (self.2.clone(), self.entry().branch, self.record());
         let entry = |(of, who, energy): &(&str, &str, f64)| AuctionEntry {
@@ -336,7 +336,7 @@ fn an_arm_that_has_moved_nothing_is_replaced_at_the_box() {
     assert_eq!(log.custodians(), ["amber?", "claw?"]);
 }
 
-/// A report that the ledger contains counts, whatever the robot says later.
+/// A report in the ledger counts, also if the robot later reports otherwise.
 #[test]
 fn a_move_in_the_ledger_has_happened() {
     let mut log = Log::held_by_two();

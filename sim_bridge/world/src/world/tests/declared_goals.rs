@@ -199,7 +199,7 @@ fn a_new_item_has_a_free_name_and_space_in_the_world() {
     refused(1, "tray", "the name \"tray\" is that of another item; allowed is any other name");
     let allowed = "is invalid; allowed are 1 to 64 characters, without control characters";
     refused(2, "", &format!("the name \"\" {allowed}"));
-    // Two robots print the same label. The later one finds that it exists.
+    // Two robots print the same label. The later robot fails, since the label exists.
     world.start(&robot("r1"), GoalId(3), goal("print", json!({ "thing": "label" })));
     world.start(&robot("r2"), GoalId(1), goal("print", json!({ "thing": "label" })));
     world.advance(at(world.now().as_secs() + 9.0));
@@ -214,7 +214,7 @@ fn a_new_item_has_a_free_name_and_space_in_the_world() {
     assert_eq!(names(&world), ["crate", "cup", "tray"], "a canceled goal creates nothing");
 }
 
-/// The samples that such a person makes are bounded, and a consumed one is replaced.
+/// The samples that such a person makes are bounded, and a consumed sample is replaced.
 #[test]
 fn a_person_with_endless_samples_replaces_consumed_ones() {
     let person = PersonSetup { samples: vec![], endless_samples: true, ..nurse("Ana", "Laboratory", "s1") };
