@@ -286,7 +286,8 @@ fn check_dark_and_narrow(browser: &Browser) {
     browser.wait_until("light by the switch", "document.documentElement.dataset.theme === 'light'");
     browser.click("#theme");
     browser.screen(360, 740);
-    for tab in ["missions", "schedule", "auctions", "ensembles", "coordination", "log", "calendar", "history"] {
+    for tab in ["missions", "schedule", "auctions", "ensembles", "coordination", "log", "calendar", "audit", "history"]
+    {
         browser.value(&format!("document.querySelector('#tab-{tab}').click()"));
         browser.wait_until("its panel", &format!("!document.querySelector('#panel-{tab}').hidden"));
         let width = browser.value("document.documentElement.scrollWidth");

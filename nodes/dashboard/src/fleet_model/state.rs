@@ -2,7 +2,7 @@
 
 use consort_protocol::auction::BidPart;
 use consort_protocol::cause::CauseClass;
-use consort_protocol::ledger::{Branch, HeldItem, RolePhase};
+use consort_protocol::ledger::{Branch, HeldItem, RobotOrders, RolePhase};
 use consort_protocol::mission::{RoleKind, TaskNode};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::view::NodeStatus;
@@ -114,6 +114,9 @@ pub struct RobotModel {
     pub availability: String,
     /// Reason for being out of service, or the orders of people to it.
     pub problem: Option<String>,
+    /// Orders of people to it, as far as the observing node knows them.
+    #[serde(skip_serializing_if = "RobotOrders::is_empty")]
+    pub orders: RobotOrders,
     /// The current mission.
     pub mission: Option<String>,
     /// The role in the mission.

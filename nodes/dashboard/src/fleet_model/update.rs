@@ -6,6 +6,7 @@ use crate::loaded_map::LoadedMap;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::ledger::RobotOrders;
 use consort_protocol::message::Beacon;
 use consort_protocol::mission::{TaskBody, TaskNode};
 use consort_protocol::pose::Pose;
@@ -160,7 +161,7 @@ impl FleetModel {
                 robot: record.robot.is_some(),
             };
             if let Some(robot) = record.robot {
-                self.take_robot(name.as_str(), robot, orders.problem(), &node);
+                self.take_robot(name.as_str(), robot, orders, &node);
             }
             present.push(name.to_string());
             self.nodes.insert(name.to_string(), node);
@@ -172,8 +173,8 @@ impl FleetModel {
         self.ensembles.replace(view.ensembles.into_iter().map(ensemble_model).collect());
     }
 
-    /// Applies the record of a robot. `ordered` are the orders of people to it, as text.
-    fn take_robot(&mut self, name: &str, robot: RobotKnowledge, ordered: Option<String>, node: &NodeModel) {
+    /// Applies the record of a robot, and the orders of people to it.
+    fn take_robot(&mut self, name: &str, robot: RobotKnowledge, orders: RobotOrders, node: &NodeModel) {
         let shown = self.robots.get_or_insert_with(name.to_owned(), RobotModel::default);
         shown.alive = node.alive;
         shown.last_contact_ms = node.last_contact_ms;
@@ -196,7 +197,8 @@ impl FleetModel {
             Availability::Free => ("free", None, None),
         };
         word.clone_into(&mut shown.availability);
-        shown.problem = problem.or(ordered);
+        shown.problem = problem.or_else(|| orders.problem());
+        shown.orders = orders;
         let (mission, role) = held.map(|(mission, role)| (mission.to_string(), role.to_string())).unzip();
         let before = std::mem::replace(&mut shown.mission, mission);
         shown.role = role;

@@ -44,6 +44,8 @@ assets! {
     "/fleet.js" "text/javascript; charset=utf-8" "assets/fleet.js",
     "/calendar.js" "text/javascript; charset=utf-8" "assets/calendar.js",
     "/log.js" "text/javascript; charset=utf-8" "assets/log.js",
+    "/orders.js" "text/javascript; charset=utf-8" "assets/orders.js",
+    "/audit.js" "text/javascript; charset=utf-8" "assets/audit.js",
     "/action.js" "text/javascript; charset=utf-8" "assets/action.js",
     "/request.js" "text/javascript; charset=utf-8" "assets/request.js",
     "/mission_form.js" "text/javascript; charset=utf-8" "assets/mission_form.js",

@@ -73,16 +73,17 @@ impl RequestForwarder {
         self.query(call, &MissionChangeRequest { mission: mission.clone(), by }, client).await
     }
 
-    /// Adds or changes a schedule, in the format of the API, on behalf of a person.
-    pub(super) async fn change_schedule(
+    /// Sends a request that names a responsible person, in the format of the API.
+    pub(super) async fn act(
         &self,
+        call: ApiCall,
         mut fields: Map<String, Value>,
         client: Option<&AuthenticatedClient>,
     ) -> Result<Value, ForwardError> {
         if let Some(by) = self.unknown_person(client) {
             fields.entry("by").or_insert_with(|| by.into());
         }
-        self.query(ApiCall::Schedule, &fields, client).await
+        self.query(call, &fields, client).await
     }
 
     /// Returns the name of a person that has not signed in and states none.

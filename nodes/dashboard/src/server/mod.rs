@@ -21,6 +21,7 @@
 //! something are accepted from the page alone.
 
 mod assets;
+mod audit;
 mod csv;
 mod forwarder;
 mod frame_publisher;

@@ -5,7 +5,7 @@ use super::frame_publisher::FramePublisher;
 use super::json::{JSON_HEADERS, Rejection, error_reply, json_reply, parse_body, rejection};
 use super::state::DashboardState;
 use super::websocket::{CLIENTS_MAX, open_websocket};
-use super::{DashboardSource, assets, csv, mission_file, origin_check, session};
+use super::{DashboardSource, assets, audit, csv, mission_file, origin_check, session};
 use crate::admission::{Admission, AuthenticatedClient, admit};
 use crate::fleet_model::{LogEntry, Reachability};
 use crate::recording::PlayerCommand;
@@ -44,6 +44,7 @@ pub(super) fn router(
     let guarded = |scope, route: MethodRouter<DashboardState>| {
         route.layer(axum::middleware::from_fn_with_state((admission.clone(), scope), admit))
     };
+    let order = |call: ApiCall| guarded(required_scope(call), post(order_robots).layer(Extension(call)));
     pages
         .route("/ws", guarded(AccessScope::Read, get(open_websocket)))
         .route("/api/fleet", guarded(AccessScope::Read, get(model)))
@@ -55,6 +56,11 @@ pub(super) fn router(
         .route("/api/missions/{id}/cancel", guarded(required_scope(ApiCall::Cancel), post(cancel)))
         .route("/api/missions/{id}/resolve", guarded(required_scope(ApiCall::Resolve), post(resolve)))
         .route("/api/schedules/{id}", guarded(required_scope(ApiCall::Schedule), post(change_schedule)))
+        .route("/api/hold", order(ApiCall::Hold))
+        .route("/api/release", order(ApiCall::Release))
+        .route("/api/maintenance", order(ApiCall::Maintenance))
+        .route("/api/audit", guarded(required_scope(ApiCall::Audit), get(audit_trail)))
+        .route("/api/audit.jsonl", guarded(required_scope(ApiCall::Audit), get(export_audit_trail)))
         .route("/api/requests", guarded(AccessScope::Read, get(requests)))
         .route("/api/requests/{id}/answer", guarded(required_scope(ApiCall::Answer), post(answer)))
         .route("/api/replay", guarded(AccessScope::Read, get(replay).post(control_replay)))
@@ -218,7 +224,35 @@ async fn change_schedule(
 ) -> Result<Response, Rejection> {
     let forwarder = forwarder(&shared)?;
     let fields = fields_about("schedule", id, &headers, &body)?;
-    Ok(reply_of(forwarder.change_schedule(fields, client.as_ref()).await))
+    Ok(reply_of(forwarder.act(ApiCall::Schedule, fields, client.as_ref()).await))
+}
+
+/// Forwards an order to robots: hold, release or maintenance.
+async fn order_robots(
+    State(shared): State<DashboardState>,
+    Extension(call): Extension<ApiCall>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Rejection> {
+    let forwarder = forwarder(&shared)?;
+    let fields: Map<String, Value> = parse_body(&headers, &body)?;
+    Ok(reply_of(forwarder.act(call, fields, client.as_ref()).await))
+}
+
+async fn audit_trail(State(shared): State<DashboardState>) -> Result<Response, Rejection> {
+    Ok(reply_of(forwarder(&shared)?.read(ApiCall::Audit).await))
+}
+
+async fn export_audit_trail(State(shared): State<DashboardState>) -> Result<Response, Rejection> {
+    let head = [
+        (header::CONTENT_TYPE, "application/jsonl"),
+        (header::CONTENT_DISPOSITION, "attachment; filename=\"audit.jsonl\""),
+    ];
+    Ok(match forwarder(&shared)?.read(ApiCall::Audit).await {
+        Ok(view) => (head, audit::json_lines(&view)).into_response(),
+        Err(problem) => reply_of(Err(problem)),
+    })
 }
 
 /// Parses the fields of a request, and adds the object that the path names.

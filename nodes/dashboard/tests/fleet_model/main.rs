@@ -246,10 +246,11 @@ fn a_robot_at_work_shows_the_orders_of_people() {
         let orders = json!({ "hold": hold, "maintenance": null });
         let node = json!({ "node": "ada", "alive": true, "robot": worker(holding()), "orders": orders });
         model.apply_view(&Key::ViewFleet, &fleet(json!([node])), NOW);
-        model.to_json()["robots"]["ada"]["problem"].clone()
+        let robot = model.to_json()["robots"]["ada"].clone();
+        (robot["problem"].clone(), robot["orders"].clone())
     };
-    assert_eq!(show(&order), "held by Nia: a spill");
-    assert_eq!(show(&Value::Null), Value::Null);
+    assert_eq!(show(&order), (json!("held by Nia: a spill"), json!({ "hold": order })));
+    assert_eq!(show(&Value::Null), (Value::Null, Value::Null));
 }
 
 #[test]

@@ -11,8 +11,11 @@ export async function confirmAndSend(button, question, path, value, done) {
     await send('POST', path, value);
     announce(done);
   } catch (problem) {
-    button.disabled = false;
     announce(problem.message);
     alert(problem.message);
+  } finally {
+    button.disabled = false;
+    // A disabled button loses the focus.
+    if (document.activeElement === document.body) button.focus();
   }
 }

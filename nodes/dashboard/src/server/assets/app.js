@@ -1,6 +1,7 @@
 // Entry point: draws changed sections at most once per browser frame, and only in the open panel.
 
 import * as auctions from './auctions.js';
+import * as audit from './audit.js';
 import * as calendar from './calendar.js';
 import { byId, tickAges } from './dom.js';
 import * as fleet from './fleet.js';
@@ -8,6 +9,7 @@ import { open } from './connection.js';
 import * as log from './log.js';
 import * as map from './map.js';
 import * as missions from './missions.js';
+import * as orders from './orders.js';
 import * as replay from './replay.js';
 import * as robots from './robots.js';
 import * as schedule from './schedule.js';
@@ -25,9 +27,11 @@ const dirty = new Set();
 let scheduled = false;
 let drawnAt = 0;
 
-const selectRobot = (robot) => {
+const selectRobot = (robot, focus) => {
   selected.robot = selected.robot === robot ? undefined : robot;
   map.choose(selected.robot);
+  orders.update(connection.model, selected.robot);
+  if (focus) orders.focus();
   markDirty('robots');
 };
 
@@ -63,7 +67,10 @@ function draw() {
   const isDirty = (...sections) => sections.some((section) => dirty.has(section));
   status.update(model);
   if (isDirty('log')) log.alarms(model, replay.hasSeeked());
-  if (isDirty('robots', 'people', 'doors')) robots.update(model, selected.robot, selectRobot);
+  if (isDirty('robots', 'people', 'doors')) {
+    robots.update(model, selected.robot, selectRobot);
+    orders.update(model, selected.robot);
+  }
   if ((isOpen('missions') || isOpen('history')) && isDirty('missions')) {
     missions.update(model, connection.now(), { mission: selected.mission, select: selectMission, cancel: submit.cancel, resolve: submit.resolve });
     dirty.delete('missions');
@@ -93,10 +100,15 @@ const redrawAll = () => {
 };
 
 theme.start(() => map.repaint());
-tabs.start(redrawAll);
+tabs.start(() => {
+  redrawAll();
+  if (isOpen('audit')) audit.read();
+});
 map.start(selectRobot);
 auctions.start(redrawAll);
 log.start(redrawAll);
+orders.start();
+audit.start(() => isOpen('audit'));
 const openMission = (mission) => {
   selected.mission = mission;
   byId('tab-missions').click();

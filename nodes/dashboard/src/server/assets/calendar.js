@@ -2,9 +2,7 @@
 
 import { confirmAndSend } from './action.js';
 import { byId, cells, make, redraw, rows, state } from './dom.js';
-import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, showProblem } from './mission_form.js';
-import { send } from './request.js';
-import { announce } from './status.js';
+import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, sendForm } from './mission_form.js';
 
 const FORM = 'add-schedule';
 /** Number of days on the calendar. */
@@ -107,20 +105,9 @@ function parameters() {
 /** Adds the schedule of the form. The same schedule may be added again, so a request may be repeated. */
 async function add(event) {
   event.preventDefault();
-  showProblem(FORM, '');
   const value = (field) => byId(`add-schedule-${field}`).value;
   const request = { action: 'add', cron: value('cron'), zone: value('zone'), missed: value('missed'), submit: givenMission(FORM) };
   if (value('until')) request.until = new Date(value('until')).toISOString();
-  const button = byId('add-schedule-send');
-  button.disabled = true;
-  try {
-    await send('POST', path(value('name')), request);
-    announce(`${value('name')} is added`);
-    byId(FORM).close();
-    byId('add-schedule-name').value = '';
-  } catch (problem) {
-    showProblem(FORM, problem.message);
-  } finally {
-    button.disabled = false;
-  }
+  const added = await sendForm(FORM, path(value('name')), request, `${value('name')} is added`);
+  if (added) byId('add-schedule-name').value = '';
 }

@@ -148,6 +148,9 @@ export function tickAges(now) {
 
 export const clock = (ms) => new Date(ms).toLocaleTimeString([], { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false });
 
+/** Formats an instant with its day, for instants that may be days away. */
+export const moment = (ms) => new Date(ms).toLocaleString([], { dateStyle: 'short', timeStyle: 'short', hourCycle: 'h23' });
+
 export const percent = (share, digits = 0) => `${(share * 100).toFixed(digits)} %`;
 
 export const readable = (text) => (text ?? '').replaceAll('_', ' ');

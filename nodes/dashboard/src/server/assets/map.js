@@ -288,6 +288,7 @@ const LOOKS = ['busy', 'free', 'suspended', 'out'];
 
 const lookOf = (robot) => {
   if (isOut(robot)) return 'out';
+  if (robot.orders?.hold) return 'suspended';
   return { holding: 'busy', suspended: 'suspended' }[robot.availability] ?? 'free';
 };
 

@@ -1,7 +1,8 @@
-// Fields of the forms that request missions. The ids of a form's elements begin with the id of its dialog.
+// Forms of requests, and the fields of those that request missions. The ids of a form's elements begin with the id of its dialog.
 
 import { byId, make, readable, setText } from './dom.js';
 import { send } from './request.js';
+import { announce } from './status.js';
 
 let named;
 
@@ -41,6 +42,24 @@ export const chosenMission = (form) => named?.find(({ mission }) => mission === 
 export function showProblem(form, text) {
   byId(`${form}-problem`).hidden = !text;
   setText(byId(`${form}-problem`), text);
+}
+
+/** Sends the request of a form. A success closes the form, and `done` announces it. Returns whether it succeeded. */
+export async function sendForm(form, path, request, done) {
+  const button = byId(`${form}-send`);
+  button.disabled = true;
+  showProblem(form, '');
+  try {
+    await send('POST', path, request);
+    byId(form).close();
+    announce(done);
+    return true;
+  } catch (problem) {
+    showProblem(form, problem.message);
+    return false;
+  } finally {
+    button.disabled = false;
+  }
 }
 
 /** Returns the names of the places that a mission can use. */

@@ -12,6 +12,7 @@ export function update(model, chosen, onChoose) {
     canMove: robot.can_move,
     availability: robot.availability,
     problem: robot.problem,
+    held: Boolean(robot.orders?.hold),
     job: robot.mission && `${robot.role ?? 'a role'} of ${robot.mission}`,
     task: robot.task,
     to: robot.destination,
@@ -25,7 +26,8 @@ export function update(model, chosen, onChoose) {
   rows(body, items, (row, item) => {
     const choose = make('button', { className: 'rowbutton', type: 'button' }, item.key);
     choose.setAttribute('aria-pressed', String(item.chosen));
-    choose.onclick = () => onChoose(item.key);
+    // A press of a key has no click count. Such a user continues at the orders of the robot.
+    choose.onclick = (event) => onChoose(item.key, event.detail === 0);
     const [kind, text] = activity(item);
     const detail = item.problem ?? (item.task ? `${readable(item.task)}${item.to ? ` → ${item.to}` : ''}` : null);
     const does = make('td', { className: 'wrap' }, state(kind, text), detail ? make('span', { className: 'sub' }, detail) : null);
@@ -54,6 +56,7 @@ const DOORS = { open: 'good', opening: 'work', closing: 'work', closed: 'wait' }
 function activity(item) {
   if (!item.alive) return ['bad', 'no contact'];
   if (item.availability === 'out_of_service' || item.canMove === false) return ['bad', 'out of service'];
+  if (item.held) return ['warn', item.job ? `held: ${item.job}` : 'held'];
   if (item.availability === 'suspended') return ['warn', `suspended: ${item.job}`];
   if (item.job) return ['work', item.job];
   return ['wait', item.availability === 'charging' ? 'charging' : 'free'];

@@ -2,7 +2,7 @@
 
 import { confirmAndSend } from './action.js';
 import { byId, make, setText } from './dom.js';
-import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, showProblem } from './mission_form.js';
+import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, sendForm, showProblem } from './mission_form.js';
 import { lastKnownPlace } from './missions.js';
 import { newRequest, send } from './request.js';
 import { announce } from './status.js';
@@ -75,21 +75,10 @@ export function resolve(id, mission) {
 function startResolve() {
   const dialog = byId('resolve');
   byId('resolve-back').onclick = () => dialog.close();
-  byId('resolve-form').onsubmit = async (event) => {
+  byId('resolve-form').onsubmit = (event) => {
     event.preventDefault();
     const { mission } = dialog.dataset;
-    const button = byId('resolve-send');
-    button.disabled = true;
-    showProblem('resolve', '');
-    try {
-      await send('POST', `/api/missions/${encodeURIComponent(mission)}/resolve`, { by: byId('resolve-by').value });
-      dialog.close();
-      announce(`${mission} is resolved`);
-    } catch (problem) {
-      showProblem('resolve', problem.message);
-    } finally {
-      button.disabled = false;
-    }
+    sendForm('resolve', `/api/missions/${encodeURIComponent(mission)}/resolve`, { by: byId('resolve-by').value }, `${mission} is resolved`);
   };
 }
 
