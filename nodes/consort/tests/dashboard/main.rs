@@ -11,6 +11,7 @@ mod demo_fleet;
 mod doors_and_interventions;
 mod many_robots;
 mod mission_files;
+mod orders;
 mod people;
 mod recording;
 mod schedules;

@@ -167,8 +167,11 @@ fn a_recorded_takeover_is_replayed_in_both_directions() {
     assert_eq!(browser.console(), Vec::<String>::new());
 
     // A recorded fleet accepts no requests.
-    assert_eq!(browser.value("document.querySelector('#new-mission').checkVisibility()"), false);
-    for path in ["/api/missions", "/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/resolve"] {
+    for action in ["#new-mission", "#hold-all", "#robot-orders"] {
+        assert_eq!(browser.value(&format!("document.querySelector('{action}').checkVisibility()")), false, "{action}");
+    }
+    let of_mission = ["/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/resolve"];
+    for path in ["/api/missions", "/api/hold", "/api/release", "/api/maintenance"].into_iter().chain(of_mission) {
         let refused = browser.value(&format!(
             "fetch('{path}', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{{}}' }}).then(async (answer) => [answer.status, (await answer.json()).error])"
         ));

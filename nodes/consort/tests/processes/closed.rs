@@ -494,7 +494,8 @@ fn an_http_token_determines_identity_and_permissions() {
     for open in ["GET /", "GET /session.js", "GET /healthz"] {
         assert_eq!(http(&page, open, &[], "").status, 200, "{open}");
     }
-    for (at, shut) in [(&page, "GET /api/fleet"), (&page, "GET /api/history.csv"), (&metrics, "GET /metrics")] {
+    let shut = ["GET /api/fleet", "GET /api/history.csv", "GET /api/audit", "GET /api/audit.jsonl"];
+    for (at, shut) in shut.map(|shut| (&page, shut)).into_iter().chain([(&metrics, "GET /metrics")]) {
         let answer = http(at, shut, &[], "");
         assert_eq!(answer.status, 401, "{shut}");
         assert!(error(&answer).contains("`consort token --certs DIR` makes a token"), "{}", answer.body);
@@ -545,6 +546,28 @@ fn an_http_token_determines_identity_and_permissions() {
     assert_eq!(added.status, 200, "{}", added.body);
     let by = added.json()["schedule"]["by"].clone();
     assert!(by.as_str().is_some_and(|by| by.starts_with("submit")), "{by}");
+    let hold = json!({ "robots": "all", "for_s": 60 }).to_string();
+    let refused = with(&reads, "POST /api/hold", &hold);
+    assert_eq!(
+        (refused.status, error(&refused)),
+        (403, "the token of read has scope read; this request needs scope submit".to_owned())
+    );
+    let by = until("ada is held", LONG, || {
+        let held = with(&submits, "POST /api/hold", &hold);
+        Some(held.json()["robots"]["ada"]["hold"]["by"].as_str()?.to_owned())
+    });
+    assert!(by.starts_with("submit"), "{by}");
+    until("the robots are released", LONG, || {
+        (with(&submits, "POST /api/release", r#"{ "robots": "all" }"#).status == 200).then_some(())
+    });
+    until("the trail names the signer of each order", LONG, || {
+        let trail = with(&reads, "GET /api/audit", "").json();
+        let entries = trail["entries"].as_array()?;
+        let is_there = |action: &str| entries.iter().any(|entry| entry["action"] == action && entry["by"] == by);
+        (is_there("hold") && is_there("release")).then_some(())
+    });
+    assert!(with(&reads, "GET /api/audit.jsonl", "").body.contains(&format!("{by:?}")));
+
     // A person who may submit some missions is offered these alone, and no other is executed.
     closed.cert(&["person", "lee", "--scope", "submit", "--missions", "vital-signs"]);
     let lee = closed.token("lee", &[]);

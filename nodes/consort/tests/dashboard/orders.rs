@@ -1,0 +1,154 @@
+//! The user holds robots on the page, releases them, takes one out of service, and sees who ordered it.
+
+use crate::browser::{Browser, SOON};
+use crate::demo_fleet::{ENTER, check_access, tab_to};
+use crate::station::{dashboard_address, station_with_dashboard, with};
+use crate::support::{Fleet, Folder, example, until};
+use serde_json::{Value, json};
+
+/// Orders to ada in the model of the page.
+const ORDERS: &str = "consort.connection.model.robots.ada.orders";
+
+/// Returns the orders to ada in `view/fleet`.
+fn orders_in_view(fleet: &mut Fleet) -> Value {
+    let seen = fleet.run(&["fleet", "--json"], "station-1").expect(0).json();
+    let nodes = seen["fleet"]["nodes"].as_array().expect("nodes");
+    nodes.iter().find(|node| node["node"] == "ada").expect("ada")["orders"].clone()
+}
+
+fn press_order(browser: &Browser, order: &str) {
+    tab_to(browser, &format!("#robot-orders [data-order={order}]"));
+    browser.press(ENTER);
+}
+
+fn wait_for_form(browser: &Browser) {
+    browser.wait_until(
+        "the form",
+        "document.querySelector('#order').open && document.activeElement.id === 'order-reason'",
+    );
+}
+
+#[test]
+fn robots_are_held_and_released_on_the_page() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let mut fleet = Fleet::new(&example("fleet"));
+    fleet.start("station", station_with_dashboard(), &[]);
+    // Slow enough that the mission does not end meanwhile.
+    fleet.start("world", with(example("world"), "speed", 2.0), &["station-1"]);
+    fleet.start("robot", example("robot"), &["station-1", "world"]);
+    fleet.start("robot", example("arm"), &["station-1", "world"]);
+    browser.open(&dashboard_address(fleet.node("station-1")));
+    browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
+    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    assert_eq!(browser.value("document.querySelector('#robot-orders').disabled"), true, "no robot is selected");
+    browser.click("#new-mission");
+    browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
+    browser.click("#submit-send");
+    browser.wait_until("the role of ada", "consort.connection.model.robots.ada.mission === 'lab-samples-1'");
+
+    hold_and_release(&browser, &mut fleet);
+    maintain(&browser);
+    hold_and_release_all(&browser);
+    read_audit_trail(&browser);
+    assert_eq!(browser.console(), Vec::<String>::new());
+    fleet.stop();
+}
+
+fn hold_and_release(browser: &Browser, fleet: &mut Fleet) {
+    // A user without a mouse continues at the orders of the selected robot.
+    browser.value("document.querySelector('#robots tr[data-row=ada] .rowbutton').focus()");
+    browser.press(ENTER);
+    browser.wait_until(
+        "its orders",
+        "document.querySelector('#robot-head').innerText === 'ada' && document.activeElement.id === 'robot-orders'",
+    );
+    browser.wait_until("its role", "/ of lab-samples-1$/.test(document.querySelector('#robot-state').innerText)");
+    press_order(browser, "hold");
+    wait_for_form(browser);
+    let roles = browser.text("#order-roles");
+    assert!(roles.starts_with("ada: ") && roles.ends_with(" of lab-samples-1 waits"), "{roles}");
+    assert_eq!(browser.value("document.querySelector('#order-until').checkVisibility()"), false);
+    check_access(browser, "the form of a hold");
+    browser.screenshot("hold");
+    browser.value(
+        "(document.querySelector('#order-minutes').value = '30', document.querySelector('#order-by').value = 'Nia', true)",
+    );
+    browser.press(&format!("wet floor{ENTER}"));
+    browser.wait_until("it is held", &format!("{ORDERS}?.hold?.by === 'Nia'"));
+    browser.wait_until(
+        "the focus is where it was",
+        "!document.querySelector('#order').open && document.activeElement.dataset.order === 'hold'",
+    );
+    browser.wait_until(
+        "the page shows it",
+        "/held by Nia until .*: wet floor$/.test(document.querySelector('#robot-state').innerText) && /held: .* of lab-samples-1/.test(document.querySelector('#robots tr[data-row=ada]').innerText)",
+    );
+    check_access(browser, "a held robot");
+    let hold = orders_in_view(fleet)["hold"].clone();
+    assert_eq!((&hold["by"], &hold["reason"]), (&json!("Nia"), &json!("wet floor")));
+    let lasts_ms = hold["until_ms"].as_u64().zip(hold["since_ms"].as_u64()).map(|(until, since)| until - since);
+    assert!(lasts_ms.is_some_and(|ms| (1_700_000..=1_800_000).contains(&ms)), "half an hour: {hold}");
+
+    press_order(browser, "release");
+    browser.accept();
+    browser.wait_until("it is released", &format!("{ORDERS} === undefined"));
+    browser.wait_until("the focus is where it was", "document.activeElement.dataset.order === 'release'");
+    until("it is released in the view", SOON, || orders_in_view(fleet)["hold"].is_null().then_some(()));
+    browser.wait_until("its role goes on", "consort.connection.model.robots.ada.availability === 'holding'");
+}
+
+fn maintain(browser: &Browser) {
+    press_order(browser, "maintenance");
+    wait_for_form(browser);
+    let shown = "['minutes', 'until'].map((field) => document.querySelector(`#order-${field}`).checkVisibility())";
+    assert_eq!(browser.value(shown), json!([false, true]));
+    // Without a reason the form sends nothing.
+    browser.press(ENTER);
+    assert_eq!(browser.value("document.querySelector('#order').open"), true);
+    check_access(browser, "the form of maintenance");
+    browser.press(&format!("new tyres{ENTER}"));
+    browser.wait_until("its maintenance", &format!("{ORDERS}?.maintenance?.reason === 'new tyres'"));
+    press_order(browser, "end");
+    browser.accept();
+    browser.wait_until("the end of its maintenance", &format!("{ORDERS} === undefined"));
+}
+
+fn hold_and_release_all(browser: &Browser) {
+    let are = |condition: &str| {
+        format!("Object.values(consort.connection.model.robots).every(({{ orders }}) => {condition})")
+    };
+    browser.click("#hold-all");
+    wait_for_form(browser);
+    browser.press(&format!("drill{ENTER}"));
+    browser.wait_until("both are held", &are("orders?.hold?.reason === 'drill'"));
+    browser.value("document.querySelector('#release-all').focus()");
+    browser.press(ENTER);
+    browser.accept();
+    browser.wait_until("both are released", &are("orders === undefined"));
+}
+
+fn read_audit_trail(browser: &Browser) {
+    let row = |number: usize, pattern: &str| {
+        format!("/{pattern}/.test(document.querySelectorAll('#audit tbody tr')[{number}].innerText)")
+    };
+    browser.click("#tab-audit");
+    browser.wait_until("the latest change first", &row(0, "the dashboard of station-1\\s+release\\s+ada, lab-arm"));
+    browser.click("#audit-person");
+    browser.press("nia");
+    browser.wait_until("her changes alone", "document.querySelectorAll('#audit tbody tr').length === 3");
+    for (number, pattern) in [
+        (0, "Nia\\s+hold\\s+ada, lab-arm\\s+for \\d+ s: drill"),
+        (1, "Nia\\s+begin maintenance\\s+ada\\s+new tyres"),
+        (2, "Nia\\s+hold\\s+ada\\s+for \\d+ s: wet floor"),
+    ] {
+        browser.wait_until("her change", &row(number, pattern));
+    }
+    check_access(browser, "the audit trail");
+    browser.screenshot("audit");
+    let lines = browser.value("fetch('/api/audit.jsonl').then((answer) => answer.text())");
+    let lines = lines.as_str().expect("text").lines();
+    let entries: Vec<Value> = lines.map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let hers: Vec<&Value> = entries.iter().filter(|entry| entry["by"] == "Nia").map(|entry| &entry["action"]).collect();
+    assert_eq!(hers, [&json!("hold"), &json!("begin_maintenance"), &json!("hold")], "{entries:#?}");
+}
