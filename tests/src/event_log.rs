@@ -45,6 +45,13 @@ pub enum Observation {
         /// The mission of the request.
         mission: MissionId,
     },
+    /// The coordinator acknowledged an order of a person to robots.
+    OrderAcknowledged {
+        /// The client.
+        node: NodeId,
+        /// The person, who gives this order only.
+        by: String,
+    },
     /// A replica applied an entry of the log.
     EntryApplied {
         /// The node.
@@ -74,6 +81,7 @@ impl Observation {
             Observation::TestAction { node, .. }
             | Observation::LeadershipChanged { node, .. }
             | Observation::RequestAcknowledged { node, .. }
+            | Observation::OrderAcknowledged { node, .. }
             | Observation::EntryApplied { node, .. } => node,
         }
     }
@@ -159,6 +167,7 @@ impl EventLog {
                     let request = request.as_deref().unwrap_or("an unnamed request");
                     format!("*** {request} acknowledged as {mission}")
                 }
+                Observation::OrderAcknowledged { by, .. } => format!("*** {by} acknowledged"),
                 Observation::LeadershipChanged { term, leading_as: Some(reign), .. } => {
                     format!("leads as {reign} (term {term})")
                 }

@@ -12,6 +12,7 @@ pub(super) fn node_observation(entry: &Observation) -> Option<String> {
         Observation::TestAction { action: what, .. } => format!("*** {what}"),
         Observation::Published(event) => of(&event.kind)?,
         Observation::RequestAcknowledged { .. }
+        | Observation::OrderAcknowledged { .. }
         | Observation::LeadershipChanged { .. }
         | Observation::EntryApplied { .. } => return None,
     };

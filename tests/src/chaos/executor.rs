@@ -3,13 +3,14 @@
 use super::chaos_fleet::{ChaosFleet, DATE_MS, WORLD};
 use super::fault_injector::FaultInjector;
 use super::hostile::{HOSTILE, HostileNode};
+use super::orders;
 use super::recurring;
 use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
-use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash};
+use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, DiskAfterCrash, OrderAction};
 use crate::disk::DiskFault;
 use crate::history::{Acknowledged, History, Reader, RecordingClient};
-use crate::{Fleet, Observation, slug};
+use crate::{EventLog, Fleet, Observation, slug};
 use consort_bus::LinkModel;
 use consort_protocol::api::SubmitRequest;
 use consort_protocol::ids::{MissionId, NodeId};
@@ -131,6 +132,11 @@ impl ActionExecutor {
             ChaosAction::ChangeSchedule { change, missed } => {
                 let (client, request) = (self.client(fleet), recurring::request(*change, *missed));
                 tokio::spawn(async move { client.change_schedule(&request).await });
+            }
+            ChaosAction::Order { robot, change } => {
+                let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
+                let (person, robot, change) = (format!("person {number}"), robot.clone(), *change);
+                tokio::spawn(async move { order(&client, &event_log, &person, &robot, change).await });
             }
             ChaosAction::Crash { node, disk, .. } => {
                 let node = if node == "coordinator" {
@@ -467,6 +473,21 @@ impl ActionExecutor {
         });
     }
 
+    /// Starts a person who ends all orders to robots, again and again: a request of the schedule that was delayed may
+    /// give an order later.
+    pub(super) fn spawn_order_ender(&self, fleet: &Fleet) {
+        let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
+        tokio::spawn(async move {
+            for number in 1.. {
+                for (change, what) in [(OrderAction::Release, "release"), (OrderAction::EndMaintenance, "end")] {
+                    let person = format!("final {what} {number}");
+                    order(&client, &event_log, &person, ALL_ROBOTS, change).await;
+                }
+                tokio::time::sleep(RESOLVE_INTERVAL).await;
+            }
+        });
+    }
+
     fn submit(&self, fleet: &Fleet, request: &str, body: &SubmitRequest) {
         let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
         let (acknowledged, request) = (self.acknowledged.clone(), request.to_owned());
@@ -501,6 +522,14 @@ impl ActionExecutor {
                 client.cancel(&slug(&known)).await;
             }
         });
+    }
+}
+
+/// Changes the orders to robots, and records the acknowledgement.
+async fn order(client: &RecordingClient, event_log: &EventLog, person: &str, robot: &str, change: OrderAction) {
+    let (call, request) = orders::request(robot, change);
+    if let Some(by) = client.order_robots(call, request, person).await {
+        event_log.add(Observation::OrderAcknowledged { node: slug("client"), by });
     }
 }
 

@@ -3,6 +3,7 @@
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::control_flow::replace_missions;
 use super::fault_kind::FaultKind;
+use super::orders::add_orders;
 use super::poison::replace_poison;
 use super::recurring::add_schedule;
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule, ScheduledAction, SkillFault};
@@ -121,6 +122,7 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     replace_missions(seed, kinds, &mut draw.steps);
     replace_poison(seed, kinds, &mut draw.steps);
     add_schedule(seed, kinds, draw.end_ms, &mut draw.steps);
+    add_orders(seed, kinds, composition, draw.end_ms, &mut draw.steps);
     let schedule = Schedule::of(draw.steps).in_order();
     Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, ..schedule }
 }

@@ -5,6 +5,7 @@ use super::control_flow::FIRST_SEED;
 use super::fault_kind::FaultKind;
 use super::generate::generate;
 use super::mutants::Mutant;
+use super::orders::FIRST_SEED as FIRST_SEED_WITH_ORDERS;
 use super::run::RunConfig;
 use super::seed_sweep::SeedSweep;
 use consort_skills::workload::Workload;
@@ -33,6 +34,12 @@ impl MutantCheck {
         MutantCheck { mutant, faults, first_seed: 1, last_seed }
     }
 
+    /// Creates a check over `seeds` seeds whose runs may have orders of people and chargers, without faults.
+    const fn with_orders(mutant: Mutant, seeds: u64) -> MutantCheck {
+        let last_seed = FIRST_SEED_WITH_ORDERS + seeds - 1;
+        MutantCheck { first_seed: FIRST_SEED_WITH_ORDERS, ..MutantCheck::under(mutant, &[FaultKind::None], last_seed) }
+    }
+
     /// Creates a check over `seeds` seeds whose runs may have a schedule and missions with control flow.
     const fn with_schedules(mutant: Mutant, seeds: u64) -> MutantCheck {
         MutantCheck { first_seed: FIRST_SEED, last_seed: FIRST_SEED + seeds - 1, ..MutantCheck::new(mutant, 0) }
@@ -47,7 +54,8 @@ pub(crate) const NODES: usize = 7;
 
 /// All injected bugs with the seeds within which chaos must find each: about three times
 /// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
-/// repeats the request under the same name. Half of the runs with schedules have none.
+/// repeats the request under the same name. Half of the runs with schedules have none, and the numbers for bugs that
+/// need orders of people or chargers are guesses.
 pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::new(Mutant::SkipFsync, 20),
     MutantCheck::new(Mutant::DoubleVote, 20),
@@ -78,6 +86,8 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::under(Mutant::IdentityKept, &[FaultKind::StaleMajority], 3),
     MutantCheck::under(Mutant::StoppedWithBus, &[FaultKind::BlockedBus], 15),
     MutantCheck::with_schedules(Mutant::OccurrenceRepeated, 12),
+    MutantCheck::with_orders(Mutant::HoldIgnored, 12),
+    MutantCheck::with_orders(Mutant::OrderForgotten, 6),
 ];
 
 /// Result of a mutation check.
@@ -143,11 +153,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_checks_of_schedules_have_schedules_and_missions_with_control_flow() {
+    fn only_some_checks_have_schedules_and_missions_with_control_flow_or_orders() {
         for check in MUTANT_CHECKS {
+            let with_orders = check.first_seed == FIRST_SEED_WITH_ORDERS && check.last_seed >= FIRST_SEED_WITH_ORDERS;
             let with_schedules = check.first_seed == FIRST_SEED && check.last_seed >= FIRST_SEED;
             let without = check.first_seed == 1 && (1..FIRST_SEED).contains(&check.last_seed);
-            let is_expected = if check.mutant == Mutant::OccurrenceRepeated { with_schedules } else { without };
+            let is_expected = match check.mutant {
+                Mutant::OccurrenceRepeated => with_schedules,
+                Mutant::HoldIgnored | Mutant::OrderForgotten => with_orders,
+                _ => without,
+            };
             assert!(is_expected, "{check:?}");
         }
     }

@@ -8,7 +8,7 @@
 use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
-use super::generate::LIFTED;
+use super::generate::{LIFTED, lease_terms};
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
 use super::requested_missions::workload_with;
@@ -128,7 +128,7 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     };
     let (members, people) = composition.participants(&workload);
     let fleet = Fleet::hospital_with(config.seed, members, &composition.stations, people, options).await;
-    let checker = Checker::new(injector.ended_missions_max());
+    let checker = Checker::new(injector.ended_missions_max(), lease_terms(config.seed).lease);
     let executor = ActionExecutor::new(composition.clone(), injector, workload);
     let mut run = Run { fleet, executor, checker };
     for node in composition.nodes() {
@@ -183,6 +183,9 @@ impl Run {
         self.executor.end_all_faults(&mut self.fleet).await;
         self.fleet.heal();
         self.executor.spawn_resolver(&self.fleet);
+        if schedule.has_orders() {
+            self.executor.spawn_order_ender(&self.fleet);
+        }
         let since = self.fleet.elapsed();
         let is_upgraded = self.executor.upgrade_check();
         let has_settled = |fleet: &Fleet| has_converged(fleet) && is_upgraded(fleet);
@@ -445,10 +448,10 @@ struct Checker {
 const EVENT_LINES_MAX: usize = 80;
 
 impl Checker {
-    fn new(ended_missions_max: usize) -> Checker {
+    fn new(ended_missions_max: usize, lease: Duration) -> Checker {
         let grown = tokio::sync::watch::Sender::new(0).subscribe();
         Checker {
-            invariants: invariants::all(ended_missions_max),
+            invariants: invariants::all(ended_missions_max, lease),
             seen: 0,
             ended: BTreeSet::new(),
             grown,
@@ -494,6 +497,12 @@ impl Checker {
                     let name = invariant.name();
                     return Err(self.violation(name, reason, fleet));
                 }
+            }
+        }
+        for invariant in &mut self.invariants {
+            if let Err(InvariantViolation(reason)) = invariant.check_state(now, fleet) {
+                let name = invariant.name();
+                return Err(self.violation(name, reason, fleet));
             }
         }
         Ok(())

@@ -18,6 +18,9 @@ pub struct Schedule {
     /// keep them without commands.
     #[serde(default = "usual_speed", skip_serializing_if = "is_usual_speed")]
     pub world_speed: u32,
+    /// Number of chargers, which robots use by themselves. With chargers the batteries are small.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub chargers: usize,
 }
 
 /// World speed of most runs.
@@ -31,15 +34,19 @@ fn is_usual_speed(speed: &u32) -> bool {
     *speed == USUAL_SPEED
 }
 
+fn is_zero(number: &usize) -> bool {
+    *number == 0
+}
+
 impl Schedule {
-    /// Returns the schedule of these actions at the usual speed of the world.
+    /// Returns the schedule of these actions at the usual speed of the world, without chargers.
     pub fn of(steps: Vec<ScheduledAction>) -> Schedule {
-        Schedule { steps, world_speed: USUAL_SPEED }
+        Schedule { steps, world_speed: USUAL_SPEED, chargers: 0 }
     }
 
     /// Returns the same schedule with other actions.
     pub(super) fn with_steps(&self, steps: Vec<ScheduledAction>) -> Schedule {
-        Schedule { steps, world_speed: self.world_speed }
+        Schedule { steps, ..*self }
     }
 
     /// Replaces the missions of all requests but poison by these, in turn.
@@ -76,11 +83,14 @@ pub struct ScheduledAction {
 /// that instant, as in `carrier of r0`.
 pub(super) const CARRIER_OF: &str = "carrier of ";
 
+/// Name that stands for all robots in an order of a person.
+pub(super) const ALL_ROBOTS: &str = "*";
+
 /// Names of the requests in a circular wait.
 pub(super) const WAITING: [&str; 2] = ["w0", "w1"];
 
 /// An action. Nodes are given by name; `coordinator` is the coordinator at that instant. Crashes, departures,
-/// cuts and partitions may also name a carrier by its request.
+/// cuts, partitions and orders may also name a carrier by its request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "action", rename_all = "snake_case")]
 pub enum ChaosAction {
@@ -116,6 +126,13 @@ pub enum ChaosAction {
         /// What becomes of missed occurrences, if it is added.
         #[serde(default)]
         missed: MissedOccurrences,
+    },
+    /// A person changes the orders to robots, and repeats this until it receives a reply.
+    Order {
+        /// The robot; `*` for all.
+        robot: String,
+        /// The change.
+        change: OrderAction,
     },
     /// A node is killed and restarted later.
     Crash {
@@ -288,6 +305,23 @@ fn default_mission() -> String {
     MISSIONS[0].to_owned()
 }
 
+/// Change of the orders to robots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OrderAction {
+    /// They stand still.
+    Hold {
+        /// Seconds after which the hold ends by itself.
+        for_s: u32,
+    },
+    /// Their holds end.
+    Release,
+    /// They get no other role, without a time limit.
+    BeginMaintenance,
+    /// Their maintenance ends.
+    EndMaintenance,
+}
+
 /// State of a disk after a crash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -345,6 +379,7 @@ impl ChaosAction {
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
             | ChaosAction::ChangeSchedule { .. }
+            | ChaosAction::Order { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -364,6 +399,7 @@ impl ChaosAction {
             ChaosAction::Crash { node, .. } | ChaosAction::Remove { node } | ChaosAction::Leave { node, .. } => {
                 resolve(node)?;
             }
+            ChaosAction::Order { robot, .. } => resolve(robot)?,
             ChaosAction::Cut { from, to, .. } => {
                 resolve(from)?;
                 resolve(to)?;
@@ -417,6 +453,7 @@ impl ChaosAction {
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
             | ChaosAction::ChangeSchedule { .. }
+            | ChaosAction::Order { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -436,6 +473,7 @@ impl Schedule {
                 ChaosAction::Submit { .. }
                     | ChaosAction::Cancel { .. }
                     | ChaosAction::ChangeSchedule { .. }
+                    | ChaosAction::Order { .. }
                     | ChaosAction::Hostile { .. }
             )
         })
@@ -448,6 +486,11 @@ impl Schedule {
         self.steps.iter().all(|step| is_request(&step.action)) && self.steps.iter().any(|step| step.action.is_poison())
     }
 
+    /// Checks whether people give orders to robots.
+    pub(super) fn has_orders(&self) -> bool {
+        self.steps.iter().any(|step| matches!(step.action, ChaosAction::Order { .. }))
+    }
+
     /// Sorts the actions by time; actions of the same instant keep their order.
     #[must_use]
     pub fn in_order(mut self) -> Schedule {
@@ -458,6 +501,9 @@ impl Schedule {
 
 impl Display for Schedule {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.chargers > 0 {
+            writeln!(f, "chargers: {}", self.chargers)?;
+        }
         self.steps.iter().try_for_each(|step| writeln!(f, "{step}"))
     }
 }
@@ -499,6 +545,15 @@ impl Display for ChaosAction {
                 ScheduleAction::Resume => f.write_str("the schedule is resumed"),
                 ScheduleAction::Remove => f.write_str("the schedule is removed"),
             },
+            ChaosAction::Order { robot, change } => {
+                let robot = if robot == ALL_ROBOTS { "every robot" } else { robot.as_str() };
+                match change {
+                    OrderAction::Hold { for_s } => write!(f, "{robot} is held for {for_s} s"),
+                    OrderAction::Release => write!(f, "{robot} is released"),
+                    OrderAction::BeginMaintenance => write!(f, "the maintenance of {robot} begins"),
+                    OrderAction::EndMaintenance => write!(f, "the maintenance of {robot} ends"),
+                }
+            }
             ChaosAction::Crash { node, disk, for_ms } => {
                 write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms))
             }

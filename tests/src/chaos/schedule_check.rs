@@ -3,7 +3,7 @@
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE};
 use super::control_flow::CONTROL_FLOW_MISSIONS;
 use super::poison::POISON_MISSIONS;
-use super::schedule::{CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
+use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
 use consort_skills::workload::Workload;
 
 impl Schedule {
@@ -63,6 +63,7 @@ impl Schedule {
                         return Err(step.invalid(ScheduleProblem::ClockRate));
                     }
                 }
+                ChaosAction::Order { robot, .. } => check_known(step, robot, &robots, &[ALL_ROBOTS])?,
                 ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {
                     check_known(step, robot, &robots, &[])?;
                 }

@@ -110,6 +110,27 @@ impl RecordingClient {
         }
     }
 
+    /// Changes the orders to robots, again and again until there is a definite reply. Each attempt names another person,
+    /// so the audit trail shows which were executed. Returns the person of the acknowledged attempt; `None` if the
+    /// order is refused.
+    pub async fn order_robots(&self, call: ApiCall, mut request: Value, person: &str) -> Option<String> {
+        for attempt in 1.. {
+            let by = format!("{person}, attempt {attempt}");
+            request["by"] = json!(by);
+            let (mut is_acknowledged, mut is_definite) = (false, false);
+            let each = |reply: Value| {
+                is_acknowledged |= reply.get("robots").is_some();
+                is_definite |= reply.get("retry_after_ms").is_none();
+            };
+            self.query_each(&Key::Api(call), &request, ServiceSelection::All, CALL_TIMEOUT, each).await;
+            if is_definite {
+                return is_acknowledged.then_some(by);
+            }
+            tokio::time::sleep(RETRY_INTERVAL).await;
+        }
+        None
+    }
+
     /// Raises the wire version of the fleet, again and again until it is `newest`.
     pub async fn upgrade(&self, newest: u8) {
         let (key, mut wire) = (Key::Api(ApiCall::Upgrade), None);

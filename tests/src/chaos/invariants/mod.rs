@@ -5,12 +5,14 @@
 
 mod acknowledged;
 mod alive;
+mod audited;
 mod authority;
 mod bounded;
 mod committed;
 mod custody;
 mod deadlines;
 mod guarded;
+mod held;
 mod occurrences;
 mod one_holder;
 mod one_leader;
@@ -20,6 +22,7 @@ mod settled;
 mod signals;
 mod single_voter_change;
 mod under_lease;
+mod under_orders;
 
 pub(super) use occurrences::all_handled;
 pub(super) use reference_ledger::ReferenceLedger;
@@ -57,6 +60,14 @@ pub(crate) trait Invariant {
         Ok(())
     }
 
+    /// Checks the state of the fleet at an instant: after every event, and at least every 20 ms.
+    ///
+    /// # Errors
+    /// Same as [`observe`](Invariant::observe).
+    fn check_state(&mut self, _at: Duration, _fleet: &Fleet) -> Result<(), InvariantViolation> {
+        Ok(())
+    }
+
     /// Checks the final state: all missions have ended and all nodes run.
     ///
     /// # Errors
@@ -66,8 +77,8 @@ pub(crate) trait Invariant {
     }
 }
 
-/// Returns all invariants of a fleet that keeps `ended_missions_max` ended missions whole.
-pub(crate) fn all(ended_missions_max: usize) -> Vec<Box<dyn Invariant>> {
+/// Returns all invariants of a fleet that keeps `ended_missions_max` ended missions whole, with leases of this duration.
+pub(crate) fn all(ended_missions_max: usize, lease: Duration) -> Vec<Box<dyn Invariant>> {
     vec![
         Box::new(alive::Alive),
         Box::<authority::Authority>::default(),
@@ -84,6 +95,9 @@ pub(crate) fn all(ended_missions_max: usize) -> Vec<Box<dyn Invariant>> {
         Box::<guarded::Guarded>::default(),
         Box::<single_voter_change::SingleVoterChange>::default(),
         Box::<occurrences::Occurrences>::default(),
+        Box::new(held::Held::new(lease)),
+        Box::<under_orders::UnderOrders>::default(),
+        Box::<audited::Audited>::default(),
         Box::<replayed::Replayed>::default(),
     ]
 }

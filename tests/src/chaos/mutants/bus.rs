@@ -5,7 +5,7 @@ use super::driver::{CanceledGoals, without_time_limit};
 use super::known_ledger::KnownLedger;
 use super::message::{decode_report, encoded};
 use super::refusals::{RefusalPassage, merged};
-use super::reports::{ReportBug, with_all_signals};
+use super::reports::{ReportBug, reply_at_once, with_all_signals};
 use crate::chaos::recurring::{self, SCHEDULE};
 use crate::slug;
 use async_trait::async_trait;
@@ -21,7 +21,7 @@ use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys, RaftCall};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
-use consort_protocol::message::{AwardNotice, Beacon, ClusterEnvelope, Exchange, ReportReply};
+use consort_protocol::message::{AwardNotice, Beacon, ClusterEnvelope, Exchange, OrdersNotice, ReportReply};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -165,6 +165,11 @@ impl FaultyBus {
             (Mutant::AuthorsUnchecked, _) => Query { author: Author::UNKNOWN, ..query },
             (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
             (Mutant::CircularWaitKept, Some(Key::Award(_))) => without_giving_way(query),
+            (Mutant::HoldIgnored, Some(Key::Award(_))) => without_hold(query),
+            (Mutant::OrderForgotten, Some(Key::Api(ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance))) => {
+                let reply = json!({ "robots": {} }).to_string();
+                reply_at_once(query, reply.into(), Encoding::Json)
+            }
             (Mutant::RequestForgotten, Some(Key::Api(ApiCall::Submit))) => {
                 forget_request(query, &ledger, &mut forgotten)
             }
@@ -192,6 +197,23 @@ fn without_giving_way(query: Query) -> Query {
     let Ok(AwardNotice::GiveWay { to, for_now, .. }) = codec::decode(&payload) else { return query };
     let payload = encoded(&AwardNotice::GiveWay { epoch: Epoch::default(), to, for_now }).to_vec();
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
+}
+
+/// Removes the hold from a notice about the orders of people.
+fn without_hold(query: Query) -> Query {
+    let Ok(ClusterEnvelope { cluster, payload }) = codec::decode(&query.payload) else { return query };
+    let Ok(AwardNotice::Orders(orders)) = codec::decode(&payload) else { return query };
+    let payload = encoded(&AwardNotice::Orders(OrdersNotice { hold: None, ..orders })).to_vec();
+    Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
+}
+
+/// Removes the hold from the renewal of a lease.
+fn renewed_without_hold(reply: Reply) -> Reply {
+    let Some(mut renewed) = decode_reply(&reply) else { return reply };
+    if let ReportReply::Renewed { orders, .. } = &mut renewed {
+        orders.hold = None;
+    }
+    Reply { payload: Ok(encoded(&renewed)), ..reply }
 }
 
 /// Turns off the option `linearizable` of a read.
@@ -303,6 +325,7 @@ impl Bus for FaultyBus {
             (Mutant::LeaseNotChecked, Some(Key::Report(_))) => self.renew_without_reply(query).await,
             (Mutant::LostRelay, Some(Key::Gossip(peer))) => self.exchange_own_records(peer, query).await,
             (Mutant::WaitSkipped, Some(Key::Report(_))) => self.receive_all_signals(query).await,
+            (Mutant::HoldIgnored, Some(Key::Report(_))) => Ok(self.send(query).await?.map(renewed_without_hold)),
             (Mutant::ReleasedInMotion, Some(Key::Driver(_, DriverCall::Command))) => {
                 self.canceled.observe(&query.payload);
                 let (replies, canceled) = (self.send(query).await?, self.canceled.clone());

@@ -90,11 +90,15 @@ pub enum Mutant {
     StoppedWithBus,
     /// The coordinator submits an occurrence of a schedule again, under another request.
     OccurrenceRepeated,
+    /// Robots ignore the holds of people, in notices and in renewals of leases.
+    HoldIgnored,
+    /// An order of a person is acknowledged and not executed.
+    OrderForgotten,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 29] = [
+    pub const ALL: [Mutant; 31] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -124,6 +128,8 @@ impl Mutant {
         Mutant::IdentityKept,
         Mutant::StoppedWithBus,
         Mutant::OccurrenceRepeated,
+        Mutant::HoldIgnored,
+        Mutant::OrderForgotten,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -166,6 +172,8 @@ impl Mutant {
             Mutant::IdentityKept => "identity-kept",
             Mutant::StoppedWithBus => "stopped-with-bus",
             Mutant::OccurrenceRepeated => "occurrence-repeated",
+            Mutant::HoldIgnored => "hold-ignored",
+            Mutant::OrderForgotten => "order-forgotten",
         }
     }
 }

@@ -46,7 +46,7 @@ impl ReportBug {
                 renew_outdated(Query { payload, ..query }, report, ledger)
             }
             ReportBug::ReplyBeforeCommit => match ledger.read(|ledger| reply_to_news(ledger, &report)) {
-                Some(reply) => reply_at_once(query, &reply),
+                Some(reply) => reply_at_once(query, encoded(&reply), Encoding::Wire),
                 None => query,
             },
         }
@@ -107,9 +107,9 @@ fn reply_to_news(ledger: &Ledger, report: &Report) -> Option<ReportReply> {
 }
 
 /// Sends `reply`, and passes the query on without a way to reply.
-fn reply_at_once(query: Query, reply: &ReportReply) -> Query {
-    let (at, reply, replier) = (query.key.clone(), encoded(reply), query.replier);
-    tokio::spawn(async move { replier.reply(&at, reply, Encoding::Wire).await });
+pub(super) fn reply_at_once(query: Query, reply: Bytes, encoding: Encoding) -> Query {
+    let (at, replier) = (query.key.clone(), query.replier);
+    tokio::spawn(async move { replier.reply(&at, reply, encoding).await });
     Query { replier: Box::new(Silent), ..query }
 }
 

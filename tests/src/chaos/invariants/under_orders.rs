@@ -1,0 +1,109 @@
+//! A robot under orders gets no new role: it begins no role that was awarded while a person held it or had it in
+//! maintenance.
+
+use super::reference_ledger::ReferenceLedger;
+use super::{Invariant, InvariantViolation};
+use crate::{Fleet, Observation};
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{NodeId, RobotId};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+#[derive(Default)]
+pub(super) struct UnderOrders {
+    reference: ReferenceLedger,
+    /// Position in the log since which a robot is under orders.
+    since: BTreeMap<RobotId, u64>,
+    /// Positions between which robots were under orders.
+    past: Vec<(RobotId, u64, u64)>,
+}
+
+impl UnderOrders {
+    fn update(&mut self) {
+        let index = self.reference.index;
+        let ordered: BTreeSet<RobotId> = self.reference.ledger.robot_orders().map(|(robot, _)| robot.clone()).collect();
+        for robot in &ordered {
+            self.since.entry(robot.clone()).or_insert(index);
+        }
+        let ended: Vec<RobotId> = self.since.keys().filter(|robot| !ordered.contains(*robot)).cloned().collect();
+        for robot in ended {
+            if let Some(since) = self.since.remove(&robot) {
+                self.past.push((robot, since, index));
+            }
+        }
+    }
+
+    /// Checks whether a robot was under orders at a position. An entry of the log may contain an award before an order,
+    /// so the positions of changes do not count.
+    fn was_under_orders(&self, robot: &RobotId, index: u64) -> bool {
+        let now = self.since.get(robot).is_some_and(|since| *since < index && index <= self.reference.index);
+        now || self.past.iter().any(|(other, since, until)| other == robot && (since + 1..*until).contains(&index))
+    }
+
+    fn begins(&self, node: &NodeId, index: u64, what: &str) -> Result<(), InvariantViolation> {
+        if self.was_under_orders(&RobotId::from(node.clone()), index) {
+            return Err(format!("{node} begins {what}, which it got at {index} while it was under orders").into());
+        }
+        Ok(())
+    }
+}
+
+impl Invariant for UnderOrders {
+    fn name(&self) -> &'static str {
+        "under_orders"
+    }
+
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
+        if matches!(entry, Observation::EntryApplied { .. }) {
+            self.reference.observe(entry);
+            self.update();
+        }
+        match entry.event_kind() {
+            Some(EventKind::Started { mission, role, epoch }) => {
+                self.begins(entry.node(), epoch.index, &format!("{role} of {mission}"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slug;
+    use consort_protocol::lease::Epoch;
+    use consort_protocol::ledger::{Command, OrderChange, OrderRequest};
+
+    fn order(change: OrderChange) -> Command {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 1, request: None };
+        Command::OrderRobots { robots: BTreeSet::from([slug("garnet")]), order }
+    }
+
+    #[test]
+    fn a_role_that_was_awarded_under_orders_is_found() {
+        let mut state = UnderOrders::default();
+        let hold = order(OrderChange::Hold { until_ms: 9, reason: String::new() });
+        let maintain = order(OrderChange::Maintain { until_ms: None, reason: "tyres".to_owned() });
+        let commands = [
+            (1, Command::RaiseWireVersion { wire: 3 }),
+            (5, hold),
+            (7, maintain),
+            (9, order(OrderChange::Release)),
+            (11, order(OrderChange::EndMaintenance)),
+            (20, order(OrderChange::Release)),
+        ];
+        for (index, command) in commands {
+            state.reference.apply(Epoch { term: 1, index }, &[command]);
+            state.update();
+        }
+        let garnet: NodeId = slug("garnet");
+        for index in [4, 12, 21] {
+            assert_eq!(state.begins(&garnet, index, "r1"), Ok(()), "{index}");
+        }
+        for index in [6, 8, 10] {
+            let violation = state.begins(&garnet, index, "r1").unwrap_err().0;
+            assert_eq!(violation, format!("garnet begins r1, which it got at {index} while it was under orders"));
+            assert_eq!(state.begins(&slug("hazel"), index, "r1"), Ok(()));
+        }
+    }
+}
