@@ -12,7 +12,7 @@ use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSetti
 use consort_fleet::robot::ChargingSettings;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{NodeId, PlaceId};
 use consort_protocol::keys::Keys;
 use consort_protocol::trust::AccessScope;
 use consort_protocol::units::{WattHours, Watts};
@@ -435,6 +435,12 @@ impl Fleet {
     /// Checks whether a node belongs to a robot.
     pub(crate) fn is_robot(&self, node: &NodeId) -> bool {
         self.members.contains_key(node.as_str())
+    }
+
+    /// Returns the places of the chargers that robots use by themselves.
+    pub(crate) fn chargers(&self) -> impl Iterator<Item = &PlaceId> {
+        let chargers = self.options.charging.iter().flat_map(|charging| &charging.settings.chargers);
+        chargers.map(|charger| &charger.place)
     }
 
     /// Returns the key expressions of the fleet.

@@ -70,6 +70,8 @@ pub(super) struct ActionExecutor {
     bodies_stop_at: Option<Duration>,
     /// Robots with a drained battery.
     flat: BTreeSet<String>,
+    /// All faults have ended.
+    are_faults_over: bool,
 }
 
 impl ActionExecutor {
@@ -96,6 +98,7 @@ impl ActionExecutor {
             upgrade: None,
             bodies_stop_at: None,
             flat: BTreeSet::new(),
+            are_faults_over: false,
         }
     }
 
@@ -298,11 +301,15 @@ impl ActionExecutor {
         for robot in std::mem::take(&mut self.flat) {
             fleet.world.with(|world| world.replace_battery(&slug(&robot)));
         }
+        self.are_faults_over = true;
     }
 
     /// Performs what is due between the actions of the schedule: the ends of nodes that have left, the
-    /// restarts of an upgrade, and revocations.
+    /// restarts of an upgrade, revocations, and new batteries of stranded robots after all faults.
     pub(super) async fn advance(&mut self, fleet: &mut Fleet) {
+        if self.are_faults_over && fleet.chargers().next().is_some() {
+            replace_empty_batteries(fleet);
+        }
         for (node, has_left) in self.leaving.values_mut() {
             *has_left |= fleet.finish_decommission(node).await;
         }
@@ -530,6 +537,16 @@ async fn order(client: &RecordingClient, event_log: &EventLog, person: &str, rob
     let (call, request) = orders::request(robot, change);
     if let Some(by) = client.order_robots(call, request, person).await {
         event_log.add(Observation::OrderAcknowledged { node: slug("client"), by });
+    }
+}
+
+/// Gives the stranded robots new batteries, as a person would. Faults may have prolonged their tasks beyond their
+/// estimates.
+fn replace_empty_batteries(fleet: &Fleet) {
+    for robot in fleet.world.robots() {
+        if fleet.world.telemetry(&robot).is_some_and(|telemetry| !telemetry.able) {
+            fleet.world.with(|world| world.replace_battery(&robot));
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Generation of schedules from a seed.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
+use super::chargers::charger_count;
 use super::control_flow::replace_missions;
 use super::fault_kind::FaultKind;
 use super::orders::add_orders;
@@ -123,8 +124,9 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     replace_poison(seed, kinds, &mut draw.steps);
     add_schedule(seed, kinds, draw.end_ms, &mut draw.steps);
     add_orders(seed, kinds, composition, draw.end_ms, &mut draw.steps);
+    let chargers = charger_count(seed, kinds, &draw.steps);
     let schedule = Schedule::of(draw.steps).in_order();
-    Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, ..schedule }
+    Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, chargers, ..schedule }
 }
 
 pub(super) struct Draw<'a> {

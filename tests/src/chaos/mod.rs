@@ -11,6 +11,7 @@
 //! Zenoh. Other tests use real processes, real files and real hosts.
 
 pub mod chaos_fleet;
+mod chargers;
 mod control_flow;
 mod executor;
 mod fault_injector;

@@ -6,6 +6,7 @@
 //! ```
 
 use super::chaos_fleet::{ChaosFleet, DATE_MS};
+use super::chargers;
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::{LIFTED, lease_terms};
@@ -124,9 +125,13 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let options = NodeOptions {
         world_speed: schedule.world_speed.into(),
         extensions: workload.extensions,
+        charging: chargers::setup(schedule.chargers),
         ..node_options(config, &injector)
     };
-    let (members, people) = composition.participants(&workload);
+    let (mut members, people) = composition.participants(&workload);
+    if options.charging.is_some() {
+        members = chargers::with_small_batteries(members);
+    }
     let fleet = Fleet::hospital_with(config.seed, members, &composition.stations, people, options).await;
     let checker = Checker::new(injector.ended_missions_max(), lease_terms(config.seed).lease);
     let executor = ActionExecutor::new(composition.clone(), injector, workload);

@@ -18,7 +18,7 @@ pub struct Schedule {
     /// keep them without commands.
     #[serde(default = "usual_speed", skip_serializing_if = "is_usual_speed")]
     pub world_speed: u32,
-    /// Number of chargers, which robots use by themselves. With chargers the batteries are small.
+    /// Number of chargers, which robots use by themselves: at most 2. With chargers the batteries are small.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub chargers: usize,
 }
@@ -49,9 +49,13 @@ impl Schedule {
         Schedule { steps, ..*self }
     }
 
-    /// Replaces the missions of all requests but poison by these, in turn.
+    /// Replaces the missions of all requests but poison by these, in turn. The run then has no chargers, since such a
+    /// mission may need more than a small battery.
     #[must_use]
     pub fn requesting<'m>(mut self, missions: impl Iterator<Item = &'m str> + Clone) -> Schedule {
+        if missions.clone().next().is_some() {
+            self.chargers = 0;
+        }
         let mut names = missions.cycle();
         for step in self.steps.iter_mut().filter(|step| !step.action.is_poison()) {
             if let ChaosAction::Submit { mission, .. } = &mut step.action

@@ -8,6 +8,7 @@ mod alive;
 mod audited;
 mod authority;
 mod bounded;
+mod charged;
 mod committed;
 mod custody;
 mod deadlines;
@@ -16,6 +17,7 @@ mod held;
 mod occurrences;
 mod one_holder;
 mod one_leader;
+mod one_per_charger;
 mod reference_ledger;
 mod replayed;
 mod settled;
@@ -98,6 +100,8 @@ pub(crate) fn all(ended_missions_max: usize, lease: Duration) -> Vec<Box<dyn Inv
         Box::new(held::Held::new(lease)),
         Box::<under_orders::UnderOrders>::default(),
         Box::<audited::Audited>::default(),
+        Box::<one_per_charger::OnePerCharger>::default(),
+        Box::<charged::Charged>::default(),
         Box::<replayed::Replayed>::default(),
     ]
 }

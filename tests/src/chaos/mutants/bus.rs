@@ -2,6 +2,7 @@
 
 use super::Mutant;
 use super::driver::{CanceledGoals, without_time_limit};
+use super::gossip::{exchange_without_claims, retain_records_of, update_without_claim};
 use super::known_ledger::KnownLedger;
 use super::message::{decode_report, encoded};
 use super::refusals::{RefusalPassage, merged};
@@ -21,7 +22,7 @@ use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys, RaftCall};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
-use consort_protocol::message::{AwardNotice, Beacon, ClusterEnvelope, Exchange, OrdersNotice, ReportReply};
+use consort_protocol::message::{AwardNotice, Beacon, ClusterEnvelope, OrdersNotice, ReportReply};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -166,6 +167,9 @@ impl FaultyBus {
             (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
             (Mutant::CircularWaitKept, Some(Key::Award(_))) => without_giving_way(query),
             (Mutant::HoldIgnored, Some(Key::Award(_))) => without_hold(query),
+            (Mutant::ClaimsHidden, Some(Key::Gossip(_))) => {
+                Query { payload: exchange_without_claims(query.payload), ..query }
+            }
             (Mutant::OrderForgotten, Some(Key::Api(ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance))) => {
                 let reply = json!({ "robots": {} }).to_string();
                 reply_at_once(query, reply.into(), Encoding::Json)
@@ -249,14 +253,6 @@ fn repeated_occurrence(ledger: &Ledger) -> Option<Value> {
     is_new.then(|| json!({ "mission": recurring::mission(), "request": request }))
 }
 
-/// Removes the records of all other owners from an exchange of gossip.
-fn retain_records_of(owner: &NodeId, payload: Bytes) -> Bytes {
-    let Ok(mut exchange) = codec::decode_any_version::<Exchange>(&payload) else { return payload };
-    exchange.records.retain(|record| record.owner == *owner);
-    let version = payload.first().copied().unwrap_or(codec::FIRST_VERSION);
-    codec::encode_for_version(version, exchange).expect("an exchange with fewer records fits a message").into()
-}
-
 fn decode_reply(reply: &Reply) -> Option<ReportReply> {
     codec::decode(reply.payload.as_ref().ok()?).ok()
 }
@@ -306,6 +302,10 @@ impl Bus for FaultyBus {
                 Some(Key::Driver(_, DriverCall::State)) => Sample { payload: canceled.end(sample.payload), ..sample },
                 _ => sample,
             }),
+            Mutant::ClaimsHidden => samples.map(move |sample| match keys.read(&sample.key) {
+                Some(Key::Knowledge(_)) => Sample { payload: update_without_claim(sample.payload), ..sample },
+                _ => sample,
+            }),
             Mutant::AuthorsUnchecked => samples.map(|sample| Sample { author: Author::UNKNOWN, ..sample }),
             _ => samples,
         })
@@ -324,6 +324,10 @@ impl Bus for FaultyBus {
             (Mutant::NoCheckQuorum, Some(Key::Raft(_, RaftCall::Heartbeat))) => self.acknowledge_heartbeat(query).await,
             (Mutant::LeaseNotChecked, Some(Key::Report(_))) => self.renew_without_reply(query).await,
             (Mutant::LostRelay, Some(Key::Gossip(peer))) => self.exchange_own_records(peer, query).await,
+            (Mutant::ClaimsHidden, Some(Key::Gossip(_))) => Ok(self
+                .send(query)
+                .await?
+                .map(|reply| Reply { payload: reply.payload.map(exchange_without_claims), ..reply })),
             (Mutant::WaitSkipped, Some(Key::Report(_))) => self.receive_all_signals(query).await,
             (Mutant::HoldIgnored, Some(Key::Report(_))) => Ok(self.send(query).await?.map(renewed_without_hold)),
             (Mutant::ReleasedInMotion, Some(Key::Driver(_, DriverCall::Command))) => {

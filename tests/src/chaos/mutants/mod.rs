@@ -6,13 +6,14 @@
 //!
 //! - by the log store (`log_store.rs`): `skip-fsync`, `double-vote`, `identity-kept`;
 //! - by settings (`injection.rs`): `early-release`, `two-removed`, `grace-too-small`, `outcomes-forgotten`,
-//!   `history-kept`;
+//!   `history-kept`, `charging-off`;
 //! - by the clock (`fault_injector.rs`): `suspension-not-counted`, `stopped-with-bus`;
 //! - below the signatures of a node (`refusals.rs`): `refusals-unsigned`;
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
 
 mod bus;
 mod driver;
+mod gossip;
 mod injection;
 mod known_ledger;
 mod log_store;
@@ -94,11 +95,15 @@ pub enum Mutant {
     HoldIgnored,
     /// An order of a person is acknowledged and not executed.
     OrderForgotten,
+    /// Robots do not receive at which chargers other robots are.
+    ClaimsHidden,
+    /// Robots neither charge by themselves nor keep charge for the way to a charger.
+    ChargingOff,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 31] = [
+    pub const ALL: [Mutant; 33] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -130,6 +135,8 @@ impl Mutant {
         Mutant::OccurrenceRepeated,
         Mutant::HoldIgnored,
         Mutant::OrderForgotten,
+        Mutant::ClaimsHidden,
+        Mutant::ChargingOff,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -174,6 +181,8 @@ impl Mutant {
             Mutant::OccurrenceRepeated => "occurrence-repeated",
             Mutant::HoldIgnored => "hold-ignored",
             Mutant::OrderForgotten => "order-forgotten",
+            Mutant::ClaimsHidden => "claims-hidden",
+            Mutant::ChargingOff => "charging-off",
         }
     }
 }
