@@ -8,10 +8,10 @@ use super::audit_trail::{AuditAction, AuditEntry};
 use super::command::{Command, CommandOutcome};
 use super::entry::MissionState;
 use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
-use super::robot_order::{OrderChange, OrderRequest};
+use super::robot_order::{OrderChange, OrderRequest, RobotOrders};
 use super::schedule::SchedulePause;
 use crate::ids::{MissionId, RobotId, ScheduleId};
-use crate::lease::Epoch;
+use std::collections::BTreeMap;
 
 /// Request of a person that is about to be executed.
 pub(super) struct AuditedRequest {
@@ -40,8 +40,8 @@ enum SubjectState {
         exists: bool,
         pause: Option<SchedulePause>,
     },
-    /// Position of the latest change.
-    Orders(Epoch),
+    /// The orders, not the position of their latest change: an entry of the log may contain two orders.
+    Orders(BTreeMap<RobotId, RobotOrders>),
 }
 
 impl Ledger {
@@ -84,7 +84,10 @@ impl Ledger {
                 let pause = entry.and_then(|entry| entry.pause.clone());
                 SubjectState::Schedule { exists: entry.is_some(), pause }
             }
-            Subject::Orders => SubjectState::Orders(self.orders_changed()),
+            Subject::Orders => {
+                let orders = self.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone()));
+                SubjectState::Orders(orders.collect())
+            }
         }
     }
 }

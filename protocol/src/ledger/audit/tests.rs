@@ -1,9 +1,10 @@
 use super::*;
+use crate::lease::Epoch;
 use crate::ledger::history::HISTORY_SINCE;
 use crate::ledger::{MissedOccurrences, Schedule, ScheduleRule, Submission};
 use crate::mission::{Mission, Role, RoleKind};
 use crate::plan::Division;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 fn ledger() -> Ledger {
     let mut ledger = Ledger::default();
@@ -59,6 +60,15 @@ fn a_request_is_recorded_with_its_author_once() {
     let resolve = Command::Resolve { mission: "rounds-1".parse().unwrap(), by: "Tom".to_owned(), at_ms: 400 };
     assert!(matches!(apply(&mut ledger, resolve), CommandOutcome::Refused(_)));
     assert_eq!(trail(&ledger), ["100 Nia submit rounds-1", "200 Abe cancel rounds-1"]);
+}
+
+#[test]
+fn two_orders_in_an_entry_of_the_log_are_both_recorded() {
+    let mut ledger = ledger();
+    let at = Epoch { term: 1, index: 7 };
+    ledger.apply(at, order(OrderChange::Hold { until_ms: 60_100, reason: String::new() }, 100));
+    ledger.apply(at, order(OrderChange::Release, 200));
+    assert_eq!(trail(&ledger), ["100 Nia hold ada, bob for 60 s", "200 Nia release ada, bob"]);
 }
 
 #[test]

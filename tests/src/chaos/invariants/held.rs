@@ -18,8 +18,8 @@ use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// Time for messages on their way, and for a coordinator that applies an entry later than another node.
-const DELIVERY: Duration = Duration::from_secs(1);
+/// Time for messages on their way, and for a former coordinator that renews leases until it steps down.
+const DELIVERY: Duration = Duration::from_secs(2);
 
 pub(super) struct Held {
     lease: Duration,
@@ -209,15 +209,15 @@ mod tests {
     #[test]
     fn a_held_robot_that_pursues_a_goal_in_a_role_is_found() {
         let mut state = held(true);
-        assert_eq!(state.check(secs(106)), Ok(()), "its lease");
-        let violation = state.check(secs(107)).unwrap_err().0;
-        assert_eq!(violation, "garnet pursues goal 7, 7.0 s after it was held by Nia");
+        assert_eq!(state.check(secs(107)), Ok(()), "its lease");
+        let violation = state.check(secs(108)).unwrap_err().0;
+        assert_eq!(violation, "garnet pursues goal 7, 8.0 s after it was held by Nia");
         assert_eq!(state.check(secs(159)), Ok(()), "the hold may be over");
         state.server_changed = secs(105);
-        assert_eq!(state.check(secs(107)), Ok(()), "the driver server permits it");
+        assert_eq!(state.check(secs(108)), Ok(()), "the driver server permits it");
         state.server_changed = Duration::ZERO;
         state.goals.clear();
-        assert_eq!(state.check(secs(107)), Ok(()));
+        assert_eq!(state.check(secs(108)), Ok(()));
     }
 
     #[test]
@@ -227,9 +227,9 @@ mod tests {
         assert_eq!(state.check(secs(130)), Ok(()), "it has not received the hold");
         state.inform(secs(120), |_| true);
         state.inform(secs(121), |_| true);
-        assert_eq!(state.check(secs(126)), Ok(()));
-        assert!(state.check(secs(127)).is_err());
-        state.inform(secs(127), |_| false);
-        assert_eq!(state.check(secs(127)), Ok(()), "its node has restarted");
+        assert_eq!(state.check(secs(127)), Ok(()));
+        assert!(state.check(secs(128)).is_err());
+        state.inform(secs(128), |_| false);
+        assert_eq!(state.check(secs(128)), Ok(()), "its node has restarted");
     }
 }
