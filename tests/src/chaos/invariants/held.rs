@@ -58,7 +58,7 @@ impl Held {
         let held = self.reference.ledger.robot_orders();
         let held: BTreeMap<RobotId, RobotOrder> =
             held.filter_map(|(robot, orders)| Some((robot.clone(), orders.hold.clone()?))).collect();
-        self.holds.retain(|robot, (order, _)| held.get(robot) == Some(order));
+        self.holds.retain(|robot, (order, _)| held.get(robot) == Some(&*order));
         for (robot, order) in held {
             self.holds.entry(robot).or_insert((order, at));
         }
