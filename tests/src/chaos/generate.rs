@@ -123,7 +123,7 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     replace_missions(seed, kinds, &mut draw.steps);
     replace_poison(seed, kinds, &mut draw.steps);
     add_schedule(seed, kinds, draw.end_ms, &mut draw.steps);
-    add_orders(seed, kinds, composition, draw.end_ms, &mut draw.steps);
+    add_orders(seed, kinds, composition, FIRST_MS..draw.end_ms, &mut draw.steps);
     let chargers = charger_count(seed, kinds, &draw.steps);
     let schedule = Schedule::of(draw.steps).in_order();
     Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, chargers, ..schedule }

@@ -2,14 +2,13 @@
 
 use super::chaos_fleet::{ARM, ChaosFleet};
 use super::fault_kind::FaultKind;
-use super::generate::FIRST_MS;
 use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, OrderAction, ScheduledAction};
 use consort_protocol::keys::ApiCall;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 /// First seed with orders and with chargers. Smaller seeds keep their schedules: mutation checks, the scoreboard and
 /// the sweeps of closed fleets use them.
@@ -32,13 +31,13 @@ const RELEASED: f64 = 0.4;
 /// Time from a request to the hold of its carrier, which is on its way then.
 const AFTER_REQUEST_MS: RangeInclusive<u64> = 1_000..=8_000;
 
-/// Adds orders up to `end_ms`, from a generator of their own. Runs with missions that cannot be completed as the only
+/// Adds orders in this period, from a generator of their own. Runs with missions that cannot be completed as the only
 /// faults, which bound the time of the others, have none.
 pub(super) fn add_orders(
     seed: u64,
     kinds: &[FaultKind],
     composition: &ChaosFleet,
-    end_ms: u64,
+    period_ms: Range<u64>,
     steps: &mut Vec<ScheduledAction>,
 ) {
     if seed < FIRST_SEED || kinds == [FaultKind::Poison] {
@@ -49,18 +48,19 @@ pub(super) fn add_orders(
     let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
     let requests: Vec<(u64, String)> =
         steps.iter().filter_map(|step| Some((step.at_ms, step.action.submitted_request()?))).collect();
+    let (first_ms, end_ms) = (period_ms.start, period_ms.end);
     let latest_ms = end_ms - 1_000;
     let mut push = |at_ms, robot: &str, change| {
         steps.push(ScheduledAction { at_ms, action: ChaosAction::Order { robot: robot.to_owned(), change } });
     };
     if is_held {
         for _ in 0..chance.random_range(HOLDS) {
-            let (mut at_ms, mut robot) = (chance.random_range(FIRST_MS..latest_ms), ALL_ROBOTS.to_owned());
+            let (mut at_ms, mut robot) = (chance.random_range(first_ms..latest_ms), ALL_ROBOTS.to_owned());
             if !chance.random_bool(OF_ALL) {
                 robot = (*robots.choose(&mut chance).expect("there is the arm")).to_owned();
                 let request = requests.choose(&mut chance).filter(|_| chance.random_bool(OF_CARRIER));
                 if let Some((asked_ms, request)) = request {
-                    at_ms = (asked_ms + chance.random_range(AFTER_REQUEST_MS)).clamp(FIRST_MS, latest_ms);
+                    at_ms = (asked_ms + chance.random_range(AFTER_REQUEST_MS)).clamp(first_ms, latest_ms);
                     robot = format!("{CARRIER_OF}{request}");
                 }
             }
@@ -76,7 +76,7 @@ pub(super) fn add_orders(
     }
     if is_maintained {
         let robot = *robots.choose(&mut chance).expect("there is the arm");
-        let at_ms = chance.random_range(FIRST_MS..latest_ms);
+        let at_ms = chance.random_range(first_ms..latest_ms);
         push(at_ms, robot, OrderAction::BeginMaintenance);
         push(chance.random_range(at_ms..end_ms), robot, OrderAction::EndMaintenance);
     }
