@@ -30,6 +30,7 @@ pub mod run;
 pub(crate) mod run_counters;
 pub(crate) mod schedule;
 mod schedule_check;
+mod schedule_text;
 pub mod scoreboard;
 mod scripted;
 pub mod seed_sweep;
