@@ -72,7 +72,15 @@ impl Scene {
             // Bidders borrow the data of their robot for the lifetime of the program.
             let worker: &'static RobotKnowledge = Box::leak(Box::new(worker(number)));
             let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
-            BidContext { worker, closed_lanes: &[], readings: None, age_ms: 0, membership, present: None }
+            BidContext {
+                worker,
+                closed_lanes: &[],
+                closures: &[],
+                readings: None,
+                age_ms: 0,
+                membership,
+                present: None,
+            }
         };
         Scene {
             call: CallForBids {

@@ -274,6 +274,8 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
                 keys.write(&Key::Api(ApiCall::Maintenance)),
                 json!({ "robots": "all", "action": "begin", "reason": "stolen" }),
             ),
+            (keys.write(&Key::Api(ApiCall::Close)), json!({ "places": ["Dock"], "reason": "stolen" })),
+            (keys.write(&Key::Api(ApiCall::Open)), json!({ "places": ["Dock"] })),
             (keys.write(&Key::Api(ApiCall::Backup)), json!({})),
             (keys.write(&Key::Api(ApiCall::Upgrade)), json!({ "finish": true })),
             (keys.write(&Key::Leave("clove".parse().expect("a name"))), json!({})),
@@ -555,7 +557,7 @@ fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
         let bus = stolen(&fleet, "dill", NodeRole::Voter).await.in_cluster(&fleet);
         let mission = fleet.submit("a", ROOM).await;
         let hold = Some(OrderNotice { text: "held by dill".to_owned(), remaining_ms: None });
-        let orders = OrdersNotice { as_of: Epoch { term: u64::MAX, index: 1 }, hold, maintenance: None };
+        let orders = OrdersNotice { as_of: Epoch { term: u64::MAX, index: 1 }, hold, ..OrdersNotice::default() };
         let payload = wire(&AwardNotice::Orders(orders));
         for robot in ["gorse", "lab-arm"] {
             let key = fleet.keys().write(&Key::Award(robot.parse().expect("a name")));

@@ -7,6 +7,7 @@ mod causes;
 mod charging;
 mod checkpoints;
 mod closed;
+mod closures;
 mod clusters;
 mod deadlines;
 mod decommission;

@@ -490,6 +490,8 @@ fn every_call_documents_its_payload() {
                 "hold",
                 "release",
                 "maintenance",
+                "close",
+                "open",
                 "backup",
                 "upgrade",
                 "get",

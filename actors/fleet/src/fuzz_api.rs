@@ -5,8 +5,8 @@
 
 use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
-    AnswerRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, ReleaseRequest,
-    ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
+    AnswerRequest, CloseRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, OpenRequest,
+    ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -74,6 +74,8 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Hold => drop(parse_request::<HoldRequest>(call, payload)?),
         ApiCall::Release => drop(parse_request::<ReleaseRequest>(call, payload)?),
         ApiCall::Maintenance => drop(parse_request::<MaintenanceRequest>(call, payload)?),
+        ApiCall::Close => drop(parse_request::<CloseRequest>(call, payload)?),
+        ApiCall::Open => drop(parse_request::<OpenRequest>(call, payload)?),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
             parse_read_options(call, payload)?;
         }

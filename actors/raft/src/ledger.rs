@@ -38,6 +38,7 @@ impl StateMachine for Ledger {
             | Command::SkipOccurrences { .. }
             | Command::OrderRobots { .. }
             | Command::ExpireOrders { .. }
+            | Command::ChangeClosures { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

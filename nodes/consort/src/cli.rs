@@ -1,9 +1,9 @@
 //! The command line.
 
 use crate::command::{
-    answer, audit, backup, cancel, cert, check, completions, doctor, domain, driver, dry_run, explain, fleet, hold,
-    keys, lab, leave, maintenance, map, missions, record, recover, replay, requests, resolve, restore, robot, schedule,
-    schema, station, submit, token, upgrade, watch, world,
+    answer, audit, backup, cancel, cert, check, close, completions, doctor, domain, driver, dry_run, explain, fleet,
+    hold, keys, lab, leave, maintenance, map, missions, record, recover, replay, requests, resolve, restore, robot,
+    schedule, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -72,6 +72,8 @@ enum Command {
     Hold(hold::HoldArgs),
     Release(hold::ReleaseArgs),
     Maintenance(maintenance::Args),
+    Close(close::CloseArgs),
+    Open(close::OpenArgs),
     Audit(audit::Args),
     Requests(requests::Args),
     Answer(answer::Args),
@@ -127,6 +129,8 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Hold(args) => hold::run(args),
             Command::Release(args) => hold::release(args),
             Command::Maintenance(args) => maintenance::run(args),
+            Command::Close(args) => close::run(args),
+            Command::Open(args) => close::open(args),
             Command::Audit(args) => audit::run(args),
             Command::Requests(args) => requests::run(args),
             Command::Answer(args) => answer::run(args),

@@ -164,7 +164,15 @@ fn response(worker: &WorkerEntry, call: &CallForBids, membership: Membership, fl
     let own = worker.worker(&equipment.places);
     let chargers = charging.as_ref().and_then(|settings| ChargerReserve::of(settings, *limits, &worker.name, &own));
     let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator)).with_chargers(chargers);
-    let context = BidContext { worker: &own, closed_lanes: &[], readings: None, age_ms: 0, membership, present: None };
+    let context = BidContext {
+        worker: &own,
+        closed_lanes: &[],
+        closures: &[],
+        readings: None,
+        age_ms: 0,
+        membership,
+        present: None,
+    };
     bidder.respond(call, &context)
 }
 

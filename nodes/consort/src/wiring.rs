@@ -29,7 +29,7 @@ use consort_raft::StoreIdentity;
 use consort_raft::store::{DurableStore, NodeStore, Quarantine, StoreOwner};
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, ESTIMATOR_VERSION, Estimator};
 use consort_skills::domain_file::DomainFile;
-use consort_skills::environment::{Environment, Passages, Routes};
+use consort_skills::environment::{Environment, Passages, Routes, TopologicalMap};
 use consort_skills::extensions::Extensions;
 use consort_skills::library::SkillLibrary;
 use consort_skills::skill::member_value_errors;
@@ -130,14 +130,15 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         Some(charging) => Some(Arc::new(charging.settings(chargers(charging, &floor)?))),
         None => None,
     };
-    let places = floor.topology.places;
+    let TopologicalMap { places, edges } = floor.topology;
     let domain = extensions.domain();
     let ensembles =
         Ensembles::compile(config.ensembles(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
     let trees = extensions.files().flat_map(DomainFile::trees);
     let wrong = trees.flat_map(|tree| member_value_errors(tree, &ensembles));
     Diagnostics::into_result(wrong.map(|error| Diagnostic::for_file("", error)).collect())?;
-    let domain = domain.with_places(places.into_keys()).with_ensembles(ensembles.names().cloned());
+    let lanes = edges.into_iter().map(|edge| (edge.a, edge.b));
+    let domain = domain.with_places(places.into_keys()).with_lanes(lanes).with_ensembles(ensembles.names().cloned());
     let missions = mission_files::of_fleet(&config.missions, &domain, &domains::library(extensions)?)?;
     Ok(FleetSettings {
         fleet: config.name.clone(),

@@ -137,7 +137,9 @@ pub fn required_scope(call: ApiCall) -> AccessScope {
         | ApiCall::Schedule
         | ApiCall::Hold
         | ApiCall::Release
-        | ApiCall::Maintenance => AccessScope::Submit,
+        | ApiCall::Maintenance
+        | ApiCall::Close
+        | ApiCall::Open => AccessScope::Submit,
         ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => AccessScope::Operate,
     }
 }

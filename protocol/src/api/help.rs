@@ -1,8 +1,8 @@
 //! Descriptions of the calls, for clients.
 
 use super::request::{
-    AnswerRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, ReadOptions, ReleaseRequest,
-    ScheduleRequest, SubmitRequest, UpgradeRequest,
+    AnswerRequest, CloseRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, OpenRequest,
+    ReadOptions, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
 };
 use crate::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
@@ -59,6 +59,10 @@ pub fn example(call: ApiCall) -> Option<Value> {
         ApiCall::Maintenance => {
             Some(json!({ "robots": ["ada"], "action": "begin", "reason": "new tyres", "by": "Nia" }))
         }
+        ApiCall::Close => {
+            Some(json!({ "places": ["IC Room 6"], "lanes": [], "for_s": 3600, "reason": "wet floor", "by": "Nia" }))
+        }
+        ApiCall::Open => Some(json!({ "places": ["IC Room 6"], "by": "Nia" })),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
             Some(json!({ "linearizable": true }))
         }
@@ -78,6 +82,8 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
         ApiCall::Hold => Some(schema_for!(HoldRequest)),
         ApiCall::Release => Some(schema_for!(ReleaseRequest)),
         ApiCall::Maintenance => Some(schema_for!(MaintenanceRequest)),
+        ApiCall::Close => Some(schema_for!(CloseRequest)),
+        ApiCall::Open => Some(schema_for!(OpenRequest)),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => Some(schema_for!(ReadOptions)),
         ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
         ApiCall::Help | ApiCall::Backup => None,

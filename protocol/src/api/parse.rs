@@ -107,8 +107,8 @@ fn kind(value: &Value) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::request::{
-        AnswerRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, ReleaseRequest,
-        ScheduleRequest, SubmitRequest, UpgradeRequest,
+        AnswerRequest, CloseRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, OpenRequest,
+        ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
     };
     use super::*;
 
@@ -129,6 +129,8 @@ mod tests {
                 ApiCall::Hold => parse_request::<HoldRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Release => parse_request::<ReleaseRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Maintenance => parse_request::<MaintenanceRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Close => parse_request::<CloseRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Open => parse_request::<OpenRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
                     parse_read_options(*call, bytes.as_bytes()).map(drop)
                 }

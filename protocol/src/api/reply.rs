@@ -2,7 +2,7 @@
 
 use crate::auction::Explanation;
 use crate::ids::{MissionId, NodeId, RobotId};
-use crate::ledger::{MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease};
+use crate::ledger::{Closure, MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease};
 use crate::view::{MissionStateName, ScheduleView};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -52,6 +52,13 @@ pub struct ScheduleReply {
 pub struct OrdersReply {
     /// The robots of the request, with their orders.
     pub robots: BTreeMap<RobotId, RobotOrders>,
+}
+
+/// Closures after a change.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ClosuresReply {
+    /// All closed places and lanes.
+    pub closures: Vec<Closure>,
 }
 
 /// Progress of the upgrade to the next wire version.

@@ -1,6 +1,6 @@
 //! Payloads of requests.
 
-use crate::ids::{MissionId, RequestId, RobotId, RoleId, ScheduleId, TaskId};
+use crate::ids::{MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::ledger::{MissedOccurrences, PersonRequestId};
 use crate::mission::IhtnFields;
 use crate::scalar::Scalar;
@@ -270,6 +270,50 @@ pub enum MaintenanceAction {
     Begin,
     /// They get roles again.
     End,
+}
+
+/// Maximum number of seconds of a closure that is given as `for_s`: a year.
+pub const CLOSE_S_MAX: u32 = 366 * 24 * 60 * 60;
+
+/// Closes places or lanes: no robot enters them.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CloseRequest {
+    /// Places of the map. Every lane to them is closed, too.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub places: BTreeSet<PlaceId>,
+    /// Lanes of the map, each by its two ends. They are closed in both directions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lanes: Vec<(PlaceId, PlaceId)>,
+    /// Seconds after which the closure ends by itself. Default: no end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = CLOSE_S_MAX))]
+    pub for_s: Option<u32>,
+    /// Instead of `for_s`: the time at which the closure ends by itself, in RFC 3339.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("format" = "date-time"))]
+    pub until: Option<String>,
+    /// Reason, for display.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+}
+
+/// Opens closed places or lanes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OpenRequest {
+    /// Places. Places that are not closed stay as they are.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub places: BTreeSet<PlaceId>,
+    /// Lanes, each by its two ends. A lane stays closed while a place at its end is closed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lanes: Vec<(PlaceId, PlaceId)>,
+    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
 }
 
 /// The robots of a request.

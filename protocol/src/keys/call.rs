@@ -50,6 +50,10 @@ words! {
         Release = "release",
         /// Take robots out of service for maintenance, or return them to service.
         Maintenance = "maintenance",
+        /// Close places or lanes: no robot enters them.
+        Close = "close",
+        /// Open closed places or lanes.
+        Open = "open",
         /// Get a backup of the ledger.
         Backup = "backup",
         /// Get the progress of an upgrade to the next wire version, and complete it.
@@ -120,6 +124,8 @@ impl ApiCall {
             | ApiCall::Hold
             | ApiCall::Release
             | ApiCall::Maintenance
+            | ApiCall::Close
+            | ApiCall::Open
             | ApiCall::Backup
             | ApiCall::Upgrade => false,
             ApiCall::Get

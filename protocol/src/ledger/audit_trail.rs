@@ -44,6 +44,10 @@ pub enum AuditAction {
     BeginMaintenance,
     /// Robots were returned to service.
     EndMaintenance,
+    /// Places or lanes were closed.
+    Close,
+    /// Places or lanes were opened.
+    Open,
 }
 
 impl AuditAction {
@@ -62,6 +66,8 @@ impl AuditAction {
             AuditAction::Release => "release",
             AuditAction::BeginMaintenance => "begin_maintenance",
             AuditAction::EndMaintenance => "end_maintenance",
+            AuditAction::Close => "close",
+            AuditAction::Open => "open",
         }
     }
 }
@@ -77,7 +83,7 @@ pub struct AuditEntry {
     pub by: String,
     /// Kind of change.
     pub action: AuditAction,
-    /// What was changed: a mission, a request to a person, a schedule, or robots.
+    /// What was changed: a mission, a request to a person, a schedule, robots, or places and lanes.
     pub subject: String,
     /// Details, such as the reason; may be empty.
     pub details: String,

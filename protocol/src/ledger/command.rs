@@ -1,6 +1,7 @@
 //! Commands of the ledger and their outcomes.
 
 use super::branch::Branch;
+use super::closure::{CLOSURES_BYTES_MAX, ClosedPart, ClosureChange};
 use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
@@ -265,10 +266,17 @@ pub enum Command {
         /// The change, and who requests it.
         order: OrderRequest,
     },
-    /// Ends the expired orders to robots.
+    /// Ends the orders and closures that have expired.
     ExpireOrders {
         /// Time that a majority of the voters confirms, in milliseconds since 1970.
         now_ms: u64,
+    },
+    /// Closes or opens places and lanes, all or none.
+    ChangeClosures {
+        /// The places and lanes.
+        parts: BTreeSet<ClosedPart>,
+        /// The change, and who requests it.
+        order: OrderRequest<ClosureChange>,
     },
 }
 
@@ -301,6 +309,7 @@ impl Command {
             | Command::SkipOccurrences { .. }
             | Command::OrderRobots { .. }
             | Command::ExpireOrders { .. }
+            | Command::ChangeClosures { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,
         }
@@ -483,8 +492,8 @@ pub enum CommandError {
         /// Time up to which it is handled, in milliseconds since 1970.
         handled_ms: u64,
     },
-    /// The fleet writes a wire version without orders to robots.
-    #[error("holds and maintenance need wire version {since}; consort upgrade shows how far the fleet is")]
+    /// The fleet writes a wire version without orders of people.
+    #[error("holds, maintenance and closures need wire version {since}; consort upgrade shows how far the fleet is")]
     NoOrdersYet {
         /// Wire version since which there are orders.
         since: u8,
@@ -537,6 +546,12 @@ pub enum CommandError {
         /// The role.
         role: RoleId,
     },
+    /// The closures exceed their size limit.
+    #[error(
+        "the closures would take more than {} bytes; open some places first, or give shorter reasons",
+        CLOSURES_BYTES_MAX
+    )]
+    ClosuresFull,
 }
 
 /// Cause of a release.

@@ -5,7 +5,7 @@
 
 use super::audit_trail::AuditTrail;
 use super::history::{HISTORY_SINCE, History};
-use super::robot_order::OrderBook;
+use super::order_book::OrderBook;
 use super::schedule::ScheduleEntry;
 use crate::ids::ScheduleId;
 use serde::de::{Error, SeqAccess, Visitor};
@@ -22,7 +22,7 @@ pub(super) struct VersionedPart {
     pub(super) history: Option<History>,
     /// Schedules; empty without a history.
     pub(super) schedules: BTreeMap<ScheduleId, ScheduleEntry>,
-    /// Orders of people to robots; empty without a history.
+    /// Orders of people; empty without a history.
     pub(super) orders: OrderBook,
     /// Requests of people; empty without a history.
     pub(super) trail: AuditTrail,

@@ -24,7 +24,8 @@
 //!
 //! The requests of people are recorded (the module `audit`).
 //!
-//! People hold robots, and take them out of service for maintenance (the module `robot_orders`).
+//! People hold robots, take them out of service for maintenance, and close places and lanes (the module
+//! `robot_orders`).
 //!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
@@ -37,6 +38,7 @@ mod apply;
 mod audit;
 mod audit_trail;
 mod branch;
+mod closure;
 mod command;
 mod custody;
 mod entry;
@@ -45,6 +47,7 @@ mod history_limits;
 mod layout;
 mod limits;
 mod loss;
+mod order_book;
 mod people;
 mod person_request;
 mod promises;
@@ -58,6 +61,7 @@ mod submission;
 pub use apply::Ledger;
 pub use audit_trail::{AuditAction, AuditEntry};
 pub use branch::Branch;
+pub use closure::{ClosedPart, Closure, ClosureChange};
 pub use command::{Command, CommandError, CommandOutcome};
 pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
 pub use history::Tombstone;

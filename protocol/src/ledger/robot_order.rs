@@ -1,26 +1,17 @@
 //! Orders of people to a robot: hold and maintenance.
 
-use crate::ids::{RequestId, RobotId};
-use crate::lease::Epoch;
+use crate::ids::RequestId;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, VecDeque};
 
-/// Maximum encoded size of all orders in bytes. Raised: a snapshot may be too large for every replica.
+/// Maximum encoded size of all orders to robots in bytes. Raised: a snapshot may be too large for every replica.
 pub(super) const ORDERS_BYTES_MAX: usize = 160 * 1024;
 
-/// Maximum number of remembered requests. Raised: more requests that follow each other within minutes are
-/// recognised when they are repeated.
-pub(super) const ORDER_REQUESTS_MAX: usize = 256;
-
-/// Maximum encoded size of the remembered requests in bytes.
-pub(super) const ORDER_REQUESTS_BYTES_MAX: usize = ORDER_REQUESTS_MAX * 80;
-
-/// Request of a person that changes the orders to robots.
+/// Request of a person that changes orders: those to robots, or closures.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct OrderRequest {
+pub struct OrderRequest<Change = OrderChange> {
     /// The change.
-    pub change: OrderChange,
+    pub change: Change,
     /// Person that requests it.
     pub by: String,
     /// Time of the request in milliseconds since 1970.
@@ -63,7 +54,7 @@ pub struct RobotOrders {
     pub maintenance: Option<RobotOrder>,
 }
 
-/// Order of a person to a robot.
+/// Order of a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RobotOrder {
     /// Person that gave the order; in a closed fleet the signer.
@@ -76,15 +67,11 @@ pub struct RobotOrder {
     pub until_ms: Option<u64>,
 }
 
-/// The orders in the ledger.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct OrderBook {
-    /// Position in the log of the latest change.
-    pub(super) changed: Epoch,
-    /// Orders of each robot that has any.
-    pub(super) robots: BTreeMap<RobotId, RobotOrders>,
-    /// The latest signed requests.
-    pub(super) requests: VecDeque<RequestId>,
+impl<Change> OrderRequest<Change> {
+    /// Returns an order of this request.
+    pub(super) fn order(&self, until_ms: Option<u64>, reason: &str) -> RobotOrder {
+        RobotOrder { by: self.by.clone(), reason: reason.to_owned(), since_ms: self.at_ms, until_ms }
+    }
 }
 
 impl RobotOrder {
@@ -101,6 +88,11 @@ impl RobotOrder {
     /// Formats a hold, as `held by Nia: a spill`.
     pub fn hold_text(&self) -> String {
         format!("held by {}{}", self.by, self.reason_text())
+    }
+
+    /// Formats a closure, as `closed by Nia: a spill`.
+    pub fn closure_text(&self) -> String {
+        format!("closed by {}{}", self.by, self.reason_text())
     }
 
     /// Formats a maintenance, as `in maintenance by Nia: new tyres`.
@@ -128,17 +120,20 @@ impl RobotOrders {
         if orders.is_empty() { "under no orders".to_owned() } else { orders.join("; ") }
     }
 
+    /// Returns the orders in force.
+    pub(super) fn iter(&self) -> impl Iterator<Item = &RobotOrder> {
+        self.hold.iter().chain(&self.maintenance)
+    }
+
     /// Removes the orders that have expired.
     pub(super) fn expire(&mut self, now_ms: u64) {
         self.hold.take_if(|order| order.is_over(now_ms));
         self.maintenance.take_if(|order| order.is_over(now_ms));
     }
 
-    pub(super) fn change(&mut self, OrderRequest { change, by, at_ms, .. }: &OrderRequest) {
-        let order = |until_ms, reason: &str| {
-            Some(RobotOrder { by: by.clone(), reason: reason.to_owned(), since_ms: *at_ms, until_ms })
-        };
-        match change {
+    pub(super) fn change(&mut self, request: &OrderRequest) {
+        let order = |until_ms, reason: &str| Some(request.order(until_ms, reason));
+        match &request.change {
             OrderChange::Hold { until_ms, reason } => self.hold = order(Some(*until_ms), reason),
             OrderChange::Release => self.hold = None,
             OrderChange::Maintain { until_ms, reason } => self.maintenance = order(*until_ms, reason),

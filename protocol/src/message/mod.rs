@@ -23,7 +23,7 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::{Ledger, RobotOrder, TaskQuestion};
+use crate::ledger::{ClosedPart, Closure, Ledger, RobotOrder, TaskQuestion};
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -178,15 +178,29 @@ pub enum AwardNotice {
 /// latest that it has received, so a delayed message changes nothing.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OrdersNotice {
-    /// Position of the latest change of orders to any robot.
+    /// Position of the latest change of any order.
     pub as_of: Epoch,
     /// Present while the robot is held.
     pub hold: Option<OrderNotice>,
     /// Present while the robot is in maintenance.
     pub maintenance: Option<OrderNotice>,
+    /// The closed places and lanes.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+    pub closures: Vec<ClosureNotice>,
 }
 
-/// Order of a person to a robot.
+/// A closed place or lane.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClosureNotice {
+    /// The place or lane.
+    pub part: ClosedPart,
+    /// The order, as text: `closed by Nia: a spill`.
+    pub order: OrderNotice,
+    /// Its end, for display, in milliseconds since 1970; `None` for no end.
+    pub until_ms: Option<u64>,
+}
+
+/// Order of a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OrderNotice {
     /// The order, as text: `held by Nia: a spill`.
@@ -197,6 +211,11 @@ pub struct OrderNotice {
 }
 
 impl OrdersNotice {
+    /// Checks whether it contains neither orders nor closures.
+    pub fn is_empty(&self) -> bool {
+        self.hold.is_none() && self.maintenance.is_none() && self.closures.is_empty()
+    }
+
     /// Returns the orders of a robot. `confirmed_ms` is the time of day that a majority of the voters confirms, in
     /// milliseconds since 1970. Without it the whole period of an order remains: a single wrong clock ends no hold.
     pub fn of(ledger: &Ledger, robot: &RobotId, confirmed_ms: Option<u64>) -> OrdersNotice {
@@ -211,6 +230,14 @@ impl OrdersNotice {
             as_of: ledger.orders_changed(),
             hold: hold.map(|order| notice(order, order.hold_text())),
             maintenance: maintenance.map(|order| notice(order, order.maintenance_text())),
+            closures: ledger
+                .closures()
+                .map(|Closure { part, order }| ClosureNotice {
+                    part,
+                    until_ms: order.until_ms,
+                    order: notice(&order, order.closure_text()),
+                })
+                .collect(),
         }
     }
 }

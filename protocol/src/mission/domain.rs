@@ -25,6 +25,9 @@ pub struct Domain {
     /// Places of the fleet's map; `None` without a map, and then every name is accepted.
     #[serde(skip)]
     places: Option<Arc<BTreeSet<PlaceId>>>,
+    /// Lanes of the fleet's map, each with the end first whose name comes first; `None` without a map.
+    #[serde(skip)]
+    lanes: Option<Arc<BTreeSet<(PlaceId, PlaceId)>>>,
     /// Ensembles of the fleet; `None` if they are not known, and then every name is accepted.
     #[serde(skip)]
     ensembles: Option<Arc<BTreeSet<EnsembleId>>>,
@@ -295,6 +298,18 @@ impl Domain {
     /// Returns the places of the fleet's map, if it is known.
     pub fn places(&self) -> Option<&BTreeSet<PlaceId>> {
         self.places.as_deref()
+    }
+
+    /// Sets the complete list of lanes, each by its two ends.
+    #[must_use]
+    pub fn with_lanes(self, lanes: impl IntoIterator<Item = (PlaceId, PlaceId)>) -> Self {
+        let sorted = lanes.into_iter().map(|(a, b)| if a <= b { (a, b) } else { (b, a) });
+        Self { lanes: Some(Arc::new(sorted.collect())), ..self }
+    }
+
+    /// Returns the lanes of the fleet's map, if it is known: each with the end first whose name comes first.
+    pub fn lanes(&self) -> Option<&BTreeSet<(PlaceId, PlaceId)>> {
+        self.lanes.as_deref()
     }
 
     /// Sets the complete list of ensembles.

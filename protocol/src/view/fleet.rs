@@ -4,7 +4,7 @@ use super::readable;
 use crate::ensemble::{ExchangedValue, Membership};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskType};
 use crate::knowledge::RobotKnowledge;
-use crate::ledger::RobotOrders;
+use crate::ledger::{Closure, RobotOrders};
 use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,6 +22,9 @@ pub struct FleetView {
     /// Ensembles of the fleet.
     #[serde(default, deserialize_with = "readable")]
     pub ensembles: Vec<EnsembleView>,
+    /// Places and lanes that people have closed; none if the replying node has no ledger.
+    #[serde(default, deserialize_with = "readable")]
+    pub closures: Vec<Closure>,
 }
 
 /// A node, as seen by the node that replies.

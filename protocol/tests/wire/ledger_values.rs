@@ -7,9 +7,9 @@ use consort_protocol::auction::{
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits, MissedOccurrences,
-    MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId, Priority, RecoveryBranch, Schedule,
-    SchedulePause, ScheduleRule, Submission,
+    AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits,
+    MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId, Priority,
+    RecoveryBranch, Schedule, SchedulePause, ScheduleRule, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -17,6 +17,7 @@ use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
+use std::fmt::Debug;
 
 pub(crate) fn auction() -> impl Strategy<Value = AuctionId> {
     (name(), any::<u64>(), any::<u32>()).prop_map(|(mission, term, round)| AuctionId { mission, term, round })
@@ -225,8 +226,11 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(schedule, [after_ms, until_ms])| { Command::SkipOccurrences { schedule, after_ms, until_ms } }),
         (person_request(), any::<u64>())
             .prop_map(|(request, now_ms)| Command::EscalatePersonRequest { request, now_ms }),
-        (btree_set(name(), 0..3), order_request()).prop_map(|(robots, order)| Command::OrderRobots { robots, order }),
+        (btree_set(name(), 0..3), order_request(order_change()))
+            .prop_map(|(robots, order)| Command::OrderRobots { robots, order }),
         any::<u64>().prop_map(|now_ms| Command::ExpireOrders { now_ms }),
+        (btree_set(closed_part(), 0..3), order_request(closure_change()))
+            .prop_map(|(parts, order)| Command::ChangeClosures { parts, order }),
         any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
             Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })
@@ -234,13 +238,20 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
     ]
 }
 
-fn order_request() -> impl Strategy<Value = OrderRequest> {
-    (order_change(), text(), any::<u64>(), option::of(name())).prop_map(|(change, by, at_ms, request)| OrderRequest {
+fn order_request<Change: Debug>(change: impl Strategy<Value = Change>) -> impl Strategy<Value = OrderRequest<Change>> {
+    (change, text(), any::<u64>(), option::of(name())).prop_map(|(change, by, at_ms, request)| OrderRequest {
         change,
         by,
         at_ms,
         request,
     })
+}
+
+fn closure_change() -> impl Strategy<Value = ClosureChange> {
+    prop_oneof![
+        (any::<Option<u64>>(), text()).prop_map(|(until_ms, reason)| ClosureChange::Close { until_ms, reason }),
+        Just(ClosureChange::Open),
+    ]
 }
 
 fn order_change() -> impl Strategy<Value = OrderChange> {

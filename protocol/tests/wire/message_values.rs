@@ -5,9 +5,10 @@ use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
 use consort_protocol::ledger::{PersonQuestion, TaskQuestion};
 use consort_protocol::message::{
-    AwardNotice, AwardReply, FailureKind, OrderNotice, OrdersNotice, QuestionAnswer, Report, ReportReply, TaskFailure,
+    AwardNotice, AwardReply, ClosureNotice, FailureKind, OrderNotice, OrdersNotice, QuestionAnswer, Report,
+    ReportReply, TaskFailure,
 };
-use proptest::collection::{btree_map, btree_set};
+use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -40,11 +41,13 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
 
 fn orders() -> impl Strategy<Value = OrdersNotice> {
     let order = || (text(), any::<Option<u64>>()).prop_map(|(text, remaining_ms)| OrderNotice { text, remaining_ms });
-    (epoch(), option::of(order()), option::of(order())).prop_map(|(as_of, hold, maintenance)| OrdersNotice {
-        as_of,
-        hold,
-        maintenance,
-    })
+    let closure = (closed_part(), order(), any::<Option<u64>>()).prop_map(|(part, order, until_ms)| ClosureNotice {
+        part,
+        order,
+        until_ms,
+    });
+    (epoch(), option::of(order()), option::of(order()), vec(closure, 0..3))
+        .prop_map(|(as_of, hold, maintenance, closures)| OrdersNotice { as_of, hold, maintenance, closures })
 }
 
 pub(crate) fn award_answer() -> impl Strategy<Value = AwardReply> {

@@ -6,6 +6,7 @@ use consort_protocol::knowledge::{
     Attributes, Availability, ChargerClaim, Charging, Knowledge, Proof, Record, RecordStamp, RobotKnowledge,
 };
 use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::ClosedPart;
 use consort_protocol::mission::{
     AlternativeMethod, DomainHash, DomainReference, Escalation, Method, Mission, OnLoss, ResultReference, Role,
     RoleKind, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskOutcomes, TaskSpec,
@@ -36,6 +37,10 @@ pub(crate) fn cause_class() -> impl Strategy<Value = CauseClass> {
         Just(CauseClass::Transient),
         Just(CauseClass::Precondition),
     ]
+}
+
+pub(crate) fn closed_part() -> impl Strategy<Value = ClosedPart> {
+    (place(), option::of(place())).prop_map(|(place, to)| ClosedPart { place, to })
 }
 
 pub(crate) fn text() -> impl Strategy<Value = String> {

@@ -29,7 +29,7 @@ pub struct Telemetry {
     pub able: bool,
     /// Lanes that the robot has found closed, or that were reported to it as closed: each once, by
     /// its two ends. The list is incomplete, and old entries expire, since a lane may be open
-    /// again.
+    /// again. A place twice is a closed place: the robot does not enter it.
     pub closed: Vec<(PlaceId, PlaceId)>,
     /// Latest value of each reading that the driver has published, by name: at most 64. A domain file
     /// declares them.
@@ -59,6 +59,12 @@ pub trait RobotActions {
 
     /// Returns the latest report of the robot; `None` before the first.
     fn telemetry(&self) -> Option<&Telemetry>;
+
+    /// Returns the lanes and places that people have closed, as in [`Telemetry::closed`], which contains
+    /// them, too.
+    fn closed_by_people(&self) -> &[(PlaceId, PlaceId)] {
+        &[]
+    }
 
     /// Returns the newest value that a member of an ensemble has sent to the others. `None` if it is
     /// unknown: this robot is not a member, the value has not arrived, or it is too old.

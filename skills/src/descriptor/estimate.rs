@@ -20,7 +20,7 @@ pub struct EstimateContext {
     pub speed: MetresPerSecond,
     /// Discharge rate with an active goal.
     pub discharge: SharePerSecond,
-    /// Known closed lanes, each by its two ends.
+    /// Known closed lanes, each by its two ends; a place twice is a closed place.
     pub closed: Vec<(PlaceId, PlaceId)>,
     /// Attributes of the robot.
     pub attributes: Attributes,

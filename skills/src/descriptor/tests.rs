@@ -108,6 +108,17 @@ fn a_closed_lane_is_priced_by_a_detour_or_rejected() {
 }
 
 #[test]
+fn a_closed_place_is_not_entered_and_may_be_left() {
+    let to = |name| plan(vec![doing("go", task("navigation", &[("to", name)]))]);
+    let closed = |at| EstimateContext { closed: vec![(place("B"), place("B"))], ..robot(at) };
+    let error = estimator().price(&to("C"), &closed("A")).unwrap_err();
+    assert_eq!(error.to_string(), "step 0 (go): no route from A to C: the ways between them are closed");
+    let error = estimator().price(&to("B"), &closed("A")).unwrap_err();
+    assert_eq!(error.to_string(), "step 0 (go): no route from A to B: the ways between them are closed");
+    assert_eq!(estimator().price(&to("C"), &closed("B")), estimator().price(&to("C"), &robot("B")));
+}
+
+#[test]
 fn a_missing_parameter_is_named() {
     let price = |spec| estimator().price(&plan(vec![doing("t", spec)]), &robot("A")).unwrap_err().source.to_string();
     assert_eq!(price(task("navigation", &[])), "the navigation task has no parameter `to`");

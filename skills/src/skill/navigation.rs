@@ -3,13 +3,16 @@
 //! The route is planned at each start, so a drive that was halted between two places resumes from
 //! there. If a leg is blocked, the route is planned again without the lanes that the robot has
 //! found closed. Without another route the drive fails with the robot's own message.
+//!
+//! A drive whose leg people close stops at once, and is planned again from there. If only people close
+//! the last route, the robot waits until they open it.
 
 use super::context::TaskContext;
 use crate::actions::{self, ActionError, ErrorCode, GoalId, GoalStatus};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,
 };
-use crate::environment::{Environment, Routes};
+use crate::environment::{Environment, RouteError, Routes};
 use consort_protocol::ids::PlaceId;
 use std::collections::VecDeque;
 
@@ -20,7 +23,12 @@ pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<()
     })?;
     let ports = [PortSpec::input("place", PortType::Place), PortSpec::input("to", PortType::Place).optional()];
     registry.register(NodeManifest::new("NavigateToPose", NodeKind::Action, ports), |context: &TaskContext| {
-        Box::new(NavigateToPose { environment: context.environment.clone(), drive: None, detour: VecDeque::new() })
+        Box::new(NavigateToPose {
+            environment: context.environment.clone(),
+            drive: None,
+            detour: VecDeque::new(),
+            must_plan: false,
+        })
     })
 }
 
@@ -28,16 +36,26 @@ fn routes(environment: &Environment) -> Result<&Routes, Cause> {
     environment.get::<Routes>().map_err(|error| Cause::new(error.to_string()))
 }
 
-/// Returns the remaining places of the route, without the lanes that the robot has found closed;
-/// `None` before the robot's first report.
+/// Returns the remaining places of the route, without closed lanes and places. `None` before the
+/// robot's first report, and while people have closed every route.
 fn legs(
     environment: &Environment,
     context: &mut LeafContext<'_, '_>,
     to: &PlaceId,
 ) -> Result<Option<Vec<PlaceId>>, Cause> {
     let Some(telemetry) = context.actions().telemetry() else { return Ok(None) };
-    let legs = routes(environment)?.without_closed(&telemetry.closed).legs(&telemetry.place, telemetry.pose, to);
-    legs.map(Some).map_err(|error| Cause::new(error.to_string()))
+    let (telemetry, routes) = (telemetry.clone(), routes(environment)?);
+    let legs = |closed: &[(PlaceId, PlaceId)]| routes.without_closed(closed).legs(&telemetry.place, telemetry.pose, to);
+    match legs(&telemetry.closed) {
+        Err(RouteError::Closed { .. }) if legs(&found_closed(context, &telemetry.closed)).is_ok() => Ok(None),
+        legs => legs.map(Some).map_err(|error| Cause::new(error.to_string())),
+    }
+}
+
+/// Returns the closed lanes that people have not closed.
+fn found_closed(context: &mut LeafContext<'_, '_>, closed: &[(PlaceId, PlaceId)]) -> Vec<(PlaceId, PlaceId)> {
+    let by_people = context.actions().closed_by_people();
+    closed.iter().filter(|lane| !by_people.contains(lane)).cloned().collect()
 }
 
 /// Writes the remaining places of the route; an empty list at the destination. Waits for the
@@ -62,16 +80,20 @@ impl Leaf for PlanRoute {
 
 /// Drives to `place`, a leg of the route to `to`. If the leg is blocked, and the robot has found a
 /// closed lane since the start of the leg, the leaf drives a detour all the way to `to`. The
-/// remaining legs then have nothing left to do. Without `to` there is no detour.
+/// remaining legs then have nothing left to do. Without `to` there is no detour. If people close the
+/// leg, the robot stops, and drives another route to `to`, or to `place`.
 struct NavigateToPose {
     environment: Environment,
     drive: Option<Drive>,
     /// Remaining legs of a detour.
     detour: VecDeque<PlaceId>,
+    /// People have closed the leg: the route is to be planned again.
+    must_plan: bool,
 }
 
 struct Drive {
     goal: GoalId,
+    to: PlaceId,
     /// Closed lanes that the robot reported at the start of the leg.
     known_closed: Vec<(PlaceId, PlaceId)>,
     /// Error of a blocked leg, while the robot's next report may still add a closed lane.
@@ -82,9 +104,14 @@ impl NavigateToPose {
     fn start_leg(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<NodeStatus, Cause> {
         let pose = routes(&self.environment)?.pose(&place);
         let pose = pose.ok_or_else(|| Cause::new(format!("{place} is not on the map")))?;
+        if enters_closed(context, &place) {
+            self.must_plan = true;
+            return Ok(NodeStatus::Running);
+        }
         let known_closed = closed(context);
-        let goal = context.actions().send_goal(actions::NavigateToPose { pose, place: Some(place) }.into());
-        self.drive = Some(Drive { goal, known_closed, blocked: None });
+        let goal = actions::NavigateToPose { pose, place: Some(place.clone()) }.into();
+        let goal = context.actions().send_goal(goal);
+        self.drive = Some(Drive { goal, to: place, known_closed, blocked: None });
         self.follow(context)
     }
 
@@ -94,6 +121,11 @@ impl NavigateToPose {
             return self.take_detour(context, &drive.known_closed, error);
         }
         match context.actions().status(drive.goal) {
+            Some(GoalStatus::Sent | GoalStatus::Executing(_)) if enters_closed(context, &drive.to) => {
+                context.cancel(drive.goal);
+                self.must_plan = true;
+                Ok(NodeStatus::Running)
+            }
             Some(GoalStatus::Sent | GoalStatus::Executing(_)) => {
                 self.drive = Some(drive);
                 Ok(NodeStatus::Running)
@@ -136,6 +168,22 @@ impl NavigateToPose {
         }
     }
 
+    /// Plans the route again once the robot stands still; waits while people have closed every route.
+    fn plan_again(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+        let to: Option<PlaceId> = context.read_optional("to")?;
+        let to = match to {
+            Some(to) => to,
+            None => context.read("place")?,
+        };
+        let Some(legs) = legs(&self.environment, context, &to)? else { return Ok(NodeStatus::Running) };
+        self.must_plan = false;
+        self.detour = legs.into();
+        match self.detour.pop_front() {
+            Some(next) => self.start_leg(context, next),
+            None => Ok(NodeStatus::Success),
+        }
+    }
+
     fn fail(&mut self, cause: Cause) -> Result<NodeStatus, Cause> {
         self.detour.clear();
         Err(cause)
@@ -150,6 +198,9 @@ impl Leaf for NavigateToPose {
         if !context.cancels_complete() {
             return Ok(NodeStatus::Running);
         }
+        if self.must_plan {
+            return self.plan_again(context);
+        }
         let place: PlaceId = context.read("place")?;
         if let Some(to) = context.read_optional::<PlaceId>("to")?
             && legs(&self.environment, context, &to).is_ok_and(|legs| legs.is_some_and(|legs| legs.is_empty()))
@@ -161,10 +212,17 @@ impl Leaf for NavigateToPose {
 
     fn halt(&mut self, context: &mut LeafContext<'_, '_>) {
         self.detour.clear();
+        self.must_plan = false;
         if let Some(drive) = self.drive.take() {
             context.cancel(drive.goal);
         }
     }
+}
+
+/// Checks whether the robot enters what people have closed on its way to the neighbour `to`.
+fn enters_closed(context: &mut LeafContext<'_, '_>, to: &PlaceId) -> bool {
+    let Some(from) = context.actions().telemetry().map(|telemetry| telemetry.place.clone()) else { return false };
+    Routes::enters_closed(context.actions().closed_by_people(), &from, to)
 }
 
 fn closed(context: &mut LeafContext<'_, '_>) -> Vec<(PlaceId, PlaceId)> {

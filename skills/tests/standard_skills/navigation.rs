@@ -155,3 +155,63 @@ fn a_drive_that_is_blocked_on_every_route_fails() {
     assert_eq!(ended, failed("NavigateToPose: blocked: a bed stands in it"));
     assert_eq!(driver.sent(), ["drive B 10", "drive E 15"]);
 }
+
+#[test]
+fn a_drive_whose_leg_people_close_stops_and_takes_another_route() {
+    for (a, b) in [("B", "B"), ("B", "A")] {
+        let mut driver = ScriptedDriver::at("A");
+        let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
+        assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+        driver.close(a, b);
+        assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+        assert!(driver.is_canceling(), "{a} – {b}");
+        assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+        assert_eq!(driver.sent(), ["drive B 10"], "{a} – {b}: it has not stopped yet");
+        driver.complete_cancel();
+        assert_eq!(run(&mut skill, &mut driver), succeeded());
+        assert_eq!(driver.sent(), ["drive B 10", "drive E 15", "drive C 20"], "{a} – {b}");
+    }
+}
+
+#[test]
+fn a_drive_avoids_a_later_leg_that_people_close_on_its_way() {
+    let mut driver = ScriptedDriver::at("A");
+    let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    driver.close("B", "C");
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    assert!(!driver.is_canceling(), "its leg is open");
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive B 10", "drive A 0", "drive E 15", "drive C 20"]);
+}
+
+#[test]
+fn a_drive_waits_while_people_have_closed_every_route() {
+    let mut driver = ScriptedDriver::at("A");
+    driver.close("C", "C");
+    let mut skill = skill(&task("navigation", &[("to", "C")]));
+    for _ in 0..5 {
+        assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    }
+    assert_eq!(driver.sent(), Vec::<String>::new());
+    driver.open_all();
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    assert_eq!(driver.sent(), ["drive B 10"]);
+    driver.close("B", "C");
+    driver.end_goal();
+    for _ in 0..5 {
+        assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    }
+    assert_eq!(driver.sent(), ["drive B 10"]);
+    driver.open_all();
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive B 10", "drive C 20"]);
+}
+
+#[test]
+fn a_robot_leaves_a_closed_place() {
+    let mut driver = ScriptedDriver::at("B");
+    driver.close("B", "B");
+    assert_eq!(run(&mut skill(&task("navigation", &[("to", "C")])), &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive C 20"]);
+}

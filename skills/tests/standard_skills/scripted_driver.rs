@@ -13,6 +13,8 @@ use std::collections::{BTreeMap, VecDeque};
 /// ends it.
 pub(crate) struct ScriptedDriver {
     telemetry: Telemetry,
+    /// Lanes and places that people have closed.
+    closed_by_people: Vec<(PlaceId, PlaceId)>,
     /// Results of goals, in order. Later goals succeed.
     script: VecDeque<Result<(), ActionError>>,
     goals: Vec<(Goal, GoalStatus)>,
@@ -37,13 +39,33 @@ impl ScriptedDriver {
             closed: vec![],
             readings: BTreeMap::new(),
         };
-        ScriptedDriver { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None, completed: vec![] }
+        ScriptedDriver {
+            telemetry,
+            closed_by_people: vec![],
+            script: VecDeque::new(),
+            goals: Vec::new(),
+            canceling: None,
+            completed: vec![],
+        }
     }
 
     /// Sets the results of the next goals.
     pub(crate) fn with_results(mut self, script: impl IntoIterator<Item = Result<(), ActionError>>) -> ScriptedDriver {
         self.script.extend(script);
         self
+    }
+
+    /// People close a lane, or a place given twice.
+    pub(crate) fn close(&mut self, a: &str, b: &str) {
+        let lane = (place(a), place(b));
+        self.closed_by_people.push(lane.clone());
+        self.telemetry.closed.push(lane);
+    }
+
+    /// People open all that they have closed.
+    pub(crate) fn open_all(&mut self) {
+        self.telemetry.closed.retain(|lane| !self.closed_by_people.contains(lane));
+        self.closed_by_people.clear();
     }
 
     /// Adds a goal completed in an earlier attempt.
@@ -156,6 +178,10 @@ impl RobotActions for ScriptedDriver {
 
     fn telemetry(&self) -> Option<&Telemetry> {
         Some(&self.telemetry)
+    }
+
+    fn closed_by_people(&self) -> &[(PlaceId, PlaceId)] {
+        &self.closed_by_people
     }
 
     fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {

@@ -17,12 +17,12 @@ use consort_protocol::knowledge::{
 };
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, Command, Ledger, MissedOccurrences, OrderChange, OrderRequest, PersonAnswer, PersonQuestion,
-    PersonRequestId, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
+    AnswerContent, Branch, ClosedPart, ClosureChange, Command, Ledger, MissedOccurrences, OrderChange, OrderRequest,
+    PersonAnswer, PersonQuestion, PersonRequestId, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
 };
 use consort_protocol::message::{
-    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FailureKind,
-    OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
+    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope, Exchange,
+    FailureKind, OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
 };
 use consort_protocol::mission::{Escalation, TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
@@ -307,12 +307,26 @@ fn ledger_commands() -> Vec<Command> {
             },
         },
         Command::ExpireOrders { now_ms: 9 },
+        Command::ChangeClosures {
+            parts: BTreeSet::from([ClosedPart::of_place("IC Room 6".parse().expect("a place"))]),
+            order: OrderRequest {
+                change: ClosureChange::Close { until_ms: Some(9), reason: "a spill".to_owned() },
+                by: "Nia".to_owned(),
+                at_ms: 8,
+                request: Some(slug("kim-8")),
+            },
+        },
     ]
 }
 
 fn orders() -> OrdersNotice {
     let hold = OrderNotice { text: "held by Nia: a spill".to_owned(), remaining_ms: Some(600_000) };
-    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None }
+    let closures = vec![ClosureNotice {
+        part: ClosedPart::of_lane("IC Corridor 6".parse().expect("a place"), "IC Room 6".parse().expect("a place")),
+        order: OrderNotice { text: "closed by Nia: a spill".to_owned(), remaining_ms: Some(600_000) },
+        until_ms: Some(700_000),
+    }];
+    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None, closures }
 }
 
 fn schedule() -> Schedule {

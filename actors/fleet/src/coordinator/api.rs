@@ -114,6 +114,8 @@ impl ApiHandler {
             ApiCall::Hold => self.hold(payload).await.map(json),
             ApiCall::Release => self.release(payload).await.map(json),
             ApiCall::Maintenance => self.maintenance(payload).await.map(json),
+            ApiCall::Close => self.close(payload).await.map(json),
+            ApiCall::Open => self.open(payload).await.map(json),
             ApiCall::Backup => self.backup().await,
             ApiCall::Upgrade => self.upgrade(payload).await.map(json),
             ApiCall::Get

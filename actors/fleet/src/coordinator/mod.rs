@@ -21,6 +21,7 @@ mod auctioneer;
 mod auctions;
 mod change_feed;
 mod circular_waits;
+mod closure_requests;
 mod ensemble_members;
 mod held_roles;
 mod last_known_place;

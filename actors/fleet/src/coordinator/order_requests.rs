@@ -51,8 +51,8 @@ impl ApiHandler {
         self.order(&robots, change, by).await
     }
 
-    /// Returns the end of a maintenance in milliseconds since 1970.
-    fn end_ms(&self, until: Option<String>) -> Result<Option<u64>, ApiError> {
+    /// Returns the end of an order in milliseconds since 1970.
+    pub(super) fn end_ms(&self, until: Option<String>) -> Result<Option<u64>, ApiError> {
         let Some(until) = until else { return Ok(None) };
         let now_ms = self.time_ms()?;
         match rfc3339_ms(&until).filter(|until_ms| *until_ms > now_ms) {
@@ -73,23 +73,37 @@ impl ApiHandler {
         by: Option<String>,
     ) -> Result<OrdersReply, ApiError> {
         let robots = self.selected(selection)?;
+        let command = Command::OrderRobots { robots: robots.clone(), order: self.order_request(change, by)? };
+        self.commit_order(command).await?;
+        Ok(self.replica.read(|ledger| {
+            let orders = |robot: RobotId| {
+                let orders = ledger.orders_of(&robot).cloned().unwrap_or_default();
+                (robot, orders)
+            };
+            OrdersReply { robots: robots.into_iter().map(orders).collect() }
+        }))
+    }
+
+    /// Returns the request of a person for a change of orders.
+    pub(super) fn order_request<Change>(
+        &self,
+        change: Change,
+        by: Option<String>,
+    ) -> Result<OrderRequest<Change>, ApiError> {
         let request = self.requester.as_ref().map(|requester| RequestId::new(requester.request.clone())).transpose();
         let request = request.map_err(|problem| problem.to_string())?;
-        let order = OrderRequest { change, by: self.responsible(by), at_ms: self.time_ms()?, request };
-        let command = Command::OrderRobots { robots: robots.clone(), order };
+        Ok(OrderRequest { change, by: self.responsible(by), at_ms: self.time_ms()?, request })
+    }
+
+    /// Commits a change of orders.
+    pub(super) async fn commit_order(&self, command: Command) -> Result<(), ApiError> {
         match self.propose(command).await {
             Ok(CommandOutcome::Refused(refused)) => {
                 // A new ledger gets its version right after its creation.
                 let may_retry = self.replica.read(Ledger::wire).is_none();
                 Err(ApiError { text: refused.to_string(), may_retry })
             }
-            Ok(_) => Ok(self.replica.read(|ledger| {
-                let orders = |robot: RobotId| {
-                    let orders = ledger.orders_of(&robot).cloned().unwrap_or_default();
-                    (robot, orders)
-                };
-                OrdersReply { robots: robots.into_iter().map(orders).collect() }
-            })),
+            Ok(_) => Ok(()),
             Err(problem) => Err(not_committed(&problem)),
         }
     }

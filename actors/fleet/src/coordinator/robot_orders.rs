@@ -1,5 +1,5 @@
-//! Orders of people to robots during a session: the coordinator sends them to the robots, publishes their
-//! changes, and proposes the end of those whose time has passed.
+//! Orders of people during a session: the coordinator sends them to the robots with the closures, publishes the
+//! changes of those to robots, and proposes the end of those whose time has passed.
 //!
 //! A robot that holds a role also gets its orders with each renewal of its lease.
 
@@ -37,20 +37,21 @@ pub(super) struct OrderDelivery {
 
 /// Latest notice to a robot.
 struct SentOrders {
-    orders: RobotOrders,
     as_of: Epoch,
+    /// True if it contains an order or a closure.
+    has_orders: bool,
     at: NodeTime,
     is_acknowledged: bool,
 }
 
 impl SentOrders {
-    /// Checks whether a robot that now has `orders` needs another notice.
-    fn needs_repetition(&self, orders: &RobotOrders, now: NodeTime) -> bool {
+    /// Checks whether the robot needs another notice. `position` is that of the latest change of any order.
+    fn needs_repetition(&self, position: Epoch, now: NodeTime) -> bool {
         let age = now.since(self.at);
         match self.is_acknowledged {
-            _ if self.orders != *orders => true,
+            _ if self.as_of != position => true,
             false => age >= RETRY_INTERVAL,
-            true => !orders.is_empty() && age >= REPEAT_INTERVAL,
+            true => self.has_orders && age >= REPEAT_INTERVAL,
         }
     }
 }
@@ -109,13 +110,10 @@ impl OrderDelivery {
         let mut due = vec![];
         for node in robots.into_iter().filter(|node| *node == parts.node || parts.knowledge.is_alive(node)) {
             let robot = RobotId::from(node);
-            let (orders, notice) = context.read_ledger(|ledger| {
-                let orders = ledger.orders_of(&robot).cloned().unwrap_or_default();
-                (orders, OrdersNotice::of(ledger, &robot, confirmed_ms))
-            });
-            if self.sent.get(&robot).is_none_or(|sent| sent.needs_repetition(&orders, now)) {
-                let sent = SentOrders { orders, as_of: notice.as_of, at: now, is_acknowledged: false };
-                self.sent.insert(robot.clone(), sent);
+            if self.sent.get(&robot).is_none_or(|sent| sent.needs_repetition(self.position, now)) {
+                let notice = context.read_ledger(|ledger| OrdersNotice::of(ledger, &robot, confirmed_ms));
+                let (as_of, has_orders) = (notice.as_of, !notice.is_empty());
+                self.sent.insert(robot.clone(), SentOrders { as_of, has_orders, at: now, is_acknowledged: false });
                 due.push((robot, notice));
             }
         }
@@ -141,23 +139,20 @@ fn all_orders(ledger: &Ledger) -> BTreeMap<RobotId, RobotOrders> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::ledger::RobotOrder;
-
     fn at(ms: u64) -> NodeTime {
         NodeTime::at(Duration::from_millis(ms))
     }
 
     #[test]
     fn a_notice_is_repeated_until_it_is_acknowledged_and_rarely_afterwards() {
-        let hold = RobotOrder { by: "Nia".to_owned(), reason: String::new(), since_ms: 1, until_ms: Some(9) };
-        let held = RobotOrders { hold: Some(hold), maintenance: None };
-        let mut sent = SentOrders { orders: held.clone(), as_of: Epoch::default(), at: at(0), is_acknowledged: false };
-        assert!(!sent.needs_repetition(&held, at(499)) && sent.needs_repetition(&held, at(500)));
-        assert!(sent.needs_repetition(&RobotOrders::default(), at(1)), "released");
+        let [held, released] = [5, 6].map(|index| Epoch { term: 1, index });
+        let mut sent = SentOrders { as_of: held, has_orders: true, at: at(0), is_acknowledged: false };
+        assert!(!sent.needs_repetition(held, at(499)) && sent.needs_repetition(held, at(500)));
+        assert!(sent.needs_repetition(released, at(1)), "released");
         sent.is_acknowledged = true;
-        assert!(!sent.needs_repetition(&held, at(1_999)) && sent.needs_repetition(&held, at(2_000)));
-        let released = SentOrders { orders: RobotOrders::default(), ..sent };
-        assert!(!released.needs_repetition(&RobotOrders::default(), at(9_000)));
-        assert!(released.needs_repetition(&held, at(1)));
+        assert!(!sent.needs_repetition(held, at(1_999)) && sent.needs_repetition(held, at(2_000)));
+        let without = SentOrders { has_orders: false, ..sent };
+        assert!(!without.needs_repetition(held, at(9_000)));
+        assert!(without.needs_repetition(released, at(1)));
     }
 }

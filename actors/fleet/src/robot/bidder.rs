@@ -10,6 +10,7 @@ use consort_protocol::lease::Award;
 use consort_protocol::plan::LocalPlan;
 use consort_protocol::scalar::Scalar;
 use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator, PriceError};
+use consort_skills::environment::RouteError;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -26,8 +27,10 @@ pub struct Bidder {
 pub struct BidContext<'a> {
     /// The robot's own record.
     pub worker: &'a RobotKnowledge,
-    /// Lanes that the driver has found closed, each by its 2 ends.
+    /// Closed lanes, each by its 2 ends; a place twice is a closed place.
     pub closed_lanes: &'a [(PlaceId, PlaceId)],
+    /// The closures of people among them, as text.
+    pub closures: &'a [&'a str],
     /// Latest readings of the driver, by name; `None` if conditions on them do not count.
     pub readings: Option<&'a BTreeMap<String, Scalar>>,
     /// Age of that information in milliseconds.
@@ -88,7 +91,7 @@ impl Bidder {
         plan: &LocalPlan,
         context: &BidContext<'_>,
     ) -> Result<Bid, RefusalReason> {
-        let BidContext { worker, closed_lanes: closed, readings, age_ms, membership, present } = context;
+        let BidContext { worker, closed_lanes: closed, closures, readings, age_ms, membership, present } = context;
         // A lack of skills outlasts the present work: a mission that only robots without the skill could join fails,
         // and does not wait for them.
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
@@ -118,7 +121,7 @@ impl Bidder {
         let from = present.map_or_else(|| worker.place.clone(), |present| present.ends_at.clone());
         let readings = readings.cloned();
         let context = EstimateContext { place: from.clone(), readings, ..pricing_context(worker, closed) };
-        let budget = self.estimator.budget(plan, &context).map_err(|problem| refusal_of(&problem))?;
+        let budget = self.estimator.budget(plan, &context).map_err(|problem| refusal_of(&problem, closures))?;
         let (time, energy) = (budget.time(), budget.energy);
         let remaining = worker.battery.get() - present.map_or(0.0, |present| present.energy) - energy;
         if let Some(chargers) = &self.chargers {
@@ -141,9 +144,16 @@ impl Bidder {
 }
 
 /// Returns the refusal of a plan that cannot be priced. The robot may get a role later whose condition on its readings
-/// is false or unknown now.
-fn refusal_of(problem: &PriceError) -> RefusalReason {
+/// is false or unknown now, or whose way people have closed.
+fn refusal_of(problem: &PriceError, closures: &[&str]) -> RefusalReason {
     match &problem.source {
+        EstimateError::Route(RouteError::Closed { to, .. }) if !closures.is_empty() => {
+            // The closure of the destination comes first, since a long text is shortened.
+            let (own, other): (Vec<&str>, Vec<&str>) =
+                closures.iter().copied().partition(|closure| closure.starts_with(to.as_str()));
+            let closures = own.into_iter().chain(other).collect::<Vec<_>>().join("; ");
+            RefusalReason::NotEligible { why: format!("{problem}; {closures}"), permanent: false }
+        }
         EstimateError::Requirement { may_change: true, .. } => {
             RefusalReason::NotEligible { why: problem.to_string(), permanent: false }
         }
@@ -195,6 +205,7 @@ mod tests {
         let context = BidContext {
             worker: &worker,
             closed_lanes: &[],
+            closures: &[],
             readings: Some(&readings),
             age_ms: 0,
             membership,
@@ -221,6 +232,20 @@ mod tests {
             let expected = RefusalReason::NotEligible { why: format!("{condition} {problem}"), permanent: false };
             assert_eq!(refusal("water", &readings), expected);
         }
+    }
+
+    #[test]
+    fn a_refusal_names_the_closure_of_the_destination_first_and_is_not_permanent() {
+        let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+        let source = EstimateError::Route(RouteError::Closed { from: place("Dock"), to: place("Ward") });
+        let closed = PriceError { step: 0, task: "go".parse().unwrap(), source };
+        let problem = "step 0 (go): no route from Dock to Ward: the ways between them are closed";
+        let (hall, ward) = ("Hall is closed by Abe", "Ward is closed by Nia: a spill, until 2026-01-01 00:00 UTC");
+        let why = format!("{problem}; {ward}; {hall}");
+        assert_eq!(refusal_of(&closed, &[hall, ward]), RefusalReason::NotEligible { why, permanent: false });
+        // Lanes that only the driver has found closed.
+        let reason = refusal_of(&closed, &[]);
+        assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{reason:?}");
     }
 
     #[test]

@@ -80,7 +80,12 @@ impl DriverLink {
         self.driver.telemetry()
     }
 
-    /// Returns the lanes that the driver has found closed.
+    /// Sets the lanes and places that people have closed, as of the next [`sense`](DriverLink::sense).
+    pub(super) fn set_closures(&self, closed: Vec<(PlaceId, PlaceId)>) {
+        self.driver.set_closures(closed);
+    }
+
+    /// Returns the lanes that the driver has found closed, and the lanes and places that people have closed.
     pub(super) fn closed_lanes(&self) -> &[(PlaceId, PlaceId)] {
         self.telemetry().map_or(&[], |report| &report.closed)
     }

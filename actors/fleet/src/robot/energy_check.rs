@@ -55,7 +55,7 @@ impl EnergyForecast {
 }
 
 /// Returns the estimator's input for the robot at its current or last passed place; `closed`
-/// contains the lanes that the driver has found closed.
+/// contains the lanes that the driver has found closed, and what people have closed.
 pub(super) fn pricing_context(worker: &RobotKnowledge, closed: &[(PlaceId, PlaceId)]) -> EstimateContext {
     // A robot that does not drive has no navigation task to price, so its speed is irrelevant.
     let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));

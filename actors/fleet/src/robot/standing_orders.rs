@@ -1,8 +1,11 @@
-//! The orders of people that a robot follows, as last received. A robot without contact to the coordinator
+//! The orders and closures of people that a robot follows, as last received. A robot without contact to the coordinator
 //! follows them until their end.
 
+use crate::recurrence::time_in_zone;
+use consort_protocol::ids::PlaceId;
 use consort_protocol::lease::Epoch;
-use consort_protocol::message::{OrderNotice, OrdersNotice};
+use consort_protocol::ledger::ClosedPart;
+use consort_protocol::message::{ClosureNotice, OrderNotice, OrdersNotice};
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
 
@@ -17,8 +20,15 @@ pub(super) struct StandingOrders {
     as_of: Epoch,
     hold: Option<StandingOrder>,
     maintenance: Option<StandingOrder>,
+    closures: Vec<StandingClosure>,
     /// Time from which the robot may act without a role.
     acts_alone_from: NodeTime,
+}
+
+#[derive(Debug)]
+struct StandingClosure {
+    part: ClosedPart,
+    order: StandingOrder,
 }
 
 #[derive(Debug)]
@@ -38,6 +48,14 @@ impl StandingOrder {
     }
 }
 
+impl StandingClosure {
+    fn new(ClosureNotice { part, mut order, until_ms }: ClosureNotice, now: NodeTime) -> StandingClosure {
+        let until = until_ms.map(|until_ms| format!(", until {}", time_in_zone(until_ms, "UTC"))).unwrap_or_default();
+        order.text = format!("{part} is {}{until}", order.text);
+        StandingClosure { part, order: StandingOrder::new(order, now) }
+    }
+}
+
 impl StandingOrders {
     /// Creates the orders of a robot that starts now: they are unknown.
     pub(super) fn new(now: NodeTime) -> StandingOrders {
@@ -45,13 +63,15 @@ impl StandingOrders {
     }
 
     /// Receives the orders from a coordinator. A notice that is older than the latest has no effect.
-    pub(super) fn receive(&mut self, OrdersNotice { as_of, hold, maintenance }: OrdersNotice, now: NodeTime) {
+    pub(super) fn receive(&mut self, notice: OrdersNotice, now: NodeTime) {
+        let OrdersNotice { as_of, hold, maintenance, closures } = notice;
         if as_of < self.as_of {
             return;
         }
         let standing = |order: Option<OrderNotice>| order.map(|order| StandingOrder::new(order, now));
         let (hold, maintenance) = (standing(hold), standing(maintenance));
-        *self = StandingOrders { as_of, hold, maintenance, acts_alone_from: now };
+        let closures = closures.into_iter().map(|closure| StandingClosure::new(closure, now)).collect();
+        *self = StandingOrders { as_of, hold, maintenance, closures, acts_alone_from: now };
     }
 
     /// Accepts any position from now on: the positions of another cluster are counted anew. A cluster without orders
@@ -59,7 +79,8 @@ impl StandingOrders {
     pub(super) fn change_cluster(&mut self, now: NodeTime) {
         self.as_of = Epoch::default();
         let end = now + FIRST_NOTICE_WAIT;
-        for order in self.hold.iter_mut().chain(&mut self.maintenance) {
+        let of_closures = self.closures.iter_mut().map(|closure| &mut closure.order);
+        for order in self.hold.iter_mut().chain(&mut self.maintenance).chain(of_closures) {
             order.until = Some(order.until.map_or(end, |until| until.min(end)));
         }
     }
@@ -72,6 +93,20 @@ impl StandingOrders {
     /// Checks whether the robot has to stand still.
     pub(super) fn is_held(&self, now: NodeTime) -> bool {
         self.hold.as_ref().is_some_and(|hold| hold.is_in_force(now))
+    }
+
+    /// Returns the closed lanes by their ends, and each closed place twice.
+    pub(super) fn closed(&self, now: NodeTime) -> Vec<(PlaceId, PlaceId)> {
+        self.closures_in_force(now).map(|closure| closure.part.ends()).collect()
+    }
+
+    /// Returns the closures, each as `IC Room 6 is closed by Nia: a spill, until 2026-12-31 17:00 UTC`.
+    pub(super) fn closure_texts(&self, now: NodeTime) -> Vec<&str> {
+        self.closures_in_force(now).map(|closure| closure.order.text.as_str()).collect()
+    }
+
+    fn closures_in_force(&self, now: NodeTime) -> impl Iterator<Item = &StandingClosure> {
+        self.closures.iter().filter(move |closure| closure.order.is_in_force(now))
     }
 
     /// Returns the order for which the robot takes no role, as text; `None` if there is none.
@@ -91,7 +126,7 @@ mod tests {
     }
 
     fn notice(index: u64, hold: Option<OrderNotice>) -> OrdersNotice {
-        OrdersNotice { as_of: Epoch { term: 1, index }, hold, maintenance: None }
+        OrdersNotice { as_of: Epoch { term: 1, index }, hold, ..OrdersNotice::default() }
     }
 
     #[test]
@@ -142,6 +177,26 @@ mod tests {
         orders.change_cluster(at(1_000));
         assert!(orders.is_held(at(10_999)) && !orders.is_held(at(11_000)));
         assert_eq!(orders.problem(at(11_000)), None, "its maintenance had no end");
+    }
+
+    #[test]
+    fn a_closure_lasts_to_its_end_or_its_opening() {
+        let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+        let closure = |part, remaining_ms, until_ms| {
+            let order = OrderNotice { text: "closed by Nia: a spill".to_owned(), remaining_ms };
+            ClosureNotice { part, order, until_ms }
+        };
+        let ward = closure(ClosedPart::of_place(place("Ward")), Some(1_000), Some(1_767_225_600_000));
+        let lane = closure(ClosedPart::of_lane(place("B"), place("A")), None, None);
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { closures: vec![ward, lane], ..notice(5, None) }, at(500));
+        assert_eq!(orders.closed(at(1_499)), [(place("Ward"), place("Ward")), (place("A"), place("B"))]);
+        let texts = ["Ward is closed by Nia: a spill, until 2026-01-01 00:00 UTC", "A – B is closed by Nia: a spill"];
+        assert_eq!(orders.closure_texts(at(1_499)), texts);
+        assert_eq!(orders.closed(at(1_500)), [(place("A"), place("B"))]);
+        assert!(!orders.is_held(at(500)) && orders.problem(at(500)).is_none());
+        orders.receive(notice(6, None), at(2_000));
+        assert!(orders.closed(at(2_000)).is_empty());
     }
 
     #[test]

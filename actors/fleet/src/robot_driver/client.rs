@@ -11,7 +11,7 @@ use consort_bus::tasks::Tasks;
 use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ensemble::ExchangedValue;
-use consort_protocol::ids::{EnsembleId, RobotId};
+use consort_protocol::ids::{EnsembleId, PlaceId, RobotId};
 use consort_protocol::keys::{DriverCall, Key, Keys};
 use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::scalar::Scalar;
@@ -59,7 +59,11 @@ pub struct RobotDriver {
     /// Values of other members of its ensembles.
     exchanges: SharedExchanges,
     clock: Clock,
-    /// Telemetry as of this clone's last [`refresh`](RobotDriver::refresh).
+    /// Lanes and places that people have closed, for all clones.
+    closures: Arc<Mutex<Vec<(PlaceId, PlaceId)>>>,
+    /// The same as of this clone's last [`refresh`](RobotDriver::refresh).
+    closed_by_people: Vec<(PlaceId, PlaceId)>,
+    /// Telemetry as of this clone's last [`refresh`](RobotDriver::refresh), with the closures of people.
     telemetry: Option<Telemetry>,
 }
 
@@ -114,7 +118,23 @@ impl RobotDriver {
     /// Copies the latest telemetry, which [`RobotActions::telemetry`] then returns.
     pub fn refresh(&mut self) {
         let latest = self.lock().telemetry().cloned();
-        self.telemetry = latest;
+        let closed = self.closures().clone();
+        self.closed_by_people = closed;
+        self.telemetry = latest.map(|mut telemetry| {
+            telemetry.closed.extend(self.closed_by_people.iter().cloned());
+            telemetry
+        });
+    }
+
+    /// Sets the lanes and places that people have closed. Each clone uses them from its next
+    /// [`refresh`](RobotDriver::refresh) on.
+    pub(crate) fn set_closures(&self, closed: Vec<(PlaceId, PlaceId)>) {
+        *self.closures() = closed;
+    }
+
+    fn closures(&self) -> MutexGuard<'_, Vec<(PlaceId, PlaceId)>> {
+        // Each write is a single step.
+        self.closures.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns the latest readings; `None` before the first state.
@@ -212,6 +232,10 @@ impl RobotActions for RobotDriver {
         self.telemetry.as_ref()
     }
 
+    fn closed_by_people(&self) -> &[(PlaceId, PlaceId)] {
+        &self.closed_by_people
+    }
+
     fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {
         self.exchanges.value(ensemble, robot, value, self.clock.now())
     }
@@ -259,6 +283,8 @@ impl Actor for DriverClient {
             question: OpenQuestion::default(),
             exchanges: SharedExchanges::default(),
             clock: settings.clock,
+            closures: Arc::default(),
+            closed_by_people: vec![],
             telemetry: None,
         };
         let mut tasks = Tasks::default();

@@ -52,6 +52,8 @@ impl ViewService {
             | ApiCall::Hold
             | ApiCall::Release
             | ApiCall::Maintenance
+            | ApiCall::Close
+            | ApiCall::Open
             | ApiCall::Backup
             | ApiCall::Upgrade => Err(error_reply(format!("{} is served by the coordinator only", call.as_str()))),
         };

@@ -191,7 +191,8 @@ impl ViewContext<'_> {
             .views
             .knowledge
             .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
-        FleetView { cluster: self.views.membership.cluster(), nodes, ensembles: self.ensembles() }
+        let closures = self.ledger(|ledger| ledger.closures().collect()).unwrap_or_default();
+        FleetView { cluster: self.views.membership.cluster(), nodes, ensembles: self.ensembles(), closures }
     }
 
     fn ensembles(&self) -> Vec<EnsembleView> {

@@ -1,5 +1,6 @@
 //! `consort fleet`: shows the nodes of a fleet, the feedback and the readings of its robots, and its coordinator.
 
+use super::close::closures_text;
 use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
 use crate::output;
@@ -14,7 +15,7 @@ use std::collections::BTreeMap;
 /// Show the nodes of a fleet, the feedback and the readings of its robots, and its coordinator
 ///
 /// The data comes from the nearest node; each row has the age of its last contact. Robots that people
-/// hold or maintain are shown with these orders. The nearest node queries the nodes of the robots for
+/// hold or maintain are shown with these orders, and closed places and lanes follow. The nearest node queries the nodes of the robots for
 /// the readings, and for the feedback of the goals in progress.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
@@ -95,7 +96,9 @@ fn format_fleet(FleetStatus { fleet, coordinator, readings, feedback }: &FleetSt
         row(node, fleet, &coordinator.content).into_iter().chain(orders).chain(values).collect::<Vec<String>>()
     });
     let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
-    format!("{}\n{}", format_coordinator(coordinator), output::table(&rows))
+    let closures = closures_text(&fleet.closures);
+    let closures = if closures.is_empty() { closures } else { format!("\n{closures}") };
+    format!("{}\n{}{closures}", format_coordinator(coordinator), output::table(&rows))
 }
 
 /// Formats values: `dust_g 12.5, door open`.

@@ -64,7 +64,7 @@ pub(crate) struct ReleaseArgs {
 /// See [`Client::api`](crate::client::Client::api); [`Failure::Usage`] if the time is too long.
 pub(crate) fn run(args: HoldArgs) -> Result<(), Failure> {
     let HoldArgs { robots, length, reason, by, query } = args;
-    let request = HoldRequest { robots: robots.selection()?, for_s: Some(seconds(length)?), reason, by };
+    let request = HoldRequest { robots: robots.selection()?, for_s: Some(seconds(length, HOLD_S_MAX)?), reason, by };
     query.print(async |client| client.api(ApiCall::Hold, &request).await, orders_text)
 }
 
@@ -78,11 +78,11 @@ pub(crate) fn release(args: ReleaseArgs) -> Result<(), Failure> {
     query.print(async |client| client.api(ApiCall::Release, &request).await, orders_text)
 }
 
-/// Returns the seconds of a hold; a part of a second counts as a second.
-fn seconds(length: Duration) -> Result<u32, Failure> {
+/// Returns the whole seconds of `--for`, at most `max`; a part of a second counts as a second.
+pub(super) fn seconds(length: Duration, max: u32) -> Result<u32, Failure> {
     let seconds = length.as_secs() + u64::from(length.subsec_nanos() > 0);
-    let seconds = u32::try_from(seconds).ok().filter(|seconds| *seconds <= HOLD_S_MAX);
-    seconds.ok_or_else(|| Failure::Usage(format!("--for is longer than {} h", HOLD_S_MAX / 3600)))
+    let seconds = u32::try_from(seconds).ok().filter(|seconds| *seconds <= max);
+    seconds.ok_or_else(|| Failure::Usage(format!("--for is longer than {} h", max / 3600)))
 }
 
 #[cfg(test)]
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn a_hold_lasts_a_day_at_most() {
-        let of = |ms| seconds(Duration::from_millis(ms)).ok();
+        let of = |ms| seconds(Duration::from_millis(ms), HOLD_S_MAX).ok();
         assert_eq!([of(1), of(1_000), of(1_500), of(86_400_000)], [Some(1), Some(1), Some(2), Some(86_400)]);
         assert_eq!([of(86_400_001), of(u64::MAX)], [None, None]);
     }

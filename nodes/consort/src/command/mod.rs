@@ -6,6 +6,7 @@ pub(crate) mod backup;
 pub mod cancel;
 pub(crate) mod cert;
 pub mod check;
+pub(crate) mod close;
 pub(crate) mod completions;
 pub(crate) mod doctor;
 pub(crate) mod domain;

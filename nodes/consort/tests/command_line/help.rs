@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 28] = [
+const COMMANDS: [&str; 30] = [
     "robot",
     "station",
     "world",
@@ -29,6 +29,8 @@ const COMMANDS: [&str; 28] = [
     "release",
     "maintenance",
     "audit",
+    "close",
+    "open",
 ];
 
 #[test]
@@ -61,6 +63,22 @@ fn wrong_flags_exit_with_code_2() {
     let ran = run(&["robot"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("--config FILE is needed"), "{}", ran.err);
+}
+
+#[test]
+fn closures_need_places_and_a_lane_two_ends() {
+    let cases: [(&[&str], &str); 5] = [
+        (&["close"], "PLACE"),
+        (&["open"], "PLACE"),
+        (&["close", "--lane", "IC Room 6"], "2 values required"),
+        (&["close", "IC Room 6", "--for", "2d", "--until", "2026-12-31T18:00:00Z"], "cannot be used with"),
+        (&["close", "IC Room 6", "--for", "400d"], "--for is longer than 8784 h"),
+    ];
+    for (args, expected) in cases {
+        let ran = run(args);
+        assert_eq!(ran.code, Some(2), "{args:?}: {}", ran.err);
+        assert!(ran.err.contains(expected), "{args:?}: {}", ran.err);
+    }
 }
 
 #[test]

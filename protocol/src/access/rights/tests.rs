@@ -55,6 +55,8 @@ const TABLE: [(&str, [&str; 3]); 37] = [
     ("api/hold", ["", "", "vV"]),
     ("api/release", ["", "", "vV"]),
     ("api/maintenance", ["", "", "vV"]),
+    ("api/close", ["", "", "vV"]),
+    ("api/open", ["", "", "vV"]),
     ("api/resolve", ["", "", "vV"]),
     ("api/backup", ["", "", "vV"]),
     ("api/explain", ["", "", ANY]),

@@ -7,7 +7,7 @@ use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEnt
 use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::history_limits::HistoryLimits;
 use super::layout::VersionedPart;
-use super::robot_order::OrderBook;
+use super::order_book::OrderBook;
 use super::schedule::ScheduleEntry;
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
@@ -82,6 +82,7 @@ impl Ledger {
                 self.skip_occurrences(&schedule, after_ms, until_ms)
             }
             Command::OrderRobots { robots, order } => self.order_robots(&robots, &order, at),
+            Command::ChangeClosures { parts, order } => self.change_closures(&parts, &order, at),
             Command::ExpireOrders { now_ms } => Ok(self.expire_orders(now_ms, at)),
             Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),

@@ -5,6 +5,7 @@
 
 use super::apply::Ledger;
 use super::audit_trail::{AuditAction, AuditEntry};
+use super::closure::{ClosedPart, ClosureChange};
 use super::command::{Command, CommandOutcome};
 use super::entry::MissionState;
 use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
@@ -147,6 +148,14 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
                 OrderChange::Release => (AuditAction::Release, String::new()),
                 OrderChange::Maintain { reason, .. } => (AuditAction::BeginMaintenance, reason.clone()),
                 OrderChange::EndMaintenance => (AuditAction::EndMaintenance, String::new()),
+            };
+            Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
+        }
+        Command::ChangeClosures { parts, order: OrderRequest { change, by, at_ms, .. } } => {
+            let names = parts.iter().map(ClosedPart::to_string).collect::<Vec<_>>().join(", ");
+            let (action, details) = match change {
+                ClosureChange::Close { reason, .. } => (AuditAction::Close, reason.clone()),
+                ClosureChange::Open => (AuditAction::Open, String::new()),
             };
             Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
         }

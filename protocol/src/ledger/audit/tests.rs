@@ -91,6 +91,24 @@ fn orders_to_robots_are_recorded_with_their_reasons() {
 }
 
 #[test]
+fn closures_are_recorded_with_their_reasons() {
+    let mut ledger = ledger();
+    let place = |name: &str| name.parse().unwrap();
+    let parts =
+        BTreeSet::from([ClosedPart::of_place(place("Ward A")), ClosedPart::of_lane(place("Ward C"), place("Ward B"))]);
+    let mut change = |change, at_ms| {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms, request: None };
+        apply(&mut ledger, Command::ChangeClosures { parts: parts.clone(), order });
+    };
+    change(ClosureChange::Open, 50);
+    change(ClosureChange::Close { until_ms: None, reason: "a spill".to_owned() }, 100);
+    change(ClosureChange::Open, 200);
+    change(ClosureChange::Open, 300);
+    let expected = ["100 Nia close Ward A, Ward B – Ward C a spill", "200 Nia open Ward A, Ward B – Ward C"];
+    assert_eq!(trail(&ledger), expected);
+}
+
+#[test]
 fn changes_of_schedules_are_recorded() {
     let mut ledger = ledger();
     let rule = ScheduleRule {

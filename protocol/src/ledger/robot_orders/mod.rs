@@ -1,27 +1,30 @@
-//! Orders of people to robots in the ledger: hold and maintenance.
+//! Orders of people in the ledger: hold and maintenance of robots, and closures of places and lanes.
 //!
 //! A held robot stands still and keeps its role. A robot in maintenance finishes its role. Neither gets
-//! another role. The coordinator sends the orders to the robots, and proposes the end of an order whose time
+//! another role. No robot enters a closed place or lane. The coordinator sends the orders to the robots, and proposes the end of an order whose time
 //! has passed, since a ledger has no clock.
 
 use super::apply::Ledger;
+use super::closure::{CLOSURES_BYTES_MAX, ClosedPart, Closure, ClosureChange};
 use super::command::{CommandError, CommandOutcome};
 use super::history::HISTORY_SINCE;
-use super::robot_order::{ORDER_REQUESTS_MAX, ORDERS_BYTES_MAX, OrderRequest, RobotOrders};
+use super::order_book::{ORDER_REQUESTS_MAX, Orders};
+use super::robot_order::{ORDERS_BYTES_MAX, OrderRequest, RobotOrders};
 use crate::codec;
-use crate::ids::RobotId;
+use crate::ids::{RequestId, RobotId};
 use crate::lease::Epoch;
-use std::collections::{BTreeMap, BTreeSet};
+use serde::Serialize;
+use std::collections::BTreeSet;
 
 impl Ledger {
     /// Returns the robots with orders, and their orders.
     pub fn robot_orders(&self) -> impl Iterator<Item = (&RobotId, &RobotOrders)> {
-        self.order_book().robots.iter()
+        self.order_book().orders.robots.iter()
     }
 
     /// Returns the orders of a robot, if it has any.
     pub fn orders_of(&self, robot: &RobotId) -> Option<&RobotOrders> {
-        self.order_book().robots.get(robot)
+        self.order_book().orders.robots.get(robot)
     }
 
     /// Checks whether a robot is held.
@@ -29,15 +32,20 @@ impl Ledger {
         self.orders_of(robot).is_some_and(|orders| orders.hold.is_some())
     }
 
-    /// Returns the position of the latest change of the orders to any robot; the default if there was none.
+    /// Returns the position of the latest change of any order; the default if there was none.
     pub fn orders_changed(&self) -> Epoch {
         self.order_book().changed
     }
 
+    /// Returns the closed places and lanes, in the order of their names.
+    pub fn closures(&self) -> impl Iterator<Item = Closure> {
+        let closures = self.order_book().orders.closures.iter();
+        closures.map(|(part, order)| Closure { part: part.clone(), order: order.clone() })
+    }
+
     /// Checks whether the time of an order has passed.
     pub fn has_order_to_expire(&self, now_ms: u64) -> bool {
-        let mut orders = self.robot_orders().flat_map(|(_, orders)| orders.hold.iter().chain(&orders.maintenance));
-        orders.any(|order| order.is_over(now_ms))
+        self.order_book().orders.has_expired(now_ms)
     }
 
     /// Changes the orders of robots, of all or of none.
@@ -47,23 +55,53 @@ impl Ledger {
         order: &OrderRequest,
         at: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
+        self.change_orders(order.request.as_ref(), at, |orders| {
+            for robot in robots {
+                orders.robots.entry(robot.clone()).or_default().change(order);
+            }
+            orders.robots.retain(|_, orders| !orders.is_empty());
+        })
+    }
+
+    /// Closes or opens places and lanes, all or none.
+    pub(super) fn change_closures(
+        &mut self,
+        parts: &BTreeSet<ClosedPart>,
+        order: &OrderRequest<ClosureChange>,
+        at: Epoch,
+    ) -> Result<CommandOutcome, CommandError> {
+        self.change_orders(order.request.as_ref(), at, |orders| {
+            orders.closures.retain(|part, _| !parts.contains(part));
+            if let Some(closure) = order.closure() {
+                orders.closures.extend(parts.iter().map(|part| (part.clone(), closure.clone())));
+            }
+        })
+    }
+
+    /// Changes the orders on a request. A copy of a signed request changes nothing.
+    fn change_orders(
+        &mut self,
+        request: Option<&RequestId>,
+        at: Epoch,
+        change: impl FnOnce(&mut Orders),
+    ) -> Result<CommandOutcome, CommandError> {
         if !self.keeps_history() {
             return Err(CommandError::NoOrdersYet { since: HISTORY_SINCE });
         }
-        if order.request.as_ref().is_some_and(|request| self.order_book().requests.contains(request)) {
+        if request.is_some_and(|request| self.order_book().requests.contains(request)) {
             return Ok(CommandOutcome::Done);
         }
-        let mut changed = self.order_book().robots.clone();
-        for robot in robots {
-            changed.entry(robot.clone()).or_default().change(order);
-        }
-        changed.retain(|_, orders| !orders.is_empty());
-        if size(&changed) > ORDERS_BYTES_MAX {
+        let mut changed = self.order_book().orders.clone();
+        change(&mut changed);
+        if size(changed.robots.iter()) > ORDERS_BYTES_MAX {
             return Err(CommandError::OrdersFull);
+        }
+        if size(changed.closures.iter()) > CLOSURES_BYTES_MAX {
+            return Err(CommandError::ClosuresFull);
         }
         self.set_orders(changed, at);
         let requests = &mut self.order_book_mut().requests;
-        requests.extend(order.request.clone());
+        requests.extend(request.cloned());
         while requests.len() > ORDER_REQUESTS_MAX {
             requests.pop_front();
         }
@@ -72,17 +110,16 @@ impl Ledger {
 
     /// Ends the orders that have expired.
     pub(super) fn expire_orders(&mut self, now_ms: u64, at: Epoch) -> CommandOutcome {
-        let mut changed = self.order_book().robots.clone();
-        changed.values_mut().for_each(|orders| orders.expire(now_ms));
-        changed.retain(|_, orders| !orders.is_empty());
+        let mut changed = self.order_book().orders.clone();
+        changed.expire(now_ms);
         self.set_orders(changed, at);
         CommandOutcome::Done
     }
 
-    fn set_orders(&mut self, robots: BTreeMap<RobotId, RobotOrders>, at: Epoch) {
+    fn set_orders(&mut self, orders: Orders, at: Epoch) {
         let book = self.order_book_mut();
-        if book.robots != robots {
-            book.robots = robots;
+        if book.orders != orders {
+            book.orders = orders;
             book.changed = at;
         }
     }
@@ -97,8 +134,8 @@ impl Ledger {
 }
 
 /// Returns the encoded size of orders in bytes.
-fn size(robots: &BTreeMap<RobotId, RobotOrders>) -> usize {
-    robots.iter().map(|entry| codec::encoded_size(&entry)).sum()
+fn size<'a, K: Serialize + 'a, V: Serialize + 'a>(orders: impl Iterator<Item = (&'a K, &'a V)>) -> usize {
+    orders.map(|entry| codec::encoded_size(&entry)).sum()
 }
 
 #[cfg(test)]

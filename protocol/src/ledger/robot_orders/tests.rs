@@ -1,11 +1,12 @@
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
-use crate::ids::{MissionId, RoleId};
-use crate::ledger::robot_order::ORDER_REQUESTS_BYTES_MAX;
+use crate::ids::{MissionId, PlaceId, RoleId};
+use crate::ledger::order_book::ORDER_REQUESTS_BYTES_MAX;
 use crate::ledger::{Branch, Command, OrderChange, RobotOrder, Submission};
 use crate::message::OrdersNotice;
 use crate::mission::{Mission, Role, RoleKind};
 use crate::plan::{Division, LocalPlan};
+use std::collections::BTreeMap;
 
 fn robot(name: &str) -> RobotId {
     name.parse().unwrap()
@@ -35,6 +36,20 @@ impl Log {
     fn request(&mut self, robots: &[&str], order: OrderRequest) -> CommandOutcome {
         let robots = robots.iter().map(|name| robot(name)).collect();
         self.apply(Command::OrderRobots { robots, order })
+    }
+
+    fn close(&mut self, parts: &[ClosedPart], until_ms: Option<u64>) -> CommandOutcome {
+        self.change_closures(parts, ClosureChange::Close { until_ms, reason: "a spill".to_owned() })
+    }
+
+    fn change_closures(&mut self, parts: &[ClosedPart], change: ClosureChange) -> CommandOutcome {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 100, request: None };
+        self.apply(Command::ChangeClosures { parts: parts.iter().cloned().collect(), order })
+    }
+
+    /// Returns the closed places and lanes as text.
+    fn closed(&self) -> Vec<String> {
+        self.0.closures().map(|closure| closure.part.to_string()).collect()
     }
 
     fn hold_until(&self, name: &str) -> Option<u64> {
@@ -188,9 +203,60 @@ fn orders_are_limited_in_size_and_need_a_wire_version() {
         .map(|name| log.order(&[name.as_str()], OrderChange::Hold { until_ms: 500, reason: reason.clone() }, 100));
     assert_eq!(outcomes.next(), Some(CommandOutcome::Done), "its reason is shortened");
     assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::OrdersFull)));
-    let (count, bytes) = (log.0.robot_orders().count(), size(&log.0.order_book().robots));
+    let (count, bytes) = (log.0.robot_orders().count(), size(log.0.order_book().orders.robots.iter()));
     assert!(count > 300 && bytes <= ORDERS_BYTES_MAX, "{count} orders take {bytes} bytes");
     let mut before = Log(Ledger::default(), 1);
     let not_yet = CommandOutcome::Refused(CommandError::NoOrdersYet { since: HISTORY_SINCE });
     assert_eq!(before.order(&["ada"], hold(500), 100), not_yet);
+}
+
+fn ward(name: &str) -> ClosedPart {
+    ClosedPart::of_place(place(name))
+}
+
+fn place(name: &str) -> PlaceId {
+    name.parse().unwrap()
+}
+
+#[test]
+fn a_place_is_closed_until_it_is_opened_or_its_time_has_passed() {
+    let mut log = Log::new();
+    let lane = ClosedPart::of_lane(place("C"), place("B"));
+    assert_eq!(lane, ClosedPart::of_lane(place("B"), place("C")), "a lane has no direction");
+    assert_eq!(log.close(&[ward("A"), lane.clone()], Some(500)), CommandOutcome::Done);
+    let order = RobotOrder { by: "Nia".to_owned(), reason: "a spill".to_owned(), since_ms: 100, until_ms: Some(500) };
+    let first = Closure { part: ward("A"), order };
+    assert_eq!((log.0.closures().next(), log.closed()), (Some(first), vec!["A".to_owned(), "B – C".to_owned()]));
+    let closed = log.0.orders_changed();
+    log.change_closures(&[ward("B")], ClosureChange::Open);
+    assert_eq!(log.0.orders_changed(), closed, "a lane to it is closed, not the place");
+    log.change_closures(&[lane], ClosureChange::Open);
+    assert_eq!(log.closed(), ["A"]);
+    assert!(log.0.orders_changed() > closed);
+    assert!(!log.0.has_order_to_expire(499) && log.0.has_order_to_expire(500));
+    log.apply(Command::ExpireOrders { now_ms: 499 });
+    assert_eq!(log.closed(), ["A"]);
+    log.apply(Command::ExpireOrders { now_ms: 500 });
+    assert_eq!((log.closed(), log.0.has_order_to_expire(u64::MAX)), (vec![], false));
+}
+
+#[test]
+fn the_latest_closure_of_a_place_counts() {
+    let mut log = Log::new();
+    log.close(&[ward("A")], Some(500));
+    log.close(&[ward("A")], None);
+    log.apply(Command::ExpireOrders { now_ms: u64::MAX });
+    assert_eq!(log.closed(), ["A"]);
+}
+
+#[test]
+fn closures_are_limited_in_size_and_need_a_wire_version() {
+    let mut log = Log::new();
+    let mut outcomes = (0..1000).map(|number| log.close(&[ward(&format!("Ward {number}"))], None));
+    assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::ClosuresFull)));
+    let (count, bytes) = (log.closed().len(), size(log.0.order_book().orders.closures.iter()));
+    assert!(count > 200 && bytes <= CLOSURES_BYTES_MAX, "{count} closures take {bytes} bytes");
+    let mut before = Log(Ledger::default(), 1);
+    let not_yet = CommandOutcome::Refused(CommandError::NoOrdersYet { since: HISTORY_SINCE });
+    assert_eq!(before.close(&[ward("A")], None), not_yet);
 }

@@ -11,7 +11,7 @@ use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
 use petgraph::algo::dijkstra;
-use petgraph::graph::{DiGraph, NodeIndex};
+use petgraph::graph::{DiGraph, EdgeReference, NodeIndex};
 use petgraph::visit::{EdgeRef, Reversed};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -30,6 +30,8 @@ pub struct Routes {
     distances: Vec<OnceLock<Vec<f64>>>,
     /// True if closed edges of the map are left out.
     reduced: bool,
+    /// Places that are closed as a whole.
+    closed_places: BTreeSet<NodeIndex>,
 }
 
 /// A shortest route.
@@ -92,22 +94,38 @@ impl Routes {
             }
         }
         let distances = vec![OnceLock::new(); index.len()];
-        Ok(Routes { graph, index, distances, reduced: false })
+        Ok(Routes { graph, index, distances, reduced: false, closed_places: BTreeSet::new() })
     }
 
-    /// Returns the routes without the edges between these places, in either direction. Pairs that
+    /// Returns the routes without the edges between these places, in either direction. A pair of a
+    /// place and itself closes the place: no route enters it, and routes from it lead out. Pairs that
     /// are not on the map are ignored.
     pub fn without_closed(&self, closed: &[(PlaceId, PlaceId)]) -> Cow<'_, Routes> {
         let ends = closed.iter().filter_map(|(a, b)| Some((*self.index.get(a)?, *self.index.get(b)?)));
-        let edges = ends.flat_map(|(a, b)| [self.graph.find_edge(a, b), self.graph.find_edge(b, a)]);
-        let edges: BTreeSet<_> = edges.flatten().collect();
-        if edges.is_empty() {
+        let (places, lanes): (Vec<_>, Vec<_>) = ends.partition(|(a, b)| a == b);
+        let closed_places: BTreeSet<NodeIndex> = places.into_iter().map(|(place, _)| place).collect();
+        let edges = lanes.into_iter().flat_map(|(a, b)| [self.graph.find_edge(a, b), self.graph.find_edge(b, a)]);
+        let mut edges: BTreeSet<_> = edges.flatten().collect();
+        // The way out of neighbouring closed places leads through them.
+        let enters = |edge: &EdgeReference<'_, f64>| {
+            closed_places.contains(&edge.target()) && !closed_places.contains(&edge.source())
+        };
+        edges.extend(self.graph.edge_references().filter(enters).map(|edge| edge.id()));
+        if edges.is_empty() && closed_places.is_empty() {
             return Cow::Borrowed(self);
         }
         let graph =
             self.graph.filter_map(|_, place| Some(place.clone()), |edge, m| (!edges.contains(&edge)).then_some(*m));
         let distances = vec![OnceLock::new(); self.index.len()];
-        Cow::Owned(Routes { graph, index: self.index.clone(), distances, reduced: true })
+        Cow::Owned(Routes { graph, index: self.index.clone(), distances, reduced: true, closed_places })
+    }
+
+    /// Checks whether a robot that has passed `from` enters a closed lane or place on its way to the
+    /// neighbour `to`.
+    pub(crate) fn enters_closed(closed: &[(PlaceId, PlaceId)], from: &PlaceId, to: &PlaceId) -> bool {
+        let is_closed = |place: &PlaceId| closed.iter().any(|(a, b)| a == b && a == place);
+        let is_lane = |(a, b): &(PlaceId, PlaceId)| (a == from && b == to) || (a == to && b == from);
+        from != to && (closed.iter().any(is_lane) || is_closed(to) && !is_closed(from))
     }
 
     /// Returns the length of the shortest route; 0 m from a place to itself.
@@ -116,6 +134,9 @@ impl Routes {
     /// [`RouteError`] with both ends.
     pub fn distance(&self, from: &PlaceId, to: &PlaceId) -> Result<Metres, RouteError> {
         let (start, end) = (self.node(from, from, to)?, self.node(to, from, to)?);
+        if start != end && self.closed_places.contains(&end) {
+            return Err(RouteError::Closed { from: from.clone(), to: to.clone() });
+        }
         let length = Metres::new(self.to(end)[start.index()]);
         length.map_err(|_| match self.reduced {
             true => RouteError::Closed { from: from.clone(), to: to.clone() },

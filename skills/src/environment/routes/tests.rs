@@ -161,3 +161,39 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn no_route_enters_a_closed_place_and_routes_from_it_lead_out() {
+    let ring = map(
+        &[("A", 0.0, 0.0), ("B", 10.0, 0.0), ("C", 10.0, 10.0), ("D", 0.0, 10.0)],
+        &[("A", "B", 10.0, false), ("B", "C", 10.0, false), ("C", "D", 20.0, false), ("D", "A", 20.0, false)],
+    );
+    let closed = [(place("B"), place("B"))];
+    let routes = ring.without_closed(&closed);
+    assert_eq!(names(&routes.route(&place("A"), &place("C")).unwrap().places), ["A", "D", "C"]);
+    assert_eq!(names(&routes.route(&place("B"), &place("C")).unwrap().places), ["B", "C"]);
+    assert_eq!(routes.distance(&place("B"), &place("B")), Ok(Metres::ZERO));
+    let to_closed = RouteError::Closed { from: place("A"), to: place("B") };
+    assert_eq!(routes.distance(&place("A"), &place("B")), Err(to_closed));
+    let midway = Pose::new(5.0, 0.0, 0.0);
+    assert_eq!(names(&routes.legs(&place("A"), midway, &place("C")).unwrap()), ["A", "D", "C"], "it turns back");
+    assert_eq!(names(&routes.legs(&place("B"), midway, &place("A")).unwrap()), ["A"], "it leaves");
+}
+
+#[test]
+fn the_way_out_of_closed_places_leads_through_them() {
+    let line = map(
+        &[("A", 0.0, 0.0), ("B", 10.0, 0.0), ("C", 20.0, 0.0)],
+        &[("A", "B", 10.0, false), ("B", "C", 10.0, false)],
+    );
+    let closed = [(place("A"), place("A")), (place("B"), place("B"))];
+    let routes = line.without_closed(&closed);
+    assert_eq!(names(&routes.route(&place("A"), &place("C")).unwrap().places), ["A", "B", "C"]);
+    assert!(routes.route(&place("A"), &place("B")).is_err(), "it is closed");
+    assert!(routes.route(&place("C"), &place("A")).is_err());
+    let enters = |from, to| Routes::enters_closed(&closed, &place(from), &place(to));
+    assert!(enters("C", "B") && !enters("A", "B") && !enters("B", "C") && !enters("A", "A"));
+    let lane = [(place("B"), place("C"))];
+    let enters = |from, to| Routes::enters_closed(&lane, &place(from), &place(to));
+    assert!(enters("C", "B") && enters("B", "C") && !enters("A", "B"));
+}

@@ -17,7 +17,8 @@ use consort_protocol::message::FailureKind;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
-use consort_skills::descriptor::EstimateContext;
+use consort_skills::descriptor::{EstimateContext, EstimateError, PriceError};
+use consort_skills::environment::RouteError;
 use consort_skills::library::ActiveSkill;
 use consort_skills::skill::SkillContext;
 use ractor::{ActorId, ActorProcessingErr};
@@ -160,10 +161,11 @@ impl RobotState {
     /// Checks the current task against its timeout, and the battery against the remaining plan.
     pub(super) async fn check_progress(&mut self, now: NodeTime) -> Result<(), ActorProcessingErr> {
         let (world, silent_for) = (self.driver.world_time(), self.driver.silent_for());
+        let waits = self.waits_for_opening(now);
         let Some(active) = self.execution.plan.as_mut().filter(|active| active.attempt.is_some()) else {
             return Ok(());
         };
-        if self.driver.question().is_open() {
+        if waits || self.driver.question().is_open() {
             active.restart_timer();
         }
         if let Some(failure) = active.check_timer(world, silent_for) {
@@ -173,6 +175,20 @@ impl RobotState {
             self.check_energy();
         }
         Ok(())
+    }
+
+    /// Checks whether people have closed every route of the current task: the robot waits until they open one.
+    fn waits_for_opening(&self, now: NodeTime) -> bool {
+        let Some(active) = self.execution.plan.as_ref().filter(|_| !self.orders.closed(now).is_empty()) else {
+            return false;
+        };
+        let rest = active.sequencer.remaining_plan();
+        match self.settings.pricing.estimator.price(&rest, &self.driver.estimate_context()) {
+            Err(PriceError { task, source: EstimateError::Route(RouteError::Closed { .. }), .. }) => {
+                active.sequencer.current_task() == Some(&task)
+            }
+            Ok(_) | Err(_) => false,
+        }
     }
 
     /// Prices the remaining plan with the current charge. A robot that would strand releases the

@@ -74,6 +74,7 @@ impl RobotState {
     /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.
     fn follow_orders(&mut self, orders: OrdersNotice, now: NodeTime) {
         self.orders.receive(orders, now);
+        self.driver.set_closures(self.orders.closed(now));
         if !self.orders.is_held(now) {
             return;
         }

@@ -135,6 +135,7 @@ impl RobotState {
             self.stop_charging();
         }
         let charging = self.charging.as_ref().and_then(ChargeControl::published);
+        self.driver.set_closures(self.orders.closed(now));
         let Some(worker) = self.driver.sense(holding, problem, charging, now) else { return };
         let worker = self.settings.pricing.ensembles.published(worker);
         if self.settings.links.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {

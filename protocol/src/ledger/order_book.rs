@@ -1,0 +1,50 @@
+//! The orders of people in force, as the ledger stores them.
+
+use super::closure::ClosedPart;
+use super::robot_order::{RobotOrder, RobotOrders};
+use crate::ids::{RequestId, RobotId};
+use crate::lease::Epoch;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Maximum number of remembered requests. Raised: more requests that follow each other within minutes are
+/// recognised when they are repeated.
+pub(super) const ORDER_REQUESTS_MAX: usize = 256;
+
+/// Maximum encoded size of the remembered requests in bytes.
+pub(super) const ORDER_REQUESTS_BYTES_MAX: usize = ORDER_REQUESTS_MAX * 80;
+
+/// The orders in the ledger.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct OrderBook {
+    /// Position in the log of the latest change.
+    pub(super) changed: Epoch,
+    /// The orders in force.
+    pub(super) orders: Orders,
+    /// The latest signed requests.
+    pub(super) requests: VecDeque<RequestId>,
+}
+
+/// Orders in force.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Orders {
+    /// Orders of each robot that has any.
+    pub(super) robots: BTreeMap<RobotId, RobotOrders>,
+    /// Closed places and lanes.
+    pub(super) closures: BTreeMap<ClosedPart, RobotOrder>,
+}
+
+impl Orders {
+    /// Checks whether the time of an order has passed.
+    pub(super) fn has_expired(&self, now_ms: u64) -> bool {
+        let mut orders = self.robots.values().flat_map(RobotOrders::iter).chain(self.closures.values());
+        orders.any(|order| order.is_over(now_ms))
+    }
+
+    /// Removes the orders whose time has passed.
+    pub(super) fn expire(&mut self, now_ms: u64) {
+        self.robots.values_mut().for_each(|orders| orders.expire(now_ms));
+        self.robots.retain(|_, orders| !orders.is_empty());
+        self.closures.retain(|_, order| !order.is_over(now_ms));
+    }
+}

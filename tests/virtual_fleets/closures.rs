@@ -1,0 +1,211 @@
+//! People close places and lanes, and open them.
+
+use crate::support::{released, task_began};
+use consort_fleet::node::NodeSettings;
+use consort_protocol::ids::{MissionId, RobotId};
+use consort_protocol::keys::ApiCall;
+use consort_protocol::lease::LeaseTerms;
+use consort_tests::{Fleet, RobotSpec, for_each_seed};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+const ROOM: &str = "IC Room 6";
+/// The only way to the room leads from `BEFORE` through `GATE`.
+const GATE: &str = "IC Corridor 6";
+const BEFORE: &str = "IC Corridor 3";
+/// Positions of these places in metres.
+const BEFORE_AT: (f64, f64) = (6.0, 29.0);
+const GATE_Y_M: f64 = 31.0;
+const SOON: Duration = Duration::from_secs(60);
+/// Longer than the drive of the slow carriers to the room.
+const DRIVE: Duration = Duration::from_secs(180);
+
+async fn request(fleet: &Fleet, call: ApiCall, payload: &Value) -> Value {
+    let executed = async |fleet: &Fleet| {
+        let reply = fleet.request(call, payload).await?;
+        reply.get("retry_after_ms").is_none().then_some(reply)
+    };
+    let reply = fleet.poll_until("a reply", SOON, executed).await;
+    assert!(reply.get("error").is_none(), "seed {}: {payload}: {reply}", fleet.seed);
+    reply
+}
+
+async fn close(fleet: &Fleet, mut parts: Value, for_s: u32) -> Value {
+    parts["for_s"] = json!(for_s);
+    parts["reason"] = json!("wet floor");
+    parts["by"] = json!("Nia");
+    request(fleet, ApiCall::Close, &parts).await
+}
+
+async fn open(fleet: &Fleet, places: &[&str]) {
+    request(fleet, ApiCall::Open, &json!({ "places": places, "by": "Abe" })).await;
+}
+
+/// Starts two slow carriers, far from the room, and three stations; `aster` coordinates.
+async fn fleet(seed: u64) -> Fleet {
+    let robots = vec![
+        RobotSpec::carrier("fern", "Dock").with_speed(0.6),
+        RobotSpec::carrier("gorse", "PC Room 8").with_speed(0.7),
+    ];
+    let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.stall_timeout = Duration::from_secs(900));
+    let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM], adjust).await;
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
+    fleet
+}
+
+/// Starts a mission. Returns the carrier that drives to the room.
+async fn under_way(seed: u64) -> (Fleet, MissionId, String) {
+    let mut fleet = fleet(seed).await;
+    let mission = fleet.submit("a", ROOM).await;
+    fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
+    let carrier = fleet.holder(&mission, "r1").expect("held").to_string();
+    (fleet, mission, carrier)
+}
+
+fn distance(a: (f64, f64), b: (f64, f64)) -> f64 {
+    (a.0 - b.0).hypot(a.1 - b.1)
+}
+
+/// Checks whether a carrier is in the closed place or beyond.
+fn has_entered(fleet: &Fleet) -> bool {
+    ["fern", "gorse"].iter().any(|carrier| fleet.position(carrier).1 > GATE_Y_M - 0.3)
+}
+
+/// Asserts that no carrier enters the closed place and that no role is released, until the carrier
+/// waits before the place and during this time.
+async fn assert_waits(fleet: &mut Fleet, carrier: &str, during: Duration) {
+    let mut entered = false;
+    let waits = |fleet: &Fleet| {
+        entered |= has_entered(fleet);
+        distance(fleet.position(carrier), BEFORE_AT) < 0.3
+    };
+    fleet.wait_until("the carrier before the closed place", DRIVE, waits).await;
+    assert!(!entered, "seed {}\n{}", fleet.seed, fleet.event_log_text());
+    let place = fleet.position(carrier);
+    let broken = |fleet: &Fleet| {
+        has_entered(fleet) || distance(fleet.position(carrier), place) > 0.3 || fleet.has_event(released)
+    };
+    fleet.assert_never("an entry, a move or a release", during, broken).await;
+}
+
+/// Asserts that the mission completes under its first award.
+async fn assert_goes_on(fleet: &mut Fleet, mission: &MissionId, carrier: &str) {
+    fleet.assert_completes(mission).await;
+    fleet.assert_sample_delivered(ROOM);
+    fleet.assert_exclusive_roles();
+    assert_eq!(fleet.holder(mission, "r1").as_ref().map(RobotId::as_str), Some(carrier), "seed {}", fleet.seed);
+    assert_eq!(fleet.event_log.count(released), 0, "seed {}\n{}", fleet.seed, fleet.event_log_text());
+}
+
+/// Longer than a lease and its grace.
+fn longer_than_a_lease() -> Duration {
+    let terms = LeaseTerms::default();
+    (terms.lease + terms.grace) * 2
+}
+
+#[test]
+fn a_robot_under_way_waits_before_a_closed_place_until_it_is_opened() {
+    for_each_seed([1401, 1402, 1403], async |seed| {
+        let (mut fleet, mission, carrier) = under_way(seed).await;
+        let reply = close(&fleet, json!({ "places": [GATE] }), 3600).await;
+        assert_eq!(reply["closures"][0]["part"]["place"], json!(GATE), "seed {seed}: {reply}");
+        assert_eq!(reply["closures"][0]["order"]["by"], json!("Nia"), "seed {seed}: {reply}");
+        assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
+        open(&fleet, &[GATE]).await;
+        assert_goes_on(&mut fleet, &mission, &carrier).await;
+    });
+}
+
+#[test]
+fn a_closed_lane_is_not_driven_until_its_time_has_passed() {
+    for_each_seed([1411, 1412], async |seed| {
+        let (mut fleet, mission, carrier) = under_way(seed).await;
+        close(&fleet, json!({ "lanes": [[GATE, BEFORE]] }), 150).await;
+        assert_waits(&mut fleet, &carrier, Duration::from_secs(20)).await;
+        assert_goes_on(&mut fleet, &mission, &carrier).await;
+        let closures = fleet.ledger(|ledger| ledger.closures().count());
+        assert_eq!(closures, Some(0), "seed {seed}: the ledger has forgotten the closure");
+    });
+}
+
+#[test]
+fn the_next_coordinator_keeps_a_place_closed() {
+    for_each_seed([1421, 1422, 1423], async |seed| {
+        let (mut fleet, mission, carrier) = under_way(seed).await;
+        close(&fleet, json!({ "places": [GATE] }), 3600).await;
+        assert_eq!(fleet.kill_coordinator().await.as_str(), "aster", "seed {seed}");
+        fleet.wait_for_coordinator().await;
+        assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
+        open(&fleet, &[GATE]).await;
+        assert_goes_on(&mut fleet, &mission, &carrier).await;
+    });
+}
+
+#[test]
+fn a_robot_restarts_and_still_does_not_enter_a_closed_place() {
+    for_each_seed([1431, 1432], async |seed| {
+        let (mut fleet, mission, carrier) = under_way(seed).await;
+        close(&fleet, json!({ "places": [GATE] }), 3600).await;
+        assert_waits(&mut fleet, &carrier, Duration::from_secs(2)).await;
+        fleet.kill(&carrier).await;
+        fleet.restart(&carrier).await;
+        fleet.assert_never("an entry", longer_than_a_lease(), has_entered).await;
+        open(&fleet, &[GATE]).await;
+        fleet.assert_completes(&mission).await;
+    });
+}
+
+#[test]
+fn a_mission_into_a_closed_place_waits_and_its_refusals_name_the_closure() {
+    for_each_seed([1441, 1442], async |seed| {
+        let mut fleet = fleet(seed).await;
+        close(&fleet, json!({ "places": [ROOM] }), 3600).await;
+        let starts = ["fern", "gorse"].map(|carrier| fleet.position(carrier));
+        let mission = fleet.submit("a", ROOM).await;
+        let named = async |fleet: &Fleet| {
+            let reply = fleet.request(ApiCall::Explain, &json!({ "mission": mission })).await?;
+            let text = reply["text"].to_string();
+            let is_named = text.contains("IC Room 6 is closed by Nia: wet floor, until ");
+            is_named.then_some(())
+        };
+        fleet.poll_until("the refusals", SOON, named).await;
+        let moved = |fleet: &Fleet| ["fern", "gorse"].map(|carrier| fleet.position(carrier)) != starts;
+        fleet.assert_never("a move", Duration::from_secs(20), moved).await;
+        open(&fleet, &[ROOM]).await;
+        fleet.assert_completes(&mission).await;
+        fleet.assert_sample_delivered(ROOM);
+    });
+}
+
+#[test]
+fn a_robot_inside_a_closed_place_may_leave_it() {
+    for_each_seed([1451], async |seed| {
+        let mut fleet = fleet(seed).await;
+        close(&fleet, json!({ "places": ["Dock", "PC Room 8"] }), 3600).await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.assert_completes(&mission).await;
+        fleet.assert_sample_delivered(ROOM);
+    });
+}
+
+#[test]
+fn a_closure_without_a_place_is_rejected() {
+    for_each_seed([1461], async |seed| {
+        let fleet = fleet(seed).await;
+        for (call, payload, expected) in [
+            (ApiCall::Close, json!({}), "name a place in `places`, or a lane in `lanes`"),
+            (ApiCall::Open, json!({}), "name a place in `places`, or a lane in `lanes`"),
+            (ApiCall::Close, json!({ "places": [ROOM], "for_s": 0 }), "for_s is 0; allowed are 1 to "),
+            (
+                ApiCall::Close,
+                json!({ "places": [ROOM], "for_s": 1, "until": "2100-01-01T00:00:00Z" }),
+                "give `for_s` or `until`, not both",
+            ),
+        ] {
+            let reply = fleet.request_answered(call, &payload).await;
+            let error = reply["error"].as_str().unwrap_or_default();
+            assert!(error.starts_with(expected), "seed {seed}: {payload}: {reply}");
+        }
+        assert_eq!(fleet.ledger(|ledger| ledger.closures().count()), Some(0), "seed {seed}");
+    });
+}
