@@ -1,10 +1,9 @@
 //! People close places and lanes, and open them.
 
-use crate::support::{released, task_began};
+use crate::support::{longer_than_a_lease, released, request, task_began};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::lease::LeaseTerms;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -19,16 +18,6 @@ const GATE_Y_M: f64 = 31.0;
 const SOON: Duration = Duration::from_secs(60);
 /// Longer than the drive of the slow carriers to the room.
 const DRIVE: Duration = Duration::from_secs(180);
-
-async fn request(fleet: &Fleet, call: ApiCall, payload: &Value) -> Value {
-    let executed = async |fleet: &Fleet| {
-        let reply = fleet.request(call, payload).await?;
-        reply.get("retry_after_ms").is_none().then_some(reply)
-    };
-    let reply = fleet.poll_until("a reply", SOON, executed).await;
-    assert!(reply.get("error").is_none(), "seed {}: {payload}: {reply}", fleet.seed);
-    reply
-}
 
 async fn close(fleet: &Fleet, mut parts: Value, for_s: u32) -> Value {
     parts["for_s"] = json!(for_s);
@@ -97,12 +86,6 @@ async fn assert_goes_on(fleet: &mut Fleet, mission: &MissionId, carrier: &str) {
     assert_eq!(fleet.event_log.count(released), 0, "seed {}\n{}", fleet.seed, fleet.event_log_text());
 }
 
-/// Longer than a lease and its grace.
-fn longer_than_a_lease() -> Duration {
-    let terms = LeaseTerms::default();
-    (terms.lease + terms.grace) * 2
-}
-
 #[test]
 fn a_robot_under_way_waits_before_a_closed_place_until_it_is_opened() {
     for_each_seed([1401, 1402, 1403], async |seed| {
@@ -112,6 +95,26 @@ fn a_robot_under_way_waits_before_a_closed_place_until_it_is_opened() {
         assert_eq!(reply["closures"][0]["order"]["by"], json!("Nia"), "seed {seed}: {reply}");
         assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
         open(&fleet, &[GATE]).await;
+        assert_goes_on(&mut fleet, &mission, &carrier).await;
+    });
+}
+
+/// A robot in contact with the coordinator heeds a closure within a second.
+#[test]
+fn a_robot_that_drives_towards_a_place_stops_when_it_is_closed() {
+    for_each_seed([1405, 1406], async |seed| {
+        let (mut fleet, mission, carrier) = under_way(seed).await;
+        // The places of the lane are at 15 m and 21 m.
+        let is_on_lane = |fleet: &Fleet| {
+            let (x, y) = fleet.position(&carrier);
+            (x - 6.0).abs() < 0.1 && (16.0..18.0).contains(&y)
+        };
+        fleet.wait_until("the lane", DRIVE, is_on_lane).await;
+        close(&fleet, json!({ "places": ["IC Corridor 2"] }), 3600).await;
+        let place = fleet.position(&carrier);
+        let has_gone_on = |fleet: &Fleet| distance(fleet.position(&carrier), place) > 1.0 || fleet.has_event(released);
+        fleet.assert_never("more than a metre, or a release", longer_than_a_lease(), has_gone_on).await;
+        open(&fleet, &["IC Corridor 2"]).await;
         assert_goes_on(&mut fleet, &mission, &carrier).await;
     });
 }

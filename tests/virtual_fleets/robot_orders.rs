@@ -1,12 +1,11 @@
 //! People hold robots and take them out of service.
 
-use crate::support::{released, task_began};
+use crate::support::{longer_than_a_lease, released, request, task_began};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::Availability;
-use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::RobotOrders;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
@@ -15,17 +14,6 @@ use std::time::Duration;
 const ROOM: &str = "IC Room 6";
 const OTHER: &str = "IC Room 5";
 const SOON: Duration = Duration::from_secs(60);
-
-/// Repeats a request until a coordinator has executed it.
-async fn request(fleet: &Fleet, call: ApiCall, payload: &Value) -> Value {
-    let executed = async |fleet: &Fleet| {
-        let reply = fleet.request(call, payload).await?;
-        reply.get("retry_after_ms").is_none().then_some(reply)
-    };
-    let reply = fleet.poll_until("a reply", SOON, executed).await;
-    assert!(reply.get("error").is_none(), "seed {}: {payload}: {reply}", fleet.seed);
-    reply
-}
 
 async fn hold(fleet: &Fleet, robots: Value, for_s: u32) -> Value {
     let payload = json!({ "robots": robots, "for_s": for_s, "reason": "a spill", "by": "Nia" });
@@ -85,12 +73,6 @@ async fn assert_goes_on(fleet: &mut Fleet, mission: &MissionId, robot: &str, wit
     fleet.assert_exclusive_roles();
     assert_eq!(fleet.holder(mission, "r1").as_ref().map(RobotId::as_str), Some(robot), "seed {}", fleet.seed);
     assert_eq!(fleet.event_log.count(released), 0, "seed {}\n{}", fleet.seed, fleet.event_log_text());
-}
-
-/// Longer than a lease and its grace, after which a silent robot loses its role.
-fn longer_than_a_lease() -> Duration {
-    let terms = LeaseTerms::default();
-    (terms.lease + terms.grace) * 2
 }
 
 #[test]

@@ -5,6 +5,7 @@ use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::ApiCall;
+use consort_protocol::lease::LeaseTerms;
 use consort_protocol::view::PersonRequestView;
 use consort_tests::{Fleet, RobotSpec, slug};
 use serde_json::{Value, json};
@@ -34,6 +35,23 @@ pub(crate) fn release_reason(what: &EventKind) -> Option<String> {
         EventKind::Released { role, cause, .. } => Some(format!("{role}: {cause}")),
         _ => None,
     }
+}
+
+/// Repeats a request until a coordinator has executed it.
+pub(crate) async fn request(fleet: &Fleet, call: ApiCall, payload: &Value) -> Value {
+    let executed = async |fleet: &Fleet| {
+        let reply = fleet.request(call, payload).await?;
+        reply.get("retry_after_ms").is_none().then_some(reply)
+    };
+    let reply = fleet.poll_until("a reply", Duration::from_secs(60), executed).await;
+    assert!(reply.get("error").is_none(), "seed {}: {payload}: {reply}", fleet.seed);
+    reply
+}
+
+/// Longer than a lease and its grace, after which a silent robot loses its role.
+pub(crate) fn longer_than_a_lease() -> Duration {
+    let terms = LeaseTerms::default();
+    (terms.lease + terms.grace) * 2
 }
 
 /// Returns all requests to people.

@@ -14,6 +14,9 @@ use consort_skills::environment::RouteError;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+/// Maximum number of closures in a refusal: a message must have room for all of them.
+const CLOSURES_NAMED: usize = 3;
+
 /// Prices plans for a single robot.
 #[derive(Clone)]
 pub struct Bidder {
@@ -148,10 +151,10 @@ impl Bidder {
 fn refusal_of(problem: &PriceError, closures: &[&str]) -> RefusalReason {
     match &problem.source {
         EstimateError::Route(RouteError::Closed { to, .. }) if !closures.is_empty() => {
-            // The closure of the destination comes first, since a long text is shortened.
+            // The closure of the destination comes first.
             let (own, other): (Vec<&str>, Vec<&str>) =
                 closures.iter().copied().partition(|closure| closure.starts_with(to.as_str()));
-            let closures = own.into_iter().chain(other).collect::<Vec<_>>().join("; ");
+            let closures = own.into_iter().chain(other).take(CLOSURES_NAMED).collect::<Vec<_>>().join("; ");
             RefusalReason::NotEligible { why: format!("{problem}; {closures}"), permanent: false }
         }
         EstimateError::Requirement { may_change: true, .. } => {
@@ -243,6 +246,9 @@ mod tests {
         let (hall, ward) = ("Hall is closed by Abe", "Ward is closed by Nia: a spill, until 2026-01-01 00:00 UTC");
         let why = format!("{problem}; {ward}; {hall}");
         assert_eq!(refusal_of(&closed, &[hall, ward]), RefusalReason::NotEligible { why, permanent: false });
+        let reason = refusal_of(&closed, &[hall, hall, hall, hall, ward]);
+        let why = format!("{problem}; {ward}; {hall}; {hall}");
+        assert_eq!(reason, RefusalReason::NotEligible { why, permanent: false });
         // Lanes that only the driver has found closed.
         let reason = refusal_of(&closed, &[]);
         assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{reason:?}");

@@ -1,8 +1,8 @@
 //! Orders of people in the ledger: hold and maintenance of robots, and closures of places and lanes.
 //!
 //! A held robot stands still and keeps its role. A robot in maintenance finishes its role. Neither gets
-//! another role. No robot enters a closed place or lane. The coordinator sends the orders to the robots, and proposes the end of an order whose time
-//! has passed, since a ledger has no clock.
+//! another role. No robot enters a closed place or lane. The coordinator sends the orders to the robots, and
+//! proposes the end of an order whose time has passed, since a ledger has no clock.
 
 use super::apply::Ledger;
 use super::closure::{CLOSURES_BYTES_MAX, ClosedPart, Closure, ClosureChange};
