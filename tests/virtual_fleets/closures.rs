@@ -96,6 +96,12 @@ fn a_robot_under_way_waits_before_a_closed_place_until_it_is_opened() {
         assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
         open(&fleet, &[GATE]).await;
         assert_goes_on(&mut fleet, &mission, &carrier).await;
+        let trail = request(&fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
+        // The simulated nurse answers, too.
+        let entries = trail["entries"].as_array().expect("entries").iter().filter(|entry| entry["action"] != "answer");
+        let changes: Vec<_> = entries.map(|entry| [&entry["by"], &entry["action"], &entry["subject"]]).collect();
+        let expected = json!([["a client", "submit", mission], ["Nia", "close", GATE], ["Abe", "open", GATE]]);
+        assert_eq!(json!(changes), expected, "seed {seed}");
     });
 }
 

@@ -3,7 +3,8 @@
 use crate::support::{fleet, task_began};
 use consort_bus::{Bus, VirtualBus};
 use consort_protocol::api::{
-    AnswerReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, OrdersReply, ScheduleReply, UpgradeReply,
+    AnswerReply, ClosuresReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, OrdersReply, ScheduleReply,
+    UpgradeReply,
 };
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
@@ -280,6 +281,11 @@ fn views_and_replies_contain_exactly_the_fields_of_their_types() {
         let orders = json!({ "robots": ["fern"] });
         check_type::<OrdersReply>("hold", &ask(ApiCall::Hold, orders.clone()).await);
         check_type::<OrdersReply>("release", &ask(ApiCall::Release, orders).await);
+        let places = json!({ "places": ["PC Room 1"] });
+        let reply = ask(ApiCall::Close, places.clone()).await;
+        check_type::<ClosuresReply>("close", &reply);
+        assert_eq!(reply["closures"].as_array().map(Vec::len), Some(1), "seed {seed}: {reply}");
+        check_type::<ClosuresReply>("open", &ask(ApiCall::Open, places).await);
         check_type::<WithProvenance<ExplainReply>>("explain", &ask(ApiCall::Explain, named.clone()).await);
         check_type::<HelpReply>("help", &ask(ApiCall::Help, Value::Null).await);
         check_type::<UpgradeReply>("upgrade", &ask(ApiCall::Upgrade, json!({})).await);
