@@ -31,6 +31,12 @@ impl Fleet {
         self.coordinating().expect("checked before")
     }
 
+    /// Waits until the ledger keeps an audit trail: once it has the present wire version.
+    pub async fn wait_for_audit_trail(&mut self) {
+        let keeps = |fleet: &Fleet| fleet.ledger(|ledger| ledger.history_limits().is_some()) == Some(true);
+        self.wait_until("the present wire version", Duration::from_secs(20), keeps).await;
+    }
+
     /// Returns the current coordinator. Of several nodes that count themselves leader, it is the
     /// node of the latest term.
     pub fn coordinating(&self) -> Option<NodeId> {

@@ -309,6 +309,7 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
 fn a_signed_hold_stops_a_robot_and_names_the_signer() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock")).await;
+        fleet.wait_for_audit_trail().await;
         let mission = fleet.submit("a", ROOM).await;
         let start = fleet.position("gorse");
         fleet.wait_until("a move", SOON, |fleet| fleet.position("gorse") != start).await;
@@ -554,8 +555,8 @@ fn the_key_of_a_voter_pins_no_node_to_a_term_or_a_version() {
 fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
     for_each_seed(SEEDS, async |seed| {
         let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
-        let bus = stolen(&fleet, "dill", NodeRole::Voter).await.in_cluster(&fleet);
         let mission = fleet.submit("a", ROOM).await;
+        let bus = stolen(&fleet, "dill", NodeRole::Voter).await.in_cluster(&fleet);
         let hold = Some(OrderNotice { text: "held by dill".to_owned(), remaining_ms: None });
         let orders = OrdersNotice { as_of: Epoch { term: u64::MAX, index: 1 }, hold, ..OrdersNotice::default() };
         let payload = wire(&AwardNotice::Orders(orders));

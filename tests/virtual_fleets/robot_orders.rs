@@ -47,6 +47,7 @@ async fn fleet(seed: u64) -> Fleet {
 /// Starts a mission. Returns the carrier that drives to the room.
 async fn under_way(seed: u64) -> (Fleet, MissionId, String) {
     let mut fleet = fleet(seed).await;
+    fleet.wait_for_audit_trail().await;
     let mission = fleet.submit("a", ROOM).await;
     fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
     let carrier = fleet.holder(&mission, "r1").expect("held").to_string();

@@ -85,7 +85,9 @@ pub fn describe_event(event: &Event) -> EventText {
         }
         EventKind::Released { mission, role, cause } => alarm("released", format!("{role} of {mission}: {cause}")),
         EventKind::Mission { mission, state, .. } => match state {
-            MissionState::Failed { cause, class } => alarm("mission", format!("{mission} failed: {cause}; class {class}")),
+            MissionState::Failed { cause, class } => {
+                alarm("mission", format!("{mission} failed: {cause}; class {class}"))
+            }
             MissionState::Canceled { by } => alarm("mission", format!("{mission} canceled by {by}")),
             MissionState::NeedsIntervention { cause, class, .. } => {
                 alarm("mission", format!("{mission} needs intervention: {cause}; class {class}"))

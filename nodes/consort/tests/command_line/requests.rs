@@ -62,8 +62,7 @@ fn a_mission_keeps_its_priority_and_start_and_fails_after_its_deadline() {
 
     let ran = command(&["submit", "lab-samples", "--deadline", "0.5", "--wait"]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(1), "lab-samples-2\nlab-samples-2 failed\n"), "{}", ran.err);
-    let expected =
-        "consort: lab-samples-2 failed: its deadline passed while it waited: no viable bid for lab_arm, r1; class transient";
+    let expected = "consort: lab-samples-2 failed: its deadline passed while it waited: no viable bid for lab_arm, r1; class transient";
     assert!(ran.err.contains(expected), "{}", ran.err);
 
     let ran = command(&["submit", "lab-samples", "--not-before", "2999-01-01T01:00:00+01:00"]);

@@ -110,7 +110,7 @@ fn a_person_resolves_the_mission_of_a_robot_lost_with_a_sample() {
         output.starts_with(&format!("lab-samples-1 closed: {lost} was lost as r1 and has the sample: ")),
         "{output}"
     );
-    assert!(output.ends_with("; resolved by ward 3, Nia\n"), "{output}");
+    assert!(output.ends_with("; resolved by ward 3, Nia; class robot\n"), "{output}");
     let again = fleet.run(&["resolve", "lab-samples-1"], "world").expect(1).stderr;
     assert!(
         again.contains("lab-samples-1 is failed; only a mission that needs intervention can be resolved"),

@@ -5,7 +5,7 @@
 
 use super::apply::Ledger;
 use super::audit_trail::{AuditAction, AuditEntry};
-use super::closure::{ClosedPart, ClosureChange};
+use super::closure::{ClosedPart, Closure, ClosureChange};
 use super::command::{Command, CommandOutcome};
 use super::entry::MissionState;
 use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
@@ -42,7 +42,7 @@ enum SubjectState {
         pause: Option<SchedulePause>,
     },
     /// The orders, not the position of their latest change: an entry of the log may contain two orders.
-    Orders(BTreeMap<RobotId, RobotOrders>),
+    Orders(BTreeMap<RobotId, RobotOrders>, Vec<Closure>),
 }
 
 impl Ledger {
@@ -87,7 +87,7 @@ impl Ledger {
             }
             Subject::Orders => {
                 let orders = self.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone()));
-                SubjectState::Orders(orders.collect())
+                SubjectState::Orders(orders.collect(), self.closures().collect())
             }
         }
     }
