@@ -23,7 +23,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 37] = [
+const TABLE: [(&str, [&str; 3]); 39] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
