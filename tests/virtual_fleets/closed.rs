@@ -562,10 +562,11 @@ fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
         let payload = wire(&AwardNotice::Orders(orders));
         for robot in ["gorse", "lab-arm"] {
             let key = fleet.keys().write(&Key::Award(robot.parse().expect("a name")));
-            let refused = replies(&bus, &key, payload.clone(), Bytes::new()).await;
-            let expected = format!("is not the coordinator of {robot}");
-            assert!(refused.iter().any(|reply| reply.contains(&expected)), "seed {seed}: {refused:?}");
+            // A node without a record knows no certificates, so it cannot verify the refusal.
+            let verified = replies(&bus, &key, payload.clone(), Bytes::new()).await;
+            assert_eq!(verified, [] as [String; 0], "seed {seed}");
         }
+        // A held robot would keep its role and wait for ever.
         fleet.assert_completes(&mission).await;
     });
 }
