@@ -85,7 +85,10 @@ fn hold_and_release(browser: &Browser, fleet: &mut Fleet) {
         "/held by Nia until .*: wet floor$/.test(document.querySelector('#robot-state').innerText) && /held: .* of lab-samples-1/.test(document.querySelector('#robots tr[data-row=ada]').innerText)",
     );
     check_access(browser, "a held robot");
-    let hold = orders_in_view(fleet)["hold"].clone();
+    let hold = until("it is held in the view", SOON, || {
+        let hold = orders_in_view(fleet)["hold"].clone();
+        (!hold.is_null()).then_some(hold)
+    });
     assert_eq!((&hold["by"], &hold["reason"]), (&json!("Nia"), &json!("wet floor")));
     let lasts_ms = hold["until_ms"].as_u64().zip(hold["since_ms"].as_u64()).map(|(until, since)| until - since);
     assert!(lasts_ms.is_some_and(|ms| (1_700_000..=1_800_000).contains(&ms)), "half an hour: {hold}");
