@@ -36,7 +36,7 @@ enum Subject {
 enum SubjectState {
     NewMission,
     Mission(Option<MissionState>),
-    PersonRequest(Option<PersonRequestEntry>),
+    PersonRequest(Option<Box<PersonRequestEntry>>),
     Schedule {
         exists: bool,
         pause: Option<SchedulePause>,
@@ -78,7 +78,8 @@ impl Ledger {
             Subject::Mission(mission) => SubjectState::Mission(self.mission_state(mission).cloned()),
             Subject::PersonRequest(request) => {
                 let entry = self.mission(&request.mission);
-                SubjectState::PersonRequest(entry.and_then(|entry| entry.person_request(request.number)).cloned())
+                let entry = entry.and_then(|entry| entry.person_request(request.number));
+                SubjectState::PersonRequest(entry.cloned().map(Box::new))
             }
             Subject::Schedule(id) => {
                 let entry = self.schedule(id);

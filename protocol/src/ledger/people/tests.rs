@@ -176,7 +176,7 @@ fn a_repeated_question_stays_escalated() {
     report(&mut ledger, &request.mission, true, ASKED_MS + 40_000);
     let asked: Vec<PersonRequestId> =
         ledger.mission(&request.mission).unwrap().person_requests().map(|(id, _)| id).collect();
-    assert_eq!(asked, [request.clone()]);
+    assert_eq!(asked, std::slice::from_ref(&request));
     assert_eq!(entry(&ledger, &request).escalated_to(), Some(&role("head")));
 }
 
