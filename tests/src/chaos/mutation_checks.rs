@@ -89,7 +89,6 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::with_orders(Mutant::HoldIgnored, 12),
     MutantCheck::with_orders(Mutant::OrderForgotten, 6),
     MutantCheck::with_orders(Mutant::ClaimsHidden, 20),
-    MutantCheck::with_orders(Mutant::ChargingOff, 20),
 ];
 
 /// Result of a mutation check.
@@ -162,9 +161,7 @@ mod tests {
             let without = check.first_seed == 1 && (1..FIRST_SEED).contains(&check.last_seed);
             let is_expected = match check.mutant {
                 Mutant::OccurrenceRepeated => with_schedules,
-                Mutant::HoldIgnored | Mutant::OrderForgotten | Mutant::ClaimsHidden | Mutant::ChargingOff => {
-                    with_orders
-                }
+                Mutant::HoldIgnored | Mutant::OrderForgotten | Mutant::ClaimsHidden => with_orders,
                 _ => without,
             };
             assert!(is_expected, "{check:?}");

@@ -1,4 +1,3 @@
-
 use super::super::command::{Command, CommandOutcome};
 use super::super::{Branch, Submission};
 use super::*;

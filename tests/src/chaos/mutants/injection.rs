@@ -59,7 +59,6 @@ impl MutantInjection {
                 let LeaseTerms { lease, grace } = settings.fleet.lease_terms;
                 settings.fleet.lease_terms = LeaseTerms { lease: lease / 3, grace: grace / 3 };
             }
-            Mutant::ChargingOff => settings.fleet.charging = None,
             Mutant::TwoRemoved => settings.fleet.autopilot_rule = remove_two_voters,
             _ => {}
         }

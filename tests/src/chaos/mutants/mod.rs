@@ -6,7 +6,7 @@
 //!
 //! - by the log store (`log_store.rs`): `skip-fsync`, `double-vote`, `identity-kept`;
 //! - by settings (`injection.rs`): `early-release`, `two-removed`, `grace-too-small`, `outcomes-forgotten`,
-//!   `history-kept`, `charging-off`;
+//!   `history-kept`;
 //! - by the clock (`fault_injector.rs`): `suspension-not-counted`, `stopped-with-bus`;
 //! - below the signatures of a node (`refusals.rs`): `refusals-unsigned`;
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
@@ -97,13 +97,11 @@ pub enum Mutant {
     OrderForgotten,
     /// Robots do not receive at which chargers other robots are.
     ClaimsHidden,
-    /// Robots neither charge by themselves nor keep charge for the way to a charger.
-    ChargingOff,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 33] = [
+    pub const ALL: [Mutant; 32] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -136,7 +134,6 @@ impl Mutant {
         Mutant::HoldIgnored,
         Mutant::OrderForgotten,
         Mutant::ClaimsHidden,
-        Mutant::ChargingOff,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -182,7 +179,6 @@ impl Mutant {
             Mutant::HoldIgnored => "hold-ignored",
             Mutant::OrderForgotten => "order-forgotten",
             Mutant::ClaimsHidden => "claims-hidden",
-            Mutant::ChargingOff => "charging-off",
         }
     }
 }
