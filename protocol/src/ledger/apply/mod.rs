@@ -215,6 +215,7 @@ impl Ledger {
         if let Some(history) = &mut self.versioned.history {
             history.set_limits(limits);
         }
+        self.drop_excess();
         CommandOutcome::Done
     }
 
@@ -476,6 +477,12 @@ impl Ledger {
         let Some(history) = &mut self.versioned.history else { return self.drop_by_number() };
         let Some(entry) = self.missions.get(mission).filter(|entry| entry.state.has_ended()) else { return };
         history.push(entry);
+        self.drop_excess();
+    }
+
+    /// Drops ended missions and requests beyond the limits of the history.
+    fn drop_excess(&mut self) {
+        let Some(history) = &mut self.versioned.history else { return };
         while let Some(dropped) = history.pop_whole() {
             self.missions.remove(&dropped);
         }

@@ -415,6 +415,15 @@ fn the_limits_of_the_history_are_part_of_the_ledger() {
 }
 
 #[test]
+fn lower_limits_of_the_history_hold_at_once() {
+    let mut log = Log::with_history();
+    log.fail_others(3);
+    assert_eq!(log.0.missions().count(), 3);
+    log.apply(Command::SetHistoryLimits(HistoryLimits { missions_max: 1, ..HistoryLimits::default() }));
+    assert_eq!(log.0.missions().count(), 1);
+}
+
+#[test]
 fn a_request_that_may_be_a_repetition_of_a_forgotten_request_is_rejected() {
     let mut log = Log::with_history();
     let name = |at_ms, random| RequestId::generate(at_ms, random);
