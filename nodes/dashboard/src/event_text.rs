@@ -193,8 +193,8 @@ mod tests {
         let rescue = json!({ "needs_intervention": { "cause": "lost", "items": [], "class": "task" } });
         // An event of an earlier release has no class.
         let failed = json!({ "failed": { "cause": "lost" } });
-        assert_eq!(state(failed), ("mission", "m-1 failed: lost (robot)".to_owned(), true));
-        assert_eq!(state(rescue), ("mission", "m-1 needs intervention: lost (task)".to_owned(), true));
+        assert_eq!(state(failed), ("mission", "m-1 failed: lost; class robot".to_owned(), true));
+        assert_eq!(state(rescue), ("mission", "m-1 needs intervention: lost; class task".to_owned(), true));
     }
 
     #[test]
