@@ -263,7 +263,7 @@ pub enum Command {
     OrderRobots {
         /// The robots.
         robots: BTreeSet<RobotId>,
-        /// The change, and who requests it.
+        /// The change of the orders, with the person who requests it.
         order: OrderRequest,
     },
     /// Ends the orders and closures that have expired.
@@ -275,7 +275,7 @@ pub enum Command {
     ChangeClosures {
         /// The places and lanes.
         parts: BTreeSet<ClosedPart>,
-        /// The change, and who requests it.
+        /// The change of the closures, with the person who requests it.
         order: OrderRequest<ClosureChange>,
     },
 }

@@ -56,7 +56,7 @@ struct RolePart {
     progress: PlanProgress,
     current: Option<StepIndex>,
     outcomes: TaskOutcomes,
-    /// Tasks whose outcomes each step uses.
+    /// For each step, the tasks whose outcomes its own task reads.
     used: BTreeMap<StepIndex, BTreeSet<TaskId>>,
 }
 

@@ -118,7 +118,7 @@ pub enum TreeErrorKind {
         /// Type of the port.
         wanted: PortType,
     },
-    /// A tree binds one port of a pair.
+    /// A tree sets only one of two ports that belong together.
     #[error("port `{bound}` needs port `{missing}`, which is missing")]
     HalfPair {
         /// The bound port.

@@ -163,7 +163,7 @@ fn run_to_end(seed: u64, speed: f64, submissions: Vec<Submission>) -> BTreeMap<S
     runtime.block_on(run(seed, speed, submissions))
 }
 
-/// The missions share one arm.
+/// Each of these missions needs the only arm, so they take turns.
 #[test]
 fn sixty_lab_samples_over_five_minutes_are_completed() {
     let seed = 1;
