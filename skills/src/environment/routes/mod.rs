@@ -137,10 +137,15 @@ impl Routes {
         if start != end && self.closed_places.contains(&end) {
             return Err(RouteError::Closed { from: from.clone(), to: to.clone() });
         }
-        let length = Metres::new(self.to(end)[start.index()]);
-        length.map_err(|_| match self.reduced {
-            true => RouteError::Closed { from: from.clone(), to: to.clone() },
-            false => RouteError::Unreachable { from: from.clone(), to: to.clone() },
+        self.length(start, end)
+    }
+
+    /// Returns the length of the shortest route, also to a closed place: the way out of a closed place may lead through
+    /// another.
+    fn length(&self, start: NodeIndex, end: NodeIndex) -> Result<Metres, RouteError> {
+        Metres::new(self.to(end)[start.index()]).map_err(|_| {
+            let (from, to) = (self.graph[start].0.clone(), self.graph[end].0.clone());
+            if self.reduced { RouteError::Closed { from, to } } else { RouteError::Unreachable { from, to } }
         })
     }
 
@@ -229,7 +234,8 @@ impl Routes {
             time += pose.distance(first).at(speed);
         }
         for leg in legs.windows(2) {
-            time += passages.time(&leg[0], &leg[1], self.distance(&leg[0], &leg[1])?, speed);
+            let length = self.length(self.index[&leg[0]], self.index[&leg[1]])?;
+            time += passages.time(&leg[0], &leg[1], length, speed);
         }
         Ok(time)
     }

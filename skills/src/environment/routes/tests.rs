@@ -189,6 +189,9 @@ fn the_way_out_of_closed_places_leads_through_them() {
     let closed = [(place("A"), place("A")), (place("B"), place("B"))];
     let routes = line.without_closed(&closed);
     assert_eq!(names(&routes.route(&place("A"), &place("C")).unwrap().places), ["A", "B", "C"]);
+    let speed = MetresPerSecond::new(0.5).unwrap();
+    let time = routes.time_left(&place("A"), Pose::new(0.0, 0.0, 0.0), &place("C"), speed, &Passages::default());
+    assert_eq!(time.map(Seconds::get), Ok(40.0));
     assert!(routes.route(&place("A"), &place("B")).is_err(), "it is closed");
     assert!(routes.route(&place("C"), &place("A")).is_err());
     let enters = |from, to| Routes::enters_closed(&closed, &place(from), &place(to));
