@@ -75,6 +75,7 @@ impl Scene {
             BidContext {
                 worker,
                 closed_lanes: &[],
+                found_closed: &[],
                 closures: &[],
                 readings: None,
                 age_ms: 0,

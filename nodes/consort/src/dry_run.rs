@@ -167,6 +167,7 @@ fn response(worker: &WorkerEntry, call: &CallForBids, membership: Membership, fl
     let context = BidContext {
         worker: &own,
         closed_lanes: &[],
+        found_closed: &[],
         closures: &[],
         readings: None,
         age_ms: 0,

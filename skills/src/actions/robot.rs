@@ -66,6 +66,12 @@ pub trait RobotActions {
         &[]
     }
 
+    /// Returns the closed lanes that people have not closed.
+    fn found_closed(&self) -> Vec<(PlaceId, PlaceId)> {
+        let closed = self.telemetry().into_iter().flat_map(|telemetry| &telemetry.closed);
+        closed.filter(|lane| !self.closed_by_people().contains(lane)).cloned().collect()
+    }
+
     /// Returns the newest value that a member of an ensemble has sent to the others. `None` if it is
     /// unknown: this robot is not a member, the value has not arrived, or it is too old.
     fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {

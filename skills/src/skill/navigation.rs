@@ -47,15 +47,9 @@ fn legs(
     let (telemetry, routes) = (telemetry.clone(), routes(environment)?);
     let legs = |closed: &[(PlaceId, PlaceId)]| routes.without_closed(closed).legs(&telemetry.place, telemetry.pose, to);
     match legs(&telemetry.closed) {
-        Err(RouteError::Closed { .. }) if legs(&found_closed(context, &telemetry.closed)).is_ok() => Ok(None),
+        Err(RouteError::Closed { .. }) if legs(&context.actions().found_closed()).is_ok() => Ok(None),
         legs => legs.map(Some).map_err(|error| Cause::new(error.to_string())),
     }
-}
-
-/// Returns the closed lanes that people have not closed.
-fn found_closed(context: &mut LeafContext<'_, '_>, closed: &[(PlaceId, PlaceId)]) -> Vec<(PlaceId, PlaceId)> {
-    let by_people = context.actions().closed_by_people();
-    closed.iter().filter(|lane| !by_people.contains(lane)).cloned().collect()
 }
 
 /// Writes the remaining places of the route; an empty list at the destination. Waits for the

@@ -32,7 +32,9 @@ pub struct BidContext<'a> {
     pub worker: &'a RobotKnowledge,
     /// Closed lanes, each by its 2 ends; a place twice is a closed place.
     pub closed_lanes: &'a [(PlaceId, PlaceId)],
-    /// The closures of people among them, as text.
+    /// The lanes among them that people have not closed.
+    pub found_closed: &'a [(PlaceId, PlaceId)],
+    /// The closures of people, as text.
     pub closures: &'a [&'a str],
     /// Latest readings of the driver, by name; `None` if conditions on them do not count.
     pub readings: Option<&'a BTreeMap<String, Scalar>>,
@@ -94,7 +96,8 @@ impl Bidder {
         plan: &LocalPlan,
         context: &BidContext<'_>,
     ) -> Result<Bid, RefusalReason> {
-        let BidContext { worker, closed_lanes: closed, closures, readings, age_ms, membership, present } = context;
+        let BidContext { worker, closed_lanes, found_closed, closures, readings, age_ms, membership, present } =
+            context;
         // A lack of skills outlasts the present work: a mission that only robots without the skill could join fails,
         // and does not wait for them.
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
@@ -123,8 +126,15 @@ impl Bidder {
         }
         let from = present.map_or_else(|| worker.place.clone(), |present| present.ends_at.clone());
         let readings = readings.cloned();
-        let context = EstimateContext { place: from.clone(), readings, ..pricing_context(worker, closed) };
-        let budget = self.estimator.budget(plan, &context).map_err(|problem| refusal_of(&problem, closures))?;
+        let context = EstimateContext { place: from.clone(), readings, ..pricing_context(worker, closed_lanes) };
+        let budget = self.estimator.budget(plan, &context).map_err(|problem| {
+            // What people have closed may be open later. A problem that is left without their closures counts.
+            let open = EstimateContext { closed: found_closed.to_vec(), ..context.clone() };
+            match self.estimator.budget(plan, &open) {
+                Ok(_) => refusal_while_closed(&problem, closures),
+                Err(problem) => refusal_of(&problem),
+            }
+        })?;
         let (time, energy) = (budget.time(), budget.energy);
         let remaining = worker.battery.get() - present.map_or(0.0, |present| present.energy) - energy;
         if let Some(chargers) = &self.chargers {
@@ -146,17 +156,22 @@ impl Bidder {
     }
 }
 
+/// Returns the refusal of a plan that can be priced without the closures of people.
+fn refusal_while_closed(problem: &PriceError, closures: &[&str]) -> RefusalReason {
+    // The closure of the destination comes first.
+    let is_own = |closure: &&str| match &problem.source {
+        EstimateError::Route(RouteError::Closed { to, .. }) => closure.starts_with(to.as_str()),
+        _ => false,
+    };
+    let (own, other): (Vec<&str>, Vec<&str>) = closures.iter().copied().partition(is_own);
+    let closures = own.into_iter().chain(other).take(CLOSURES_NAMED).collect::<Vec<_>>().join("; ");
+    RefusalReason::NotEligible { why: format!("{problem}; {closures}"), permanent: false }
+}
+
 /// Returns the refusal of a plan that cannot be priced. The robot may get a role later whose condition on its readings
-/// is false or unknown now, or whose way people have closed.
-fn refusal_of(problem: &PriceError, closures: &[&str]) -> RefusalReason {
+/// is false or unknown now.
+fn refusal_of(problem: &PriceError) -> RefusalReason {
     match &problem.source {
-        EstimateError::Route(RouteError::Closed { to, .. }) if !closures.is_empty() => {
-            // The closure of the destination comes first.
-            let (own, other): (Vec<&str>, Vec<&str>) =
-                closures.iter().copied().partition(|closure| closure.starts_with(to.as_str()));
-            let closures = own.into_iter().chain(other).take(CLOSURES_NAMED).collect::<Vec<_>>().join("; ");
-            RefusalReason::NotEligible { why: format!("{problem}; {closures}"), permanent: false }
-        }
         EstimateError::Requirement { may_change: true, .. } => {
             RefusalReason::NotEligible { why: problem.to_string(), permanent: false }
         }
@@ -169,9 +184,10 @@ mod tests {
     use super::*;
     use crate::robot::test_values::idle_robot;
     use consort_protocol::auction::AuctionId;
+    use consort_protocol::pose::Pose;
     use consort_skills::descriptor::DescriptorRegistry;
     use consort_skills::domain_file::DomainFile;
-    use consort_skills::environment::Environment;
+    use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
     use serde_json::{Value, json};
 
     const WATERING: &str = r#"{
@@ -184,12 +200,8 @@ mod tests {
         }
     }"#;
 
-    /// Returns the reply of a robot with these readings to a call for a task of this type.
-    fn reply_to_call(task: &str, readings: &Value) -> RoleReply {
-        let form = serde_json::from_str(WATERING).unwrap();
-        let domain = DomainFile::check(form, &BTreeMap::new(), &[]).unwrap();
-        let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new()).unwrap();
-        let spec = json!({ "type": task, "roles": ["r1"], "attempts": 2 });
+    /// Returns the reply of a robot to a call for a task.
+    fn reply(estimator: Estimator, spec: &Value, context: &BidContext<'_>) -> RoleReply {
         let step = json!({ "action": { "Task": { "id": "it", "spec": spec } }, "after": [] });
         let plan: LocalPlan = serde_json::from_value(json!({ "role": "r1", "steps": [step] })).unwrap();
         let call = CallForBids {
@@ -199,31 +211,48 @@ mod tests {
             eligible: BTreeMap::new(),
             spread: BTreeSet::new(),
         };
-        let worker = RobotKnowledge {
-            skills: BTreeSet::from(["water", "lift"].map(|skill| skill.parse().unwrap())),
-            ..idle_robot()
-        };
-        let readings = serde_json::from_value(readings.clone()).unwrap();
-        let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
-        let context = BidContext {
-            worker: &worker,
-            closed_lanes: &[],
-            closures: &[],
-            readings: Some(&readings),
-            age_ms: 0,
-            membership,
-            present: None,
-        };
         let bidder = Bidder::new("ada".parse().unwrap(), Arc::new(estimator));
-        let response = bidder.respond(&call, &context);
+        let response = bidder.respond(&call, context);
         response.replies.into_iter().next().expect("a reply")
     }
 
-    fn refusal(task: &str, readings: &Value) -> RefusalReason {
-        match reply_to_call(task, readings) {
+    /// Returns the context of a free robot in a world without closures.
+    fn context<'a>(worker: &'a RobotKnowledge, readings: &'a BTreeMap<String, Scalar>) -> BidContext<'a> {
+        BidContext {
+            worker,
+            closed_lanes: &[],
+            found_closed: &[],
+            closures: &[],
+            readings: Some(readings),
+            age_ms: 0,
+            membership: Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 },
+            present: None,
+        }
+    }
+
+    fn robot_with(skills: &[&str]) -> RobotKnowledge {
+        RobotKnowledge { skills: skills.iter().map(|skill| skill.parse().unwrap()).collect(), ..idle_robot() }
+    }
+
+    /// Returns the reply of a robot with these readings to a call for a task of this type.
+    fn reply_to_call(task: &str, readings: &Value) -> RoleReply {
+        let form = serde_json::from_str(WATERING).unwrap();
+        let domain = DomainFile::check(form, &BTreeMap::new(), &[]).unwrap();
+        let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new()).unwrap();
+        let spec = json!({ "type": task, "roles": ["r1"], "attempts": 2 });
+        let readings = serde_json::from_value(readings.clone()).unwrap();
+        reply(estimator, &spec, &context(&robot_with(&["water", "lift"]), &readings))
+    }
+
+    fn reason_of(reply: RoleReply) -> RefusalReason {
+        match reply {
             RoleReply::Refusal(refusal) => refusal.reason,
             RoleReply::Bid(bid) => panic!("{bid:?}"),
         }
+    }
+
+    fn refusal(task: &str, readings: &Value) -> RefusalReason {
+        reason_of(reply_to_call(task, readings))
     }
 
     #[test]
@@ -245,13 +274,46 @@ mod tests {
         let problem = "step 0 (go): no route from Dock to Ward: the ways between them are closed";
         let (hall, ward) = ("Hall is closed by Abe", "Ward is closed by Nia: a spill, until 2026-01-01 00:00 UTC");
         let why = format!("{problem}; {ward}; {hall}");
-        assert_eq!(refusal_of(&closed, &[hall, ward]), RefusalReason::NotEligible { why, permanent: false });
-        let reason = refusal_of(&closed, &[hall, hall, hall, hall, ward]);
+        let reason = refusal_while_closed(&closed, &[hall, ward]);
+        assert_eq!(reason, RefusalReason::NotEligible { why, permanent: false });
+        let reason = refusal_while_closed(&closed, &[hall, hall, hall, hall, ward]);
         let why = format!("{problem}; {ward}; {hall}; {hall}");
         assert_eq!(reason, RefusalReason::NotEligible { why, permanent: false });
-        // Lanes that only the driver has found closed.
-        let reason = refusal_of(&closed, &[]);
-        assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{reason:?}");
+    }
+
+    /// Returns the refusal of a drive from the dock through the hall, while people have closed the ward behind it, and the
+    /// driver has found these lanes closed.
+    fn refusal_of_drive(to: &str, found: &[(&str, &str)]) -> RefusalReason {
+        let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+        let edge = |a: &str, b: &str| Edge { a: place(a), b: place(b), length_m: 10.0, one_way: false };
+        let places = [("Dock", 0.0), ("Hall", 10.0), ("Ward", 20.0), ("Island", 50.0)];
+        let map = TopologicalMap {
+            places: places.map(|(name, x)| (place(name), Pose::new(x, 0.0, 0.0))).into(),
+            edges: vec![edge("Dock", "Hall"), edge("Hall", "Ward")],
+        };
+        let environment = Environment::new().with(Routes::new(&map).unwrap());
+        let estimator = DescriptorRegistry::standard().resolve(environment).unwrap();
+        let found_closed: Vec<_> = found.iter().map(|(a, b)| (place(a), place(b))).collect();
+        let closed_lanes = [found_closed.clone(), vec![(place("Ward"), place("Ward"))]].concat();
+        let (worker, readings) = (robot_with(&["navigation"]), BTreeMap::new());
+        let context = BidContext {
+            closed_lanes: &closed_lanes,
+            found_closed: &found_closed,
+            closures: &["Ward is closed by Nia"],
+            ..context(&worker, &readings)
+        };
+        let spec = json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": to } });
+        reason_of(reply(estimator, &spec, &context))
+    }
+
+    #[test]
+    fn only_what_people_have_closed_makes_a_refusal_temporary() {
+        let closed = refusal_of_drive("Ward", &[]);
+        assert!(matches!(&closed, RefusalReason::NotEligible { permanent: false, .. }), "{closed:?}");
+        for (to, found) in [("Ward", vec![("Hall", "Dock")]), ("Island", vec![])] {
+            let reason = refusal_of_drive(to, &found);
+            assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{to}: {reason:?}");
+        }
     }
 
     #[test]

@@ -90,6 +90,11 @@ impl DriverLink {
         self.telemetry().map_or(&[], |report| &report.closed)
     }
 
+    /// Returns the lanes that the driver has found closed.
+    pub(super) fn found_closed(&self) -> Vec<(PlaceId, PlaceId)> {
+        self.driver.found_closed()
+    }
+
     /// Returns the estimator's input for the robot at its current pose.
     pub(super) fn estimate_context(&self) -> EstimateContext {
         let worker = self.worker();

@@ -224,8 +224,17 @@ impl RobotState {
         let RobotSettings { robot, links, pricing, .. } = &self.settings;
         let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
         let (worker, readings) = (self.driver.worker(), self.driver.telemetry().map(|report| &report.readings));
-        let closures = self.orders.closure_texts(now);
-        let context = BidContext { worker, closed_lanes, closures: &closures, readings, age_ms, membership, present };
+        let (found_closed, closures) = (self.driver.found_closed(), self.orders.closure_texts(now));
+        let context = BidContext {
+            worker,
+            closed_lanes,
+            found_closed: &found_closed,
+            closures: &closures,
+            readings,
+            age_ms,
+            membership,
+            present,
+        };
         let limits = pricing.limits;
         let chargers = self.charging.as_ref().map(|own| ChargerReserve::new(own.usable().clone(), limits));
         let bidder = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).with_chargers(chargers);
