@@ -1,7 +1,9 @@
 //! Time limits of tasks, as values.
 
+use consort_protocol::ids::PlaceId;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{Seconds, WorldTime};
+use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator};
 use std::time::Duration;
 
 /// Time limit for a task.
@@ -57,6 +59,20 @@ fn is_cooperative(spec: &TaskSpec) -> bool {
     spec.is_joint() || spec.parameters.keys().any(|key| key == "role" || key.ends_with("_role"))
 }
 
+/// Checks whether people have closed every route of a task. `found` are the closed lanes that they have not closed.
+pub(super) fn is_closed_by_people(
+    estimator: &Estimator,
+    task: &TaskSpec,
+    context: &EstimateContext,
+    found: Vec<(PlaceId, PlaceId)>,
+) -> bool {
+    let has_route = |context: &EstimateContext| {
+        let estimate = estimator.estimate(task, context);
+        !matches!(estimate, Err(EstimateError::Route(_)))
+    };
+    !has_route(context) && has_route(&EstimateContext { closed: found, ..context.clone() })
+}
+
 /// Timer of a single attempt at a task.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct TaskTimer {
@@ -97,6 +113,11 @@ impl TaskTimer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::energy_check::pricing_context;
+    use crate::robot::test_values::idle_robot;
+    use consort_protocol::pose::Pose;
+    use consort_skills::descriptor::DescriptorRegistry;
+    use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
     use std::collections::BTreeMap;
 
     fn task(parameters: &[(&str, &str)]) -> TaskSpec {
@@ -147,5 +168,27 @@ mod tests {
         let mut timer = TaskTimer::new(&TaskTimeout::default(), &task(&[]), None);
         assert_eq!(timer.check(None, Duration::from_secs(59)), None);
         assert_eq!(timer.check(None, Duration::from_secs(60)).unwrap(), "the driver has reported nothing for 60 s");
+    }
+
+    #[test]
+    fn a_task_is_closed_by_people_if_it_has_a_route_without_their_closures() {
+        let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+        let map = TopologicalMap {
+            places: [("Dock", 0.0), ("Ward", 10.0)].map(|(name, x)| (place(name), Pose::new(x, 0.0, 0.0))).into(),
+            edges: vec![Edge { a: place("Dock"), b: place("Ward"), length_m: 10.0, one_way: false }],
+        };
+        let environment = Environment::new().with(Routes::new(&map).unwrap());
+        let estimator = DescriptorRegistry::standard().resolve(environment).unwrap();
+        let drive = serde_json::json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": "Ward" } });
+        let drive: TaskSpec = serde_json::from_value(drive).unwrap();
+        let is_closed = |by_people: &[(PlaceId, PlaceId)], found: &[(PlaceId, PlaceId)]| {
+            let context = pricing_context(&idle_robot(), &[found, by_people].concat());
+            is_closed_by_people(&estimator, &drive, &context, found.to_vec())
+        };
+        let (ward, lane) = (vec![(place("Ward"), place("Ward"))], vec![(place("Dock"), place("Ward"))]);
+        assert!(is_closed(&ward, &[]));
+        assert!(!is_closed(&[], &[]));
+        assert!(!is_closed(&[], &lane), "the driver has found the way closed");
+        assert!(!is_closed(&ward, &lane), "the way stays closed when people open the ward");
     }
 }

@@ -9,7 +9,7 @@ use crate::robot::sequencer::{SignalEffect, StaleSignal, StepRef};
 use crate::robot::settings::PricingSettings;
 use crate::robot::signals::ReceivedSignals;
 use crate::robot::skill_runner::{RunningSkill, SkillOutcome, SkillRun};
-use crate::robot::task_timeout::TaskTimer;
+use crate::robot::task_timeout::{TaskTimer, is_closed_by_people};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::TaskId;
@@ -17,8 +17,7 @@ use consort_protocol::message::FailureKind;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
-use consort_skills::descriptor::{EstimateContext, EstimateError, PriceError};
-use consort_skills::environment::RouteError;
+use consort_skills::descriptor::EstimateContext;
 use consort_skills::library::ActiveSkill;
 use consort_skills::skill::SkillContext;
 use ractor::{ActorId, ActorProcessingErr};
@@ -177,18 +176,12 @@ impl RobotState {
         Ok(())
     }
 
-    /// Checks whether people have closed every route of the current task: the robot waits until they open one.
+    /// Checks whether people have closed every route of the current task: the robot waits until they open a route.
     fn waits_for_opening(&self, now: NodeTime) -> bool {
-        let Some(active) = self.execution.plan.as_ref().filter(|_| !self.orders.closed(now).is_empty()) else {
-            return false;
-        };
-        let rest = active.sequencer.remaining_plan();
-        match self.settings.pricing.estimator.price(&rest, &self.driver.estimate_context()) {
-            Err(PriceError { task, source: EstimateError::Route(RouteError::Closed { .. }), .. }) => {
-                active.sequencer.current_task() == Some(&task)
-            }
-            Ok(_) | Err(_) => false,
-        }
+        let active = self.execution.plan.as_ref().filter(|_| !self.orders.closed(now).is_empty());
+        let task = active.and_then(|active| active.sequencer.current_step()).map(|(.., task)| task);
+        let (estimator, context) = (&self.settings.pricing.estimator, self.driver.estimate_context());
+        task.is_some_and(|task| is_closed_by_people(estimator, task, &context, self.driver.found_closed()))
     }
 
     /// Prices the remaining plan with the current charge. A robot that would strand releases the
