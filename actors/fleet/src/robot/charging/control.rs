@@ -2,7 +2,7 @@
 
 use super::RobotCharging;
 use super::drives::{dock_at, drive_to, nearest, places};
-use super::policy::{Activity, OtherRobot, Situation};
+use super::policy::{Activity, Claim, OtherRobot, Situation};
 use crate::robot::skill_runner::RunningSkill;
 use crate::robot::task_timeout::TaskTimer;
 use consort_protocol::ids::PlaceId;
@@ -93,7 +93,16 @@ impl ChargeControl {
             let chargers = usable.iter().filter(|charger| !self.avoided.contains_key(*charger));
             nearest(estimator, context, chargers).into_iter().map(|drive| drive.to).collect::<Vec<_>>()
         };
-        let next = thresholds.next(&self.activity, situation, all, nearest_first);
+        // A claim keeps the others away, so it ends when the robot can no longer reach the charger.
+        let is_cut_off = |claim: &Claim| {
+            !context.closed.is_empty() && nearest(estimator, context, [&claim.published.charger]).is_empty()
+        };
+        let idle = Activity::Idle;
+        let activity = match &self.activity {
+            Activity::Claimed(claim) if is_cut_off(claim) => &idle,
+            activity => activity,
+        };
+        let next = thresholds.next(activity, situation, all, nearest_first);
         let changed = next != self.activity;
         if changed {
             self.end_trip();

@@ -313,6 +313,28 @@ fn a_bid_needs_the_charge_to_reach_the_nearest_charger() {
     );
 }
 
+#[test]
+fn a_robot_gives_up_a_charger_when_the_way_to_it_is_closed() {
+    let usable = places(&["A", "C"]);
+    let mut control = ChargeControl::new(RobotCharging { thresholds: thresholds(), all: usable.clone(), usable });
+    let (estimator, open, own, at_b) = (estimator(), context("B"), robot("m"), place("B"));
+    let closed = |names: &[&str]| EstimateContext {
+        closed: names.iter().map(|name| (place(name), place(name))).collect(),
+        ..context("B")
+    };
+    let situation =
+        |now| Situation { robot: &own, place: &at_b, battery: share(0.2), lacked_charge: false, others: &[], now };
+    let bound = |charger| Some(Charging::Bound(claim(charger, 0.2)));
+    control.decide(&situation(at(0)), &estimator, &open);
+    control.next_task(&[], &estimator, &open, at(2_000)).expect("the drive");
+    assert!(!control.decide(&situation(at(2_000)), &estimator, &closed(&["C"])), "another place");
+    assert_eq!(control.published(), bound("A"));
+    assert!(control.decide(&situation(at(3_000)), &estimator, &closed(&["A"])));
+    assert_eq!((control.published(), control.is_acting()), (bound("C"), false));
+    assert!(control.decide(&situation(at(4_000)), &estimator, &closed(&["A", "C"])));
+    assert_eq!(control.published(), None, "it keeps no other robot away");
+}
+
 fn knowledge(attributes: &[(&str, &str)]) -> RobotKnowledge {
     let attributes: BTreeMap<_, _> = attributes.iter().copied().collect();
     RobotKnowledge {
