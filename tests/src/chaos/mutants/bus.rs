@@ -172,7 +172,8 @@ impl FaultyBus {
             }
             (Mutant::OrderForgotten, Some(Key::Api(ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance))) => {
                 let reply = json!({ "robots": {} }).to_string();
-                reply_at_once(query, reply.into(), Encoding::Json)
+                // The coordinator rejects a request without content.
+                Query { payload: Bytes::new(), ..reply_at_once(query, reply.into(), Encoding::Json) }
             }
             (Mutant::RequestForgotten, Some(Key::Api(ApiCall::Submit))) => {
                 forget_request(query, &ledger, &mut forgotten)
