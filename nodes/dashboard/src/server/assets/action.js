@@ -1,5 +1,6 @@
 // Actions of a person that need a confirmation.
 
+import { enable } from './dom.js';
 import { send } from './request.js';
 import { announce } from './status.js';
 
@@ -14,8 +15,6 @@ export async function confirmAndSend(button, question, path, value, done) {
     announce(problem.message);
     alert(problem.message);
   } finally {
-    button.disabled = false;
-    // A disabled button loses the focus.
-    if (document.activeElement === document.body) button.focus();
+    enable(button);
   }
 }

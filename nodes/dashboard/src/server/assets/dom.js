@@ -25,6 +25,12 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** Enables a button again, and returns the focus that it lost when it was disabled. */
+export function enable(button) {
+  button.disabled = false;
+  if (document.activeElement === document.body) button.focus();
+}
+
 /** Replaces the content of an element, and keeps the focus on the child with the same data-key. */
 export function redraw(element, ...children) {
   const key = element.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;

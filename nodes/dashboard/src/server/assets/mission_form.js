@@ -1,6 +1,6 @@
 // Forms of requests, and the fields of those that request missions. The ids of a form's elements begin with the id of its dialog.
 
-import { byId, make, readable, setText } from './dom.js';
+import { byId, enable, make, readable, setText } from './dom.js';
 import { send } from './request.js';
 import { announce } from './status.js';
 
@@ -58,7 +58,7 @@ export async function sendForm(form, path, request, done) {
     showProblem(form, problem.message);
     return false;
   } finally {
-    button.disabled = false;
+    enable(button);
   }
 }
 

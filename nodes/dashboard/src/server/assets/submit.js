@@ -1,7 +1,7 @@
 // Submitting, canceling and resolving missions.
 
 import { confirmAndSend } from './action.js';
-import { byId, make, setText } from './dom.js';
+import { byId, enable, make, setText } from './dom.js';
 import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, sendForm, showProblem } from './mission_form.js';
 import { lastKnownPlace } from './missions.js';
 import { newRequest, send } from './request.js';
@@ -48,8 +48,8 @@ export function start(onSubmitted) {
     } catch (problem) {
       showProblem('submit', problem.message);
     } finally {
-      button.disabled = false;
       setText(button, 'Submit');
+      enable(button);
     }
   };
 }
