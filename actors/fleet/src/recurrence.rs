@@ -113,6 +113,11 @@ pub fn time_in_zone(time_ms: u64, zone: &str) -> String {
     )
 }
 
+/// Formats the end of an order of people after its text: `, until 2026-11-27 08:00 UTC`. Empty without an end.
+pub fn until_text(until_ms: Option<u64>) -> String {
+    until_ms.map(|until_ms| format!(", until {}", time_in_zone(until_ms, "UTC"))).unwrap_or_default()
+}
+
 fn milliseconds(time: &Zoned) -> Option<u64> {
     u64::try_from(time.timestamp().as_millisecond()).ok()
 }

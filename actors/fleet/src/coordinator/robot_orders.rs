@@ -139,6 +139,7 @@ fn all_orders(ledger: &Ledger) -> BTreeMap<RobotId, RobotOrders> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
     fn at(ms: u64) -> NodeTime {
         NodeTime::at(Duration::from_millis(ms))
     }

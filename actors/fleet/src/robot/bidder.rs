@@ -281,8 +281,8 @@ mod tests {
         assert_eq!(reason, RefusalReason::NotEligible { why, permanent: false });
     }
 
-    /// Returns the refusal of a drive from the dock through the hall, while people have closed the ward behind it, and the
-    /// driver has found these lanes closed.
+    /// Returns the refusal of a drive from the dock through the hall. People have closed the ward behind the hall, and
+    /// the driver has found these lanes closed.
     fn refusal_of_drive(to: &str, found: &[(&str, &str)]) -> RefusalReason {
         let place = |name: &str| -> PlaceId { name.parse().unwrap() };
         let edge = |a: &str, b: &str| Edge { a: place(a), b: place(b), length_m: 10.0, one_way: false };

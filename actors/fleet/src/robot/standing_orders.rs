@@ -1,7 +1,7 @@
-//! The orders and closures of people that a robot follows, as last received. A robot without contact to the coordinator
-//! follows them until their end.
+//! The orders and closures of people that a robot follows, as last received. A robot without contact to the
+//! coordinator follows them until their end.
 
-use crate::recurrence::time_in_zone;
+use crate::recurrence::until_text;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::ClosedPart;
@@ -9,8 +9,9 @@ use consort_protocol::message::{ClosureNotice, OrderNotice, OrdersNotice};
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
 
-/// Time within which a coordinator that reaches a robot sends its orders. Until then a robot that has started leaves its
-/// place only for a role. Raised: a robot without a coordinator charges later. A guess: some repetitions of a notice.
+/// Time within which a coordinator that reaches a robot sends its orders. Until then a robot that has started leaves
+/// its place only for a role. Raised: a robot without a coordinator charges later. A guess: some repetitions of a
+/// notice.
 const FIRST_NOTICE_WAIT: Duration = Duration::from_secs(10);
 
 /// Orders of people to this robot.
@@ -50,8 +51,7 @@ impl StandingOrder {
 
 impl StandingClosure {
     fn new(ClosureNotice { part, mut order, until_ms }: ClosureNotice, now: NodeTime) -> StandingClosure {
-        let until = until_ms.map(|until_ms| format!(", until {}", time_in_zone(until_ms, "UTC"))).unwrap_or_default();
-        order.text = format!("{part} is {}{until}", order.text);
+        order.text = format!("{part} is {}{}", order.text, until_text(until_ms));
         StandingClosure { part, order: StandingOrder::new(order, now) }
     }
 }
@@ -173,10 +173,15 @@ mod tests {
     fn orders_end_in_a_cluster_that_has_none() {
         let mut orders = StandingOrders::default();
         let maintenance = order("in maintenance by Nia: tyres", None);
-        orders.receive(OrdersNotice { maintenance, ..notice(100, order("held by Nia", Some(600_000))) }, at(0));
+        let part = ClosedPart::of_place("Ward".parse().unwrap());
+        let closed = OrderNotice { text: "closed by Nia".to_owned(), remaining_ms: None };
+        let closures = vec![ClosureNotice { part, order: closed, until_ms: None }];
+        let hold = order("held by Nia", Some(600_000));
+        orders.receive(OrdersNotice { maintenance, closures, ..notice(100, hold) }, at(0));
         orders.change_cluster(at(1_000));
         assert!(orders.is_held(at(10_999)) && !orders.is_held(at(11_000)));
         assert_eq!(orders.problem(at(11_000)), None, "its maintenance had no end");
+        assert_eq!([at(10_999), at(11_000)].map(|now| orders.closed(now).len()), [1, 0], "nor had the closure");
     }
 
     #[test]

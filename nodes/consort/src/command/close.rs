@@ -4,7 +4,7 @@ use super::flag_values::parse_duration;
 use super::hold::seconds;
 use crate::client::QueryFlags;
 use crate::exit::Failure;
-use consort_fleet::recurrence::time_in_zone;
+use consort_fleet::recurrence::until_text;
 use consort_protocol::api::{CLOSE_S_MAX, CloseRequest, ClosuresReply, OpenRequest};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::keys::ApiCall;
@@ -110,10 +110,8 @@ fn reply_text(ClosuresReply { closures }: &ClosuresReply) -> String {
 
 /// Formats closures, a line for each: `IC Room 6 is closed by Nia: wet floor, until 2026-12-31 17:00 UTC`.
 pub(super) fn closures_text(closures: &[Closure]) -> String {
-    let line = |Closure { part, order }: &Closure| {
-        let until = order.until_ms.map(|until_ms| format!(", until {}", time_in_zone(until_ms, "UTC")));
-        format!("{part} is {}{}", order.closure_text(), until.unwrap_or_default())
-    };
+    let line =
+        |Closure { part, order }: &Closure| format!("{part} is {}{}", order.closure_text(), until_text(order.until_ms));
     closures.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 

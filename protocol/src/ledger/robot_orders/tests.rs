@@ -249,6 +249,21 @@ fn the_latest_closure_of_a_place_counts() {
     assert_eq!(log.closed(), ["A"]);
 }
 
+/// A renewal of a lease has other large parts, too.
+#[test]
+fn a_notice_with_all_closures_takes_half_of_a_message_at_most() {
+    let (mut log, now_ms) = (Log::new(), 1_767_225_600_000);
+    let mut outcomes = (0..1000).map(|number| {
+        let parts = BTreeSet::from([ward(&format!("W{number}"))]);
+        let change = ClosureChange::Close { until_ms: Some(now_ms + 31_622_400_000), reason: String::new() };
+        let order = OrderRequest { change, by: "N".to_owned(), at_ms: now_ms, request: None };
+        log.apply(Command::ChangeClosures { parts, order })
+    });
+    assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::ClosuresFull)));
+    let bytes = codec::encoded_size(&OrdersNotice::of(&log.0, &robot("ada"), Some(now_ms)));
+    assert!((CLOSURES_BYTES_MAX..=codec::MESSAGE_BYTES_MAX / 2).contains(&bytes), "{bytes} bytes");
+}
+
 #[test]
 fn closures_are_limited_in_size_and_need_a_wire_version() {
     let mut log = Log::new();
