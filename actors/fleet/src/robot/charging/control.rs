@@ -6,7 +6,7 @@ use super::policy::{Activity, Claim, OtherRobot, Situation};
 use crate::robot::skill_runner::RunningSkill;
 use crate::robot::task_timeout::TaskTimer;
 use consort_protocol::ids::PlaceId;
-use consort_protocol::knowledge::Charging;
+use consort_protocol::knowledge::{ChargerClaim, Charging};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::descriptor::{EstimateContext, Estimator};
@@ -94,8 +94,9 @@ impl ChargeControl {
             nearest(estimator, context, chargers).into_iter().map(|drive| drive.to).collect::<Vec<_>>()
         };
         // A claim keeps the others away, so it ends when the robot can no longer reach the charger.
-        let is_cut_off = |claim: &Claim| {
-            !context.closed.is_empty() && nearest(estimator, context, [&claim.published.charger]).is_empty()
+        let is_cut_off = |Claim { published: ChargerClaim { charger, .. }, .. }: &Claim| {
+            let may_be_cut_off = !context.closed.is_empty() && charger != situation.place;
+            may_be_cut_off && nearest(estimator, context, [charger]).is_empty()
         };
         let idle = Activity::Idle;
         let activity = match &self.activity {

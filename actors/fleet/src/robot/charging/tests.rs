@@ -328,6 +328,10 @@ fn a_robot_gives_up_a_charger_when_the_way_to_it_is_closed() {
     control.decide(&situation(at(0)), &estimator, &open);
     control.next_task(&[], &estimator, &open, at(2_000)).expect("the drive");
     assert!(!control.decide(&situation(at(2_000)), &estimator, &closed(&["C"])), "another place");
+    let at_a = place("A");
+    let arrived = Situation { place: &at_a, ..situation(at(2_500)) };
+    let beside = EstimateContext { place: place("A"), pose: Some(Pose::new(0.5, 0.0, 0.0)), ..closed(&["A"]) };
+    assert!(!control.decide(&arrived, &estimator, &beside), "it is there");
     assert_eq!(control.published(), bound("A"));
     assert!(control.decide(&situation(at(3_000)), &estimator, &closed(&["A"])));
     assert_eq!((control.published(), control.is_acting()), (bound("C"), false));
