@@ -139,7 +139,8 @@ impl Bidder {
         let remaining = worker.battery.get() - present.map_or(0.0, |present| present.energy) - energy;
         if let Some(chargers) = &self.chargers {
             let end = EstimateContext { place: budget.ends_at, ..context };
-            chargers.check(remaining, worker.useful_charge, &self.estimator, &end)?;
+            let checked = chargers.check(remaining, worker.useful_charge, &self.estimator, &end);
+            checked.map_err(|reason| without_charger(reason, closures))?;
         }
         Ok(Bid {
             robot: self.robot.clone(),
@@ -164,8 +165,23 @@ fn refusal_while_closed(problem: &PriceError, closures: &[&str]) -> RefusalReaso
         _ => false,
     };
     let (own, other): (Vec<&str>, Vec<&str>) = closures.iter().copied().partition(is_own);
-    let closures = own.into_iter().chain(other).take(CLOSURES_NAMED).collect::<Vec<_>>().join("; ");
-    RefusalReason::NotEligible { why: format!("{problem}; {closures}"), permanent: false }
+    let why = with_closures(problem.to_string(), own.into_iter().chain(other));
+    RefusalReason::NotEligible { why, permanent: false }
+}
+
+/// Adds the closures to the refusal of a robot that could reach no charger at all.
+fn without_charger(reason: RefusalReason, closures: &[&str]) -> RefusalReason {
+    match reason {
+        RefusalReason::ChargerOutOfReach { charger: None, problem } => {
+            let problem = with_closures(problem, closures.iter().copied());
+            RefusalReason::ChargerOutOfReach { charger: None, problem }
+        }
+        reason => reason,
+    }
+}
+
+fn with_closures<'a>(problem: String, closures: impl Iterator<Item = &'a str>) -> String {
+    closures.take(CLOSURES_NAMED).fold(problem, |text, closure| format!("{text}; {closure}"))
 }
 
 /// Returns the refusal of a plan that cannot be priced. The robot may get a role later whose condition on its readings
@@ -183,7 +199,7 @@ fn refusal_of(problem: &PriceError) -> RefusalReason {
 mod tests {
     use super::*;
     use crate::robot::test_values::idle_robot;
-    use consort_protocol::auction::AuctionId;
+    use consort_protocol::auction::{AuctionId, BidLimits};
     use consort_protocol::pose::Pose;
     use consort_skills::descriptor::DescriptorRegistry;
     use consort_skills::domain_file::DomainFile;
@@ -200,8 +216,13 @@ mod tests {
         }
     }"#;
 
-    /// Returns the reply of a robot to a call for a task.
-    fn reply(estimator: Estimator, spec: &Value, context: &BidContext<'_>) -> RoleReply {
+    /// Returns the reply of a robot that needs any of these chargers to a call for a task.
+    fn reply(
+        estimator: Estimator,
+        chargers: Option<ChargerReserve>,
+        spec: &Value,
+        context: &BidContext<'_>,
+    ) -> RoleReply {
         let step = json!({ "action": { "Task": { "id": "it", "spec": spec } }, "after": [] });
         let plan: LocalPlan = serde_json::from_value(json!({ "role": "r1", "steps": [step] })).unwrap();
         let call = CallForBids {
@@ -211,7 +232,7 @@ mod tests {
             eligible: BTreeMap::new(),
             spread: BTreeSet::new(),
         };
-        let bidder = Bidder::new("ada".parse().unwrap(), Arc::new(estimator));
+        let bidder = Bidder::new("ada".parse().unwrap(), Arc::new(estimator)).with_chargers(chargers);
         let response = bidder.respond(&call, context);
         response.replies.into_iter().next().expect("a reply")
     }
@@ -241,7 +262,7 @@ mod tests {
         let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new()).unwrap();
         let spec = json!({ "type": task, "roles": ["r1"], "attempts": 2 });
         let readings = serde_json::from_value(readings.clone()).unwrap();
-        reply(estimator, &spec, &context(&robot_with(&["water", "lift"]), &readings))
+        reply(estimator, None, &spec, &context(&robot_with(&["water", "lift"]), &readings))
     }
 
     fn reason_of(reply: RoleReply) -> RefusalReason {
@@ -283,7 +304,7 @@ mod tests {
 
     /// Returns the refusal of a drive from the dock through the hall. People have closed the ward behind the hall, and
     /// the driver has found these lanes closed.
-    fn refusal_of_drive(to: &str, found: &[(&str, &str)]) -> RefusalReason {
+    fn refusal_of_drive(to: &str, found: &[(&str, &str)], chargers: Option<ChargerReserve>) -> RefusalReason {
         let place = |name: &str| -> PlaceId { name.parse().unwrap() };
         let edge = |a: &str, b: &str| Edge { a: place(a), b: place(b), length_m: 10.0, one_way: false };
         let places = [("Dock", 0.0), ("Hall", 10.0), ("Ward", 20.0), ("Island", 50.0)];
@@ -303,17 +324,25 @@ mod tests {
             ..context(&worker, &readings)
         };
         let spec = json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": to } });
-        reason_of(reply(estimator, &spec, &context))
+        reason_of(reply(estimator, chargers, &spec, &context))
     }
 
     #[test]
     fn only_what_people_have_closed_makes_a_refusal_temporary() {
-        let closed = refusal_of_drive("Ward", &[]);
+        let closed = refusal_of_drive("Ward", &[], None);
         assert!(matches!(&closed, RefusalReason::NotEligible { permanent: false, .. }), "{closed:?}");
         for (to, found) in [("Ward", vec![("Hall", "Dock")]), ("Island", vec![])] {
-            let reason = refusal_of_drive(to, &found);
+            let reason = refusal_of_drive(to, &found, None);
             assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{to}: {reason:?}");
         }
+    }
+
+    #[test]
+    fn a_refusal_for_want_of_a_charger_names_the_closures() {
+        let chargers = ChargerReserve::new(BTreeSet::from(["Ward".parse().unwrap()]), BidLimits::default());
+        let problem = "there is no way to a charger from Hall; Ward is closed by Nia".to_owned();
+        let expected = RefusalReason::ChargerOutOfReach { charger: None, problem };
+        assert_eq!(refusal_of_drive("Hall", &[], Some(chargers)), expected);
     }
 
     #[test]
