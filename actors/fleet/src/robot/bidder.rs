@@ -2,7 +2,9 @@
 
 use super::charging::ChargerReserve;
 use super::energy_check::pricing_context;
-use consort_protocol::auction::{Bid, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleReply};
+use consort_protocol::auction::{
+    Bid, BidLimits, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleReply, ViabilityError,
+};
 use consort_protocol::ensemble::{Eligibility, Ineligibility, Membership};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
@@ -157,6 +159,16 @@ impl Bidder {
     }
 }
 
+/// Checks whether only the charge keeps the robot from a role.
+pub(super) fn lacks_charge(reply: &RoleReply, limits: &BidLimits) -> bool {
+    match reply {
+        RoleReply::Bid(bid) => matches!(bid.check_viable(limits), Err(ViabilityError::LowCharge { .. })),
+        RoleReply::Refusal(refusal) => {
+            matches!(refusal.reason, RefusalReason::ChargerOutOfReach { charger: Some(_), .. })
+        }
+    }
+}
+
 /// Returns the refusal of a plan that can be priced without the closures of people.
 fn refusal_while_closed(problem: &PriceError, closures: &[&str]) -> RefusalReason {
     // The closure of the destination comes first.
@@ -199,7 +211,7 @@ fn refusal_of(problem: &PriceError) -> RefusalReason {
 mod tests {
     use super::*;
     use crate::robot::test_values::idle_robot;
-    use consort_protocol::auction::{AuctionId, BidLimits};
+    use consort_protocol::auction::AuctionId;
     use consort_protocol::pose::Pose;
     use consort_skills::descriptor::DescriptorRegistry;
     use consort_skills::domain_file::DomainFile;
@@ -302,9 +314,9 @@ mod tests {
         assert_eq!(reason, RefusalReason::NotEligible { why, permanent: false });
     }
 
-    /// Returns the refusal of a drive from the dock through the hall. People have closed the ward behind the hall, and
-    /// the driver has found these lanes closed.
-    fn refusal_of_drive(to: &str, found: &[(&str, &str)], chargers: Option<ChargerReserve>) -> RefusalReason {
+    /// Returns the reply to a call for a drive from the dock through the hall. People have closed the ward behind the
+    /// hall, and the driver has found these lanes closed.
+    fn reply_to_drive(to: &str, found: &[(&str, &str)], chargers: Option<ChargerReserve>) -> RoleReply {
         let place = |name: &str| -> PlaceId { name.parse().unwrap() };
         let edge = |a: &str, b: &str| Edge { a: place(a), b: place(b), length_m: 10.0, one_way: false };
         let places = [("Dock", 0.0), ("Hall", 10.0), ("Ward", 20.0), ("Island", 50.0)];
@@ -324,15 +336,15 @@ mod tests {
             ..context(&worker, &readings)
         };
         let spec = json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": to } });
-        reason_of(reply(estimator, chargers, &spec, &context))
+        reply(estimator, chargers, &spec, &context)
     }
 
     #[test]
     fn only_what_people_have_closed_makes_a_refusal_temporary() {
-        let closed = refusal_of_drive("Ward", &[], None);
+        let closed = reason_of(reply_to_drive("Ward", &[], None));
         assert!(matches!(&closed, RefusalReason::NotEligible { permanent: false, .. }), "{closed:?}");
         for (to, found) in [("Ward", vec![("Hall", "Dock")]), ("Island", vec![])] {
-            let reason = refusal_of_drive(to, &found, None);
+            let reason = reason_of(reply_to_drive(to, &found, None));
             assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{to}: {reason:?}");
         }
     }
@@ -340,9 +352,10 @@ mod tests {
     #[test]
     fn a_refusal_for_want_of_a_charger_names_the_closures() {
         let chargers = ChargerReserve::new(BTreeSet::from(["Ward".parse().unwrap()]), BidLimits::default());
+        let reply = reply_to_drive("Hall", &[], Some(chargers));
+        assert!(!lacks_charge(&reply, &BidLimits::default()), "more charge does not open the way");
         let problem = "there is no way to a charger from Hall; Ward is closed by Nia".to_owned();
-        let expected = RefusalReason::ChargerOutOfReach { charger: None, problem };
-        assert_eq!(refusal_of_drive("Hall", &[], Some(chargers)), expected);
+        assert_eq!(reason_of(reply), RefusalReason::ChargerOutOfReach { charger: None, problem });
     }
 
     #[test]

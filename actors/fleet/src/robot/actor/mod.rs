@@ -11,7 +11,7 @@ mod state;
 
 pub(crate) use message::RobotMessage;
 
-use super::bidder::{BidContext, Bidder, PresentWork};
+use super::bidder::{BidContext, Bidder, PresentWork, lacks_charge};
 use super::charging::{ChargeControl, ChargerReserve};
 use super::checkpoint::Checkpoint;
 use super::checkpoint_storage::CheckpointStorage;
@@ -27,7 +27,7 @@ use crate::robot::signals::ReceivedSignals;
 use consort_bus::reply;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Query, Sample};
-use consort_protocol::auction::{BidLimits, CallForBids, RefusalReason, RoleReply, ViabilityError};
+use consort_protocol::auction::CallForBids;
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
@@ -164,14 +164,6 @@ async fn read_checkpoint(settings: &RobotSettings) -> Option<Checkpoint> {
             warn!(%robot, %problem, "checkpoint discarded: the robot has lost its role");
             None
         }
-    }
-}
-
-/// Checks whether only the charge keeps the robot from a role.
-fn lacks_charge(reply: &RoleReply, limits: &BidLimits) -> bool {
-    match reply {
-        RoleReply::Bid(bid) => matches!(bid.check_viable(limits), Err(ViabilityError::LowCharge { .. })),
-        RoleReply::Refusal(refusal) => matches!(refusal.reason, RefusalReason::ChargerOutOfReach { .. }),
     }
 }
 
