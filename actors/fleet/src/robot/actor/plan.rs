@@ -180,8 +180,10 @@ impl RobotState {
     fn waits_for_opening(&self, now: NodeTime) -> bool {
         let active = self.execution.plan.as_ref().filter(|_| !self.orders.closed(now).is_empty());
         let task = active.and_then(|active| active.sequencer.current_step()).map(|(.., task)| task);
-        let (estimator, context) = (&self.settings.pricing.estimator, self.driver.estimate_context());
-        task.is_some_and(|task| is_closed_by_people(estimator, task, &context, self.driver.found_closed()))
+        task.is_some_and(|task| {
+            let (estimator, context) = (&self.settings.pricing.estimator, self.driver.estimate_context());
+            is_closed_by_people(estimator, task, &context, self.driver.found_closed())
+        })
     }
 
     /// Prices the remaining plan with the current charge. A robot that would strand releases the
