@@ -14,9 +14,10 @@
 //!
 //! Robots exclude each other by *claims* in their knowledge records: a robot claims a charger that no
 //! other robot claims or occupies, publishes the claim, and drives once the claim is old enough to have
-//! reached the others. If two robots claim a charger at the same time, the claim with less charge
-//! prevails, then the first name. A partition can hide a claim; the robots then meet at the charger, and
-//! one of them gives way once they receive each other's records.
+//! reached the others. A claim ends when the way to the charger is closed. If two robots claim a charger
+//! at the same time, the claim with less charge prevails, then the first name. A partition can hide a
+//! claim; the robots then meet at the charger, and one of them gives way once they receive each other's
+//! records.
 //!
 //! The decisions are in `policy`, the estimates of drives in `drives`, and the state of the robot in
 //! `control`. The actor performs them.
