@@ -93,6 +93,8 @@ pub enum Command {
         moved_nothing: bool,
         /// Last known place of the robot.
         place: Option<PlaceId>,
+        /// True if the robot returned the role to give way, although it could have gone on.
+        gave_way: bool,
     },
     /// Fails a mission that cannot be completed.
     Fail {
@@ -560,4 +562,5 @@ pub(super) struct ReleaseCause {
     pub(super) class: Option<CauseClass>,
     pub(super) moved_nothing: bool,
     pub(super) place: Option<PlaceId>,
+    pub(super) gave_way: bool,
 }

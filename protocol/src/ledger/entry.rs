@@ -81,15 +81,22 @@ pub struct RoleRelease {
     pub cause: String,
     /// Class of the cause if the robot failed at the role; without one it was lost, or gave the role back.
     pub class: Option<CauseClass>,
-    /// True if the robot had confirmed the role. A release before confirmation does not count
-    /// towards the limit of releases.
+    /// True if the robot had confirmed the role.
     pub confirmed: bool,
+    /// True if the robot returned the role to give way.
+    #[serde(default)]
+    pub gave_way: bool,
 }
 
 impl RoleRelease {
     /// Checks whether the robot is not invited again for this role of the mission.
     pub fn excludes_robot(&self) -> bool {
         self.class.is_some_and(CauseClass::excludes_robot)
+    }
+
+    /// Checks whether the release counts towards the limit of releases: the robot had started, and could not go on.
+    pub(super) fn counts(&self) -> bool {
+        self.confirmed && !self.gave_way
     }
 }
 

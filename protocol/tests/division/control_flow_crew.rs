@@ -179,8 +179,8 @@ impl<'m> Crew<'m> {
         let Some((role, epoch)) = held.get(self.rng.below(held.len().max(1))).cloned() else { return Ok(false) };
         self.losses -= 1;
         let (mission, cause) = (self.mission.clone(), "lost".to_owned());
-        let (class, moved_nothing, place) = (None, false, None);
-        self.apply(Command::Release { mission, role, epoch, cause, class, moved_nothing, place })?;
+        let (class, moved_nothing, place, gave_way) = (None, false, None, false);
+        self.apply(Command::Release { mission, role, epoch, cause, class, moved_nothing, place, gave_way })?;
         Ok(true)
     }
 

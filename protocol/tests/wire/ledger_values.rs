@@ -162,15 +162,16 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             let (mission, role, epoch) = held;
             Command::Progress { mission, role, epoch, branch, ended, outcomes }
         }),
-        (held(), text(), option::of(cause_class()), any::<bool>(), option::of(place())).prop_map(
-            |((mission, role, epoch), cause, class, moved_nothing, place)| Command::Release {
+        (held(), text(), option::of(cause_class()), any::<[bool; 2]>(), option::of(place())).prop_map(
+            |((mission, role, epoch), cause, class, [moved_nothing, gave_way], place)| Command::Release {
                 mission,
                 role,
                 epoch,
                 cause,
                 class,
                 moved_nothing,
-                place
+                place,
+                gave_way
             }
         ),
         (name(), text(), option::of(branch()), places(), cause_class()).prop_map(

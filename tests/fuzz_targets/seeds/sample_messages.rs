@@ -287,6 +287,7 @@ fn ledger_commands() -> Vec<Command> {
             class: Some(CauseClass::Robot),
             moved_nothing: false,
             place: Some(slug("Dock")),
+            gave_way: false,
         },
         Command::AskPerson { mission: mission(), branch: Branch::default(), role: slug("nurse"), step: 1, asked_ms: 7 },
         Command::SetQuestion { mission: mission(), role: slug("r1"), epoch, question: question(), asked_ms: 7 },

@@ -120,8 +120,16 @@ mod tests {
                 assert_eq!(ledger.apply(at(10 * number + 2), progress), CommandOutcome::Done);
             }
             let (cause, class, place) = ("silent".to_owned(), Some(CauseClass::Robot), None);
-            let (mission_id, role, moved_nothing) = (mission.clone(), r2.clone(), false);
-            let release = Command::Release { mission: mission_id, role, epoch, cause, class, moved_nothing, place };
+            let release = Command::Release {
+                mission: mission.clone(),
+                role: r2.clone(),
+                epoch,
+                cause,
+                class,
+                moved_nothing: false,
+                place,
+                gave_way: false,
+            };
             assert_eq!(ledger.apply(at(10 * number + 3), release), CommandOutcome::Done);
             let reason = RefusalReason::Busy { mission: mission.clone(), role: r1.clone() };
             let refusals = busy.iter().map(|robot| AuctionEntry {

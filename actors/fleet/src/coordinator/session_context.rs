@@ -107,7 +107,8 @@ impl SessionContext {
     pub(super) fn release_role(&mut self, awarded: AwardedRole, cause: String, class: Option<CauseClass>) {
         let AwardedRole { mission, role, robot, epoch } = awarded;
         let place = last_known_place(&self.settings.parts.knowledge, &robot);
-        self.propose(Command::Release { mission, role, epoch, cause, class, moved_nothing: false, place });
+        let (moved_nothing, gave_way) = (false, false);
+        self.propose(Command::Release { mission, role, epoch, cause, class, moved_nothing, place, gave_way });
     }
 
     /// Notifies a robot of the end of an award.

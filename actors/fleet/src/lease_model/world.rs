@@ -245,6 +245,7 @@ impl World {
             class: None,
             moved_nothing: false,
             place: None,
+            gave_way: false,
         };
         self.commit(release, epoch);
     }

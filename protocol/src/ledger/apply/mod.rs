@@ -52,8 +52,8 @@ impl Ledger {
             Command::Progress { mission, role, epoch, branch, ended, outcomes } => {
                 self.progress(&mission, &role, epoch, branch, &ended, outcomes)
             }
-            Command::Release { mission, role, epoch, cause, class, moved_nothing, place } => {
-                self.release(&mission, &role, epoch, &ReleaseCause { cause, class, moved_nothing, place })
+            Command::Release { mission, role, epoch, cause, class, moved_nothing, place, gave_way } => {
+                self.release(&mission, &role, epoch, &ReleaseCause { cause, class, moved_nothing, place, gave_way })
             }
             Command::Fail { mission, cause, branch, places, class } => {
                 self.fail(&mission, MissionState::Failed { cause, class }, branch, &places)

@@ -118,7 +118,16 @@ impl Log {
     fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> CommandOutcome {
         let cause = "silent for 7 s".to_owned();
         let (mission, role) = (mission.clone(), role(who));
-        self.apply(Command::Release { mission, role, epoch, cause, class: None, moved_nothing: false, place: None })
+        self.apply(Command::Release {
+            mission,
+            role,
+            epoch,
+            cause,
+            class: None,
+            moved_nothing: false,
+            place: None,
+            gave_way: false,
+        })
     }
 
     fn state(&self, mission: &MissionId) -> &MissionState {
@@ -490,6 +499,7 @@ fn long_texts_do_not_exceed_the_limit_of_a_mission() {
             class: Some(CauseClass::Robot),
             moved_nothing: false,
             place: None,
+            gave_way: false,
         });
     }
     let (places, cause, class) = (BTreeMap::new(), long.clone(), CauseClass::Task);

@@ -25,7 +25,7 @@ use crate::mission::{OnLoss, RoleKind};
 use crate::plan::ItemMove;
 use std::collections::BTreeMap;
 
-/// Maximum number of releases from robots that had confirmed their roles; then the mission fails.
+/// Maximum number of releases from robots that had confirmed their roles and did not give way; then the mission fails.
 /// Raised: a mission survives more losses, but a mission that no robot can complete occupies more
 /// robots. Default: a guess.
 const RELEASES_MAX: usize = 5;
@@ -46,16 +46,22 @@ impl Ledger {
             return Ok(CommandOutcome::Done);
         };
         let confirmed = role.phase == RolePhase::Active;
-        let ReleaseCause { cause, class, moved_nothing, place } = loss;
+        let ReleaseCause { cause, class, moved_nothing, place, gave_way } = loss;
         // A robot that was lost, or gave the role back, leaves it to another robot.
         let mission_class = class.unwrap_or(CauseClass::Robot);
         let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
-        let (role, holder) = (role_id.clone(), robot.clone());
-        entry.releases.push(RoleRelease { role, robot: holder, cause: cause.clone(), class: *class, confirmed });
+        entry.releases.push(RoleRelease {
+            role: role_id.clone(),
+            robot: robot.clone(),
+            cause: cause.clone(),
+            class: *class,
+            confirmed,
+            gave_way: *gave_way,
+        });
         entry.release_count = entry.release_count.saturating_add(1);
         if entry.releases.len() > RELEASES_KEPT {
-            let first = entry.releases.iter().position(|released| !released.confirmed).unwrap_or(0);
+            let first = entry.releases.iter().position(|released| !released.counts()).unwrap_or(0);
             entry.releases.remove(first);
         }
 
@@ -90,12 +96,11 @@ impl Ledger {
             let (cause, class) = (cause.clone(), mission_class);
             return self.end(mission, MissionState::Failed { cause, class }, &places, undone);
         }
-        let confirmed_releases: Vec<&RoleRelease> =
-            entry.releases.iter().filter(|released| released.confirmed).collect();
-        if confirmed_releases.len() >= RELEASES_MAX {
-            let causes = confirmed_releases.iter().map(|released| format!("{} ({})", released.cause, released.role));
+        let counted: Vec<&RoleRelease> = entry.releases.iter().filter(|released| released.counts()).collect();
+        if counted.len() >= RELEASES_MAX {
+            let causes = counted.iter().map(|released| format!("{} ({})", released.cause, released.role));
             let causes = causes.collect::<Vec<_>>().join("; ");
-            let cause = format!("its roles were given up {} times: {causes}", confirmed_releases.len());
+            let cause = format!("its roles were given up {} times: {causes}", counted.len());
             return self.end(mission, MissionState::Failed { cause, class: mission_class }, &places, undone);
         }
         self.active_mission(mission)?.keep_energy_of(role_id);

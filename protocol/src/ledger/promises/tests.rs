@@ -71,8 +71,8 @@ impl Log {
 
     fn release(&mut self, mission: &MissionId, id: &str) -> CommandOutcome {
         let (epoch, role, cause) = (self.epoch(mission, id), role(id), "lost".to_owned());
-        let (mission, class, place) = (mission.clone(), None, None);
-        self.apply(Command::Release { mission, role, epoch, cause, class, moved_nothing: true, place })
+        let (mission, class, place, gave_way) = (mission.clone(), None, None, false);
+        self.apply(Command::Release { mission, role, epoch, cause, class, moved_nothing: true, place, gave_way })
     }
 
     /// Ends all steps of a held role.

@@ -109,10 +109,10 @@ impl Log {
             incarnation,
             from_checkpoint,
         });
-        let (cause, class, moved_nothing, place) = ("lost".to_owned(), None, false, None);
+        let (cause, class, moved_nothing, place, gave_way) = ("lost".to_owned(), None, false, None, false);
         let outcome = self.apply(match ends {
             true => Command::Progress { mission, role, epoch, branch, ended, outcomes },
-            false => Command::Release { mission, role, epoch, cause, class, moved_nothing, place },
+            false => Command::Release { mission, role, epoch, cause, class, moved_nothing, place, gave_way },
         });
         assert_eq!(outcome, CommandOutcome::Done);
     }

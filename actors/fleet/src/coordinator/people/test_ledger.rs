@@ -76,6 +76,7 @@ pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
             class: None,
             moved_nothing: false,
             place,
+            gave_way: false,
         };
         assert_eq!(ledger.apply(at(4), release), CommandOutcome::Done);
         assert_eq!(ledger.mission(&mission).unwrap().branch, Branch::Recovery);

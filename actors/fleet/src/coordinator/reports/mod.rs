@@ -309,6 +309,7 @@ fn release_failed(report: &Report, failure: &TaskFailure) -> Command {
         class: (!gave_back).then_some(failure.class),
         moved_nothing: failure.moved_nothing,
         place: report.place.clone(),
+        gave_way: failure.kind == FailureKind::GaveWay,
     }
 }
 

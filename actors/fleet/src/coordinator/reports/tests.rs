@@ -34,3 +34,20 @@ fn nobody_reports_for_a_person() {
         }
     }
 }
+
+/// A role returned to give way does not count towards the limit of releases.
+#[test]
+fn the_ledger_learns_that_a_robot_gives_way() {
+    let (ledger, mission) = ledger(false);
+    let entry = ledger.mission(&mission).unwrap();
+    let (role, held) = entry.role_holders().pop_first().unwrap();
+    for (kind, expected) in [(FailureKind::GaveWay, true), (FailureKind::Checkpoint, false), (FailureKind::Task, false)]
+    {
+        let report =
+            Report { robot: held.robot.clone(), role: role.clone(), epoch: held.epoch, ..report(&mission, &[]) };
+        let Command::Release { gave_way, .. } = release_failed(&report, &TaskFailure::new(kind, "a cause")) else {
+            panic!("no release")
+        };
+        assert_eq!(gave_way, expected, "{kind:?}");
+    }
+}

@@ -168,7 +168,16 @@ impl Log {
 
     fn release(&mut self, who: &str, epoch: Epoch, class: Option<CauseClass>, moved_nothing: bool) {
         let (mission, role, cause) = (self.2.clone(), role(who), "silent for 7 s".to_owned());
-        let release = Command::Release { mission, role, epoch, cause, class, moved_nothing, place: Some(place()) };
+        let (place, gave_way) = (Some(place()), false);
+        let release = Command::Release { mission, role, epoch, cause, class, moved_nothing, place, gave_way };
+        assert_eq!(self.apply(release), CommandOutcome::Done);
+    }
+
+    /// The robot returns a role that it has confirmed.
+    fn give_way(&mut self, who: &str, epoch: Epoch) {
+        let (mission, role, cause) = (self.2.clone(), role(who), "it gives way to b".to_owned());
+        let (class, moved_nothing, place, gave_way) = (None, true, Some(place()), true);
+        let release = Command::Release { mission, role, epoch, cause, class, moved_nothing, place, gave_way };
         assert_eq!(self.apply(release), CommandOutcome::Done);
     }
 
@@ -425,6 +434,23 @@ fn releases_before_confirmation_are_not_counted() {
     }
     assert_eq!(log.entry().state, MissionState::Pending);
     assert_eq!(log.entry().releases.len(), RELEASES_KEPT);
+}
+
+#[test]
+fn roles_returned_to_give_way_are_not_counted() {
+    let mut log = Log::of(&fetch_parcel());
+    for count in 0..3 * RELEASES_MAX {
+        let epoch = log.hold(&[("r1", "amber"), ("lab_arm", "arm")][..if count == 0 { 2 } else { 1 }]);
+        log.give_way("r1", epoch);
+        assert_eq!(log.entry().state, MissionState::Pending, "returned {} times", count + 1);
+    }
+    // Releases of the other kind still count, and are kept instead.
+    for _ in 0..RELEASES_MAX {
+        let epoch = log.hold(&[("r1", "amber")]);
+        log.lose("r1", epoch, false);
+    }
+    let MissionState::Failed { cause, .. } = &log.entry().state else { panic!("{:?}", log.entry().state) };
+    assert!(cause.starts_with("its roles were given up 5 times: silent for 7 s (r1); "), "{cause}");
 }
 
 #[test]

@@ -110,6 +110,7 @@ fn a_branch_that_needs_an_unknown_place_is_not_taken() {
         class: None,
         moved_nothing: false,
         place: None,
+        gave_way: false,
     });
     assert_eq!(log.intervention().1, [("amber", None, true)]);
 }

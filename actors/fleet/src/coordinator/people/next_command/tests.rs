@@ -108,6 +108,7 @@ fn a_request_is_withdrawn_when_the_robot_is_lost() {
         class: None,
         moved_nothing: false,
         place: None,
+        gave_way: false,
     };
     assert_eq!(apply(&mut main, release), CommandOutcome::Done);
     assert!(main.open_person_requests().is_empty());
