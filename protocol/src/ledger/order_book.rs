@@ -17,7 +17,7 @@ pub(super) const ORDER_REQUESTS_BYTES_MAX: usize = ORDER_REQUESTS_MAX * 80;
 /// The orders in the ledger.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct OrderBook {
-    /// Position in the log of the latest change.
+    /// Position in the log of the latest change, also of the items for which robots must stay at their places.
     pub(super) changed: Epoch,
     /// The orders in force.
     pub(super) orders: Orders,

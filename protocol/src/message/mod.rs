@@ -23,7 +23,7 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::{ClosedPart, Closure, Ledger, RobotOrder, TaskQuestion};
+use crate::ledger::{ClosedPart, Closure, HeldItem, Ledger, RobotOrder, TaskQuestion};
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -178,7 +178,7 @@ pub enum AwardNotice {
 /// latest that it has received, so a delayed message changes nothing.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OrdersNotice {
-    /// Position of the latest change of any order.
+    /// Position of the latest change of any order, or of the items that robots have after they lost their roles.
     pub as_of: Epoch,
     /// Present while the robot is held.
     pub hold: Option<OrderNotice>,
@@ -187,6 +187,8 @@ pub struct OrdersNotice {
     /// The closed places and lanes.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub closures: Vec<ClosureNotice>,
+    /// Present while people look for an item at the robot: it does not leave its place by itself.
+    pub stay: Option<OrderNotice>,
 }
 
 /// A closed place or lane.
@@ -203,7 +205,7 @@ pub struct ClosureNotice {
 /// Order of a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OrderNotice {
-    /// The order, as text: `held by Nia: a spill`.
+    /// The order, or another reason, as text: `held by Nia: a spill`.
     #[serde(deserialize_with = "bounds::text")]
     pub text: String,
     /// Time until its end, in milliseconds from the receipt of the message; `None` for no end.
@@ -211,9 +213,9 @@ pub struct OrderNotice {
 }
 
 impl OrdersNotice {
-    /// Checks whether it contains neither orders nor closures.
+    /// Checks whether it contains neither orders nor closures, nor a reason to stay.
     pub fn is_empty(&self) -> bool {
-        self.hold.is_none() && self.maintenance.is_none() && self.closures.is_empty()
+        self.hold.is_none() && self.maintenance.is_none() && self.closures.is_empty() && self.stay.is_none()
     }
 
     /// Returns the orders of a robot. `confirmed_ms` is the time of day that a majority of the voters confirms, in
@@ -226,6 +228,11 @@ impl OrdersNotice {
         let orders = ledger.orders_of(robot);
         let hold = orders.and_then(|orders| orders.hold.as_ref());
         let maintenance = orders.and_then(|orders| orders.maintenance.as_ref());
+        let mut items = ledger.held_items().filter(|(_, held)| held.robot == *robot);
+        let stay = items.next().map(|(entry, HeldItem { item, certain, .. })| {
+            let has = if certain { "has" } else { "may have" };
+            OrderNotice { text: format!("{has} the {item} of {}", entry.id), remaining_ms: None }
+        });
         OrdersNotice {
             as_of: ledger.orders_changed(),
             hold: hold.map(|order| notice(order, order.hold_text())),
@@ -238,6 +245,7 @@ impl OrdersNotice {
                     order: notice(&order, order.closure_text()),
                 })
                 .collect(),
+            stay,
         }
     }
 }

@@ -46,8 +46,9 @@ fn orders() -> impl Strategy<Value = OrdersNotice> {
         order,
         until_ms,
     });
-    (epoch(), option::of(order()), option::of(order()), vec(closure, 0..3))
-        .prop_map(|(as_of, hold, maintenance, closures)| OrdersNotice { as_of, hold, maintenance, closures })
+    (epoch(), option::of(order()), option::of(order()), vec(closure, 0..3), option::of(order())).prop_map(
+        |(as_of, hold, maintenance, closures, stay)| OrdersNotice { as_of, hold, maintenance, closures, stay },
+    )
 }
 
 pub(crate) fn award_answer() -> impl Strategy<Value = AwardReply> {

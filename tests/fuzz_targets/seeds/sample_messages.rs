@@ -327,7 +327,7 @@ fn orders() -> OrdersNotice {
         order: OrderNotice { text: "closed by Nia: a spill".to_owned(), remaining_ms: Some(600_000) },
         until_ms: Some(700_000),
     }];
-    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None, closures }
+    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None, closures, stay: None }
 }
 
 fn schedule() -> Schedule {

@@ -22,6 +22,7 @@ pub(super) struct StandingOrders {
     hold: Option<StandingOrder>,
     maintenance: Option<StandingOrder>,
     closures: Vec<StandingClosure>,
+    stay: Option<StandingOrder>,
     /// Time from which the robot may act without a role.
     acts_alone_from: NodeTime,
 }
@@ -64,14 +65,19 @@ impl StandingOrders {
 
     /// Receives the orders from a coordinator. A notice that is older than the latest has no effect.
     pub(super) fn receive(&mut self, notice: OrdersNotice, now: NodeTime) {
-        let OrdersNotice { as_of, hold, maintenance, closures } = notice;
+        let OrdersNotice { as_of, hold, maintenance, closures, stay } = notice;
         if as_of < self.as_of {
             return;
         }
         let standing = |order: Option<OrderNotice>| order.map(|order| StandingOrder::new(order, now));
-        let (hold, maintenance) = (standing(hold), standing(maintenance));
+        let (hold, maintenance, stay) = (standing(hold), standing(maintenance), standing(stay));
         let closures = closures.into_iter().map(|closure| StandingClosure::new(closure, now)).collect();
-        *self = StandingOrders { as_of, hold, maintenance, closures, acts_alone_from: now };
+        *self = StandingOrders { as_of, hold, maintenance, closures, stay, acts_alone_from: now };
+    }
+
+    /// Waits for a notice before the robot acts without a role: it has lost its role, perhaps with an item.
+    pub(super) fn await_notice(&mut self, now: NodeTime) {
+        self.acts_alone_from = self.acts_alone_from.max(now + FIRST_NOTICE_WAIT);
     }
 
     /// Accepts any position from now on: the positions of another cluster are counted anew. A cluster without orders
@@ -80,9 +86,14 @@ impl StandingOrders {
         self.as_of = Epoch::default();
         let end = now + FIRST_NOTICE_WAIT;
         let of_closures = self.closures.iter_mut().map(|closure| &mut closure.order);
-        for order in self.hold.iter_mut().chain(&mut self.maintenance).chain(of_closures) {
+        for order in self.hold.iter_mut().chain(&mut self.maintenance).chain(&mut self.stay).chain(of_closures) {
             order.until = Some(order.until.map_or(end, |until| until.min(end)));
         }
+    }
+
+    /// Returns the reason for which the robot must not leave its place by itself, as `has the parcel of fetch-1`.
+    pub(super) fn reason_to_stay(&self, now: NodeTime) -> Option<&str> {
+        self.stay.as_ref().filter(|stay| stay.is_in_force(now)).map(|stay| stay.text.as_str())
     }
 
     /// Checks whether the robot may act without a role: a coordinator has sent its orders, or none does.
@@ -144,6 +155,19 @@ mod tests {
         assert!(!orders.may_act_alone(at(9_999)) && orders.may_act_alone(at(10_000)));
         orders.receive(notice(5, None), at(100));
         assert!(orders.may_act_alone(at(100)));
+    }
+
+    #[test]
+    fn a_robot_with_an_item_stays_until_a_person_has_it() {
+        let mut orders = StandingOrders::default();
+        orders.receive(notice(5, None), at(0));
+        orders.await_notice(at(1_000));
+        assert!(!orders.may_act_alone(at(10_999)) && orders.may_act_alone(at(11_000)), "its role has just ended");
+        orders.receive(OrdersNotice { stay: order("has the parcel of fetch-1", None), ..notice(7, None) }, at(2_000));
+        assert_eq!(orders.reason_to_stay(at(900_000)), Some("has the parcel of fetch-1"));
+        assert!(orders.problem(at(2_000)).is_none() && !orders.is_held(at(2_000)), "its own mission may use it");
+        orders.receive(notice(9, None), at(3_000));
+        assert!(orders.reason_to_stay(at(3_000)).is_none() && orders.may_act_alone(at(3_000)));
     }
 
     #[test]

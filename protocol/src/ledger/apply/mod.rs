@@ -39,6 +39,7 @@ impl Ledger {
         let command = if self.keeps_history() { command.limited() } else { command };
         let mission = command.mission().cloned();
         let requested = self.audited_request(&command);
+        let held = self.held_items_of(mission.as_ref());
         let done = match command {
             Command::Bootstrap { cluster } => Ok(self.bootstrap(cluster)),
             Command::Submit(submission) => self.submit(*submission),
@@ -89,6 +90,9 @@ impl Ledger {
         };
         if let (Some(request), Ok(outcome)) = (requested, &done) {
             self.record_request(request, outcome);
+        }
+        if self.keeps_history() && self.held_items_of(mission.as_ref()) != held {
+            self.order_book_mut().changed = at; // the robots learn that they must stay, or may leave
         }
         if let Some(entry) = mission.and_then(|mission| self.missions.get_mut(&mission)) {
             entry.withdraw_needless_requests();
@@ -177,14 +181,11 @@ impl Ledger {
     /// Returns the items of missions that wait for a person, or that execute their recovery branch,
     /// with these missions. Robots with such items get no role of another mission.
     pub fn held_items(&self) -> impl Iterator<Item = (&MissionEntry, HeldItem)> {
-        self.missions.values().flat_map(|entry| {
-            let items = match &entry.state {
-                MissionState::NeedsIntervention { items, .. } => items.clone(),
-                MissionState::Pending | MissionState::Running => entry.unmoved_items(),
-                MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
-            };
-            items.into_iter().map(move |item| (entry, item))
-        })
+        self.missions.values().flat_map(|entry| entry.held_items().into_iter().map(move |item| (entry, item)))
+    }
+
+    fn held_items_of(&self, mission: Option<&MissionId>) -> Vec<HeldItem> {
+        mission.and_then(|mission| self.missions.get(mission)).map(MissionEntry::held_items).unwrap_or_default()
     }
 
     /// Returns the role that a robot holds now, with the epoch of its award.

@@ -218,9 +218,18 @@ impl MissionEntry {
         self.roles.get(id).is_some_and(|role| role.phase == RolePhase::Ended || is_idle(role))
     }
 
+    /// Returns the items at robots that may act no more in the roles in which they received them.
+    pub(super) fn held_items(&self) -> Vec<HeldItem> {
+        match &self.state {
+            MissionState::NeedsIntervention { items, .. } => items.clone(),
+            MissionState::Pending | MissionState::Running => self.unmoved_items(),
+            MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
+        }
+    }
+
     /// Returns the items that the recovery branch has not moved: they are still where they were
     /// lost.
-    pub(super) fn unmoved_items(&self) -> Vec<HeldItem> {
+    fn unmoved_items(&self) -> Vec<HeldItem> {
         if self.items_at_recovery.is_empty() {
             return vec![];
         }

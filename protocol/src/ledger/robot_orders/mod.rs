@@ -32,7 +32,8 @@ impl Ledger {
         self.orders_of(robot).is_some_and(|orders| orders.hold.is_some())
     }
 
-    /// Returns the position of the latest change of any order; the default if there was none.
+    /// Returns the position of the latest change of any order, or of [`held_items`](Self::held_items); the default if
+    /// there was none.
     pub fn orders_changed(&self) -> Epoch {
         self.order_book().changed
     }

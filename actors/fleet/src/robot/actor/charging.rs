@@ -18,7 +18,8 @@ impl RobotState {
         if self.charging.is_none() || !self.orders.may_act_alone(now) {
             return Ok(());
         }
-        if self.driver.worker().availability != Availability::Free || self.driver.telemetry().is_none() {
+        let is_free = self.driver.worker().availability == Availability::Free && self.driver.telemetry().is_some();
+        if !is_free || self.orders.reason_to_stay(now).is_some() {
             self.stop_charging();
             return Ok(());
         }

@@ -221,6 +221,9 @@ impl RobotState {
     fn end_plan(&mut self, epoch: Epoch, reason: EndReason) {
         if let Some(mut active) = self.execution.take_plan(epoch) {
             active.stop();
+            if active.sequencer.may_have_custody() && reason != EndReason::Over {
+                self.orders.await_notice(self.now());
+            }
             self.signals.end_role(&active.award.mission, &active.award.role);
             // The events have happened and are published. Signals that were not sent are left to
             // the next holder.

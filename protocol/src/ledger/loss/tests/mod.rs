@@ -10,6 +10,8 @@ use crate::ids::RequestId;
 use crate::lease::RoleHolder;
 use crate::ledger::Command;
 use crate::ledger::HistoryLimits;
+use crate::ledger::history::HISTORY_SINCE;
+use crate::message::OrdersNotice;
 use crate::mission::test_data::{FETCH_PARCEL, domain};
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::{StepIndex, divide_and_check};
@@ -273,6 +275,24 @@ fn a_carrier_lost_with_the_parcel_needs_intervention_until_resolved() {
         assert!(matches!(again, CommandOutcome::Refused(CommandError::NoInterventionNeeded { .. })), "{again:?}");
         assert!(matches!(log.award(&[("r1", "amber"), ("lab_arm", "arm")]), CommandOutcome::Awarded { .. }));
     }
+}
+
+#[test]
+fn a_robot_lost_with_the_parcel_stays_until_a_person_has_it() {
+    let mut log = Log::of(&fetch_parcel());
+    log.apply(Command::RaiseWireVersion { wire: HISTORY_SINCE });
+    let awarded = log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", awarded, 0..8);
+    let notice = |log: &Log, name: &str| OrdersNotice::of(&log.0, &robot(name), None);
+    assert_eq!(notice(&log, "amber"), OrdersNotice::default(), "it carries the parcel in its role");
+    log.lose("r1", awarded, false);
+    let stays = notice(&log, "amber");
+    assert_eq!(stays.stay.map(|stay| stay.text), Some(format!("has the parcel of {}", log.2)));
+    assert_eq!(notice(&log, "arm").stay, None);
+    let (mission, by) = (log.2.clone(), "Nia".to_owned());
+    assert_eq!(log.apply(Command::Resolve { mission, by, at_ms: 7 }), CommandOutcome::Done);
+    let free = notice(&log, "amber");
+    assert!(free.is_empty() && Epoch::default() < stays.as_of && stays.as_of < free.as_of, "{free:?}");
 }
 
 #[test]
