@@ -130,7 +130,7 @@ impl Condition {
 
 fn may_use_attribute(expression: &IdedExpr, name: &str) -> bool {
     match &expression.expr {
-        Expr::Ident(variable) => ["member", "coordinator"].contains(&variable.as_str()),
+        Expr::Ident(variable) => ["member", "coordinator", "robot"].contains(&variable.as_str()),
         Expr::Select(select) if select.field == ATTRIBUTES => true,
         Expr::Select(select) => {
             let mut operand: &IdedExpr = &select.operand;

@@ -30,6 +30,11 @@ impl Eligibility {
         Condition::compile(text, &example).map(Eligibility)
     }
 
+    /// Checks whether the result may depend on this attribute of the robot.
+    pub(super) fn may_use_attribute(&self, name: &str) -> bool {
+        self.0.may_use_attribute(name)
+    }
+
     /// Compiles a condition and checks it for a robot.
     ///
     /// # Errors

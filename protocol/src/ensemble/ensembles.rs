@@ -1,7 +1,7 @@
 //! The ensembles of a fleet.
 
 use super::private_attributes::{private_attribute_problems, private_attributes};
-use super::{ConditionError, Ensemble, EnsembleSpec, Membership};
+use super::{ConditionError, Eligibility, Ensemble, EnsembleSpec, Membership};
 use crate::ids::{EnsembleId, NodeId};
 use crate::knowledge::{KnowledgeBase, RobotKnowledge};
 use crate::units::NodeTime;
@@ -44,6 +44,15 @@ impl Ensembles {
         let is_private = |name: &str| self.iter().flat_map(private_attributes).any(|private| private == name);
         robot.attributes.retain(|name| !is_private(name));
         robot
+    }
+
+    /// Returns a private attribute that the condition may use, with the ensemble that exchanges it: the records of
+    /// robots do not contain it.
+    pub fn private_attribute_of(&self, condition: &Eligibility) -> Option<(&EnsembleId, &str)> {
+        let mut attributes = self
+            .iter()
+            .flat_map(|ensemble| private_attributes(ensemble).map(move |name| (&ensemble.spec().name, name)));
+        attributes.find(|(_, name)| condition.may_use_attribute(name))
     }
 
     /// Returns the nodes that this node evaluates to be members of each ensemble.

@@ -40,7 +40,7 @@ pub(super) fn private_attributes(ensemble: &Ensemble) -> impl Iterator<Item = &s
 #[cfg(test)]
 mod tests {
     use super::super::facts::example_robot;
-    use super::super::{EnsembleSpec, Ensembles};
+    use super::super::{Eligibility, EnsembleSpec, Ensembles};
     use super::*;
     use crate::ids::EnsembleId;
     use crate::knowledge::{Attributes, RobotKnowledge};
@@ -61,6 +61,22 @@ mod tests {
         let all = attributes(serde_json::json!({ "code": "4711", "section": "icu", "floor": 3 }));
         let robot = ensembles.published(RobotKnowledge { attributes: all, ..example_robot() });
         assert_eq!(robot.attributes, attributes(serde_json::json!({ "section": "icu", "floor": 3 })));
+    }
+
+    #[test]
+    fn a_condition_on_robots_that_uses_an_exchanged_attribute_is_found() {
+        let ensembles = Ensembles::compile(vec![spec("icu", "member.robot", &["attributes.code"])]).unwrap();
+        for (condition, is_used) in [
+            ("robot.attributes.code == 'a'", true),
+            ("has(robot.attributes.code)", true),
+            ("robot.attributes['code'] == 'a'", true),
+            ("[robot].exists(one, one.battery > 0.5)", true),
+            ("robot.attributes.section == 'code' && robot.battery > 0.5", false),
+        ] {
+            let found = ensembles.private_attribute_of(&Eligibility::compile(condition).unwrap());
+            let found = found.map(|(ensemble, attribute)| (ensemble.as_str(), attribute));
+            assert_eq!(found, is_used.then_some(("icu", "code")), "{condition}");
+        }
     }
 
     #[test]

@@ -13,6 +13,7 @@ use consort_protocol::api::{
     MissionSource, NodeVersions, RequestError, ScheduleAction, ScheduleReply, ScheduleRequest, SubmitReply,
     SubmitRequest, UpgradeReply, UpgradeRequest, parse_request,
 };
+use consort_protocol::ensemble::Ensembles;
 use consort_protocol::event::{EventKind, ScheduleChange};
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId, ScheduleId};
 use consort_protocol::keys::ApiCall;
@@ -47,6 +48,7 @@ pub(super) struct ApiHandler {
     pub(super) knowledge: SharedKnowledge,
     pub(super) supported_versions: VersionRange,
     pub(super) domain: Arc<Domain>,
+    pub(super) ensembles: Arc<Ensembles>,
     /// The missions that a request may name.
     pub(super) missions: Arc<NamedMissions>,
     /// Prefix of generated request ids, different from the prefixes of other coordinators.

@@ -6,7 +6,7 @@ use consort_protocol::api::{
     HOLD_S, HOLD_S_MAX, HoldRequest, MaintenanceAction, MaintenanceRequest, OrdersReply, ReleaseRequest,
     RobotCondition, RobotSelection, parse_request,
 };
-use consort_protocol::ensemble::Eligibility;
+use consort_protocol::ensemble::{Eligibility, Ensembles};
 use consort_protocol::ids::{NodeId, RequestId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::{KnownRecord, RobotKnowledge};
@@ -117,15 +117,17 @@ impl ApiHandler {
             base.iter().filter_map(record).collect()
         });
         let ordered = self.replica.read(|ledger| ledger.robot_orders().map(|(robot, _)| robot.clone()).collect());
-        select(selection, &known, ordered)
+        select(selection, &known, ordered, &self.ensembles)
     }
 }
 
-/// Selects robots. `known` are the robots with a record, and `ordered` the robots with orders.
+/// Selects robots. `known` are the robots with a record, and `ordered` the robots with orders. A condition uses no
+/// private attribute of the ensembles, which records lack.
 fn select(
     selection: &RobotSelection,
     known: &BTreeMap<RobotId, RobotKnowledge>,
     ordered: BTreeSet<RobotId>,
+    ensembles: &Ensembles,
 ) -> Result<BTreeSet<RobotId>, ApiError> {
     let all = || -> BTreeSet<RobotId> { known.keys().cloned().chain(ordered.iter().cloned()).collect() };
     match selection {
@@ -141,6 +143,13 @@ fn select(
         },
         RobotSelection::Where(RobotCondition { condition }) => {
             let compiled = Eligibility::compile(condition).map_err(|problem| format!("where: {problem}"))?;
+            if let Some((ensemble, attribute)) = ensembles.private_attribute_of(&compiled) {
+                return Err(format!(
+                    "where: `attributes.{attribute}` in the `exchange` of ensemble {ensemble} is private to its members; \
+                     use other attributes, each as `robot.attributes.NAME`, or name the robots"
+                )
+                .into());
+            }
             let meets = |(name, robot): &(&RobotId, &RobotKnowledge)| compiled.check(name, robot).is_ok();
             let robots: BTreeSet<RobotId> = known.iter().filter(meets).map(|(name, _)| name.clone()).collect();
             match robots.is_empty() {
@@ -156,6 +165,7 @@ mod tests {
     use super::*;
     use crate::robot::test_values::idle_robot;
     use consort_protocol::api::AllRobots;
+    use consort_protocol::ensemble::{EnsembleSpec, ExchangedValue};
     use serde_json::json;
 
     fn known() -> BTreeMap<RobotId, RobotKnowledge> {
@@ -167,7 +177,10 @@ mod tests {
     }
 
     fn selected(selection: RobotSelection) -> Result<Vec<String>, String> {
-        let robots = select(&selection, &known(), BTreeSet::from(["cyd".parse().unwrap()]));
+        let code = ExchangedValue::try_from("attributes.code".to_owned()).unwrap();
+        let icu = EnsembleSpec::with_any_skill_of("icu".parse().unwrap(), BTreeSet::new());
+        let ensembles = Ensembles::compile(vec![EnsembleSpec { exchange: [code].into(), ..icu }]).unwrap();
+        let robots = select(&selection, &known(), BTreeSet::from(["cyd".parse().unwrap()]), &ensembles);
         let names = |robots: BTreeSet<RobotId>| robots.iter().map(RobotId::to_string).collect();
         robots.map(names).map_err(|error| error.text)
     }
@@ -196,5 +209,11 @@ mod tests {
         let none = selected(condition(r#"robot.attributes.section == "lab""#)).unwrap_err();
         assert_eq!(none, r#"no robot meets `robot.attributes.section == "lab"`"#);
         assert!(selected(condition("robot.wheels > 3")).unwrap_err().starts_with("where: "));
+        let private = selected(condition(r#"!has(robot.attributes.code) || robot.attributes.section == "icu""#));
+        assert_eq!(
+            private.unwrap_err(),
+            "where: `attributes.code` in the `exchange` of ensemble icu is private to its members; use other attributes, \
+             each as `robot.attributes.NAME`, or name the robots"
+        );
     }
 }

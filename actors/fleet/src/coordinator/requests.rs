@@ -75,6 +75,7 @@ impl Requests {
             knowledge: knowledge.clone(),
             supported_versions: wire_version.supported(),
             domain: Arc::clone(&context.settings.domain),
+            ensembles: Arc::clone(&context.settings.auctions.ensembles),
             missions: Arc::clone(&context.settings.missions),
             request_prefix: format!(
                 "unnamed-{}-{:x}-{}",
