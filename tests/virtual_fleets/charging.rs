@@ -169,7 +169,7 @@ fn two_robots_use_a_single_charger_in_turn() {
         let robots = vec![carrier("fern", "IC Room 1", BELOW - 0.05), carrier("gorse", "IC Room 4", BELOW - 0.1)];
         let mut fleet = fleet(seed, robots, BELOW).await;
         let one_waits = |fleet: &Fleet| {
-            let waits = |robot| charging(fleet, robot) == Some(Charging::Waiting);
+            let waits = |robot| matches!(charging(fleet, robot), Some(Charging::Waiting { .. }));
             waits("fern") || waits("gorse")
         };
         fleet.wait_until("a robot that waits", SOON, one_waits).await;

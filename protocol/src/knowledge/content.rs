@@ -90,18 +90,31 @@ impl RobotKnowledge {
 #[serde(rename_all = "snake_case")]
 pub enum Charging {
     /// The robot needs charge, and every charger that it may use is taken.
-    Waiting,
+    Waiting {
+        /// The nearest of these chargers: other robots leave them when they can.
+        #[serde(deserialize_with = "bounds::collection::<_, _, AWAITED_MAX>")]
+        chargers: BTreeSet<PlaceId>,
+    },
     /// The robot is about to use a charger: it drives there, or connects to it.
     Bound(ChargerClaim),
     /// The robot is connected to a charger.
     Connected(ChargerClaim),
+    /// The robot leaves a charger for another robot.
+    Leaving {
+        /// Place to which it drives: other robots that leave drive elsewhere.
+        to: PlaceId,
+    },
 }
 
+/// Maximum number of chargers that a waiting robot publishes. Raised: its record is larger, and more robots make room. A
+/// guess.
+pub const AWAITED_MAX: usize = 16;
+
 impl Charging {
-    /// Returns the claim, unless the robot waits.
+    /// Returns the claim, unless the robot waits or leaves.
     pub fn claim(&self) -> Option<&ChargerClaim> {
         match self {
-            Charging::Waiting => None,
+            Charging::Waiting { .. } | Charging::Leaving { .. } => None,
             Charging::Bound(claim) | Charging::Connected(claim) => Some(claim),
         }
     }

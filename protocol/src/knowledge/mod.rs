@@ -13,7 +13,7 @@ mod record;
 
 pub use attributes::Attributes;
 pub use base::{KnowledgeBase, KnownRecord};
-pub use content::{Availability, ChargerClaim, Charging, Knowledge, RobotKnowledge};
+pub use content::{AWAITED_MAX, Availability, ChargerClaim, Charging, Knowledge, RobotKnowledge};
 pub use digest::{Digest, DigestScope};
 pub use record::{Proof, Record, RecordStamp};
 

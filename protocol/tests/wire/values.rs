@@ -177,7 +177,12 @@ pub(crate) fn availability() -> impl Strategy<Value = Availability> {
 
 fn charging() -> impl Strategy<Value = Charging> {
     let claim = || (place(), share()).prop_map(|(charger, battery)| ChargerClaim { charger, battery });
-    prop_oneof![Just(Charging::Waiting), claim().prop_map(Charging::Bound), claim().prop_map(Charging::Connected),]
+    prop_oneof![
+        btree_set(place(), 0..3).prop_map(|chargers| Charging::Waiting { chargers }),
+        claim().prop_map(Charging::Bound),
+        claim().prop_map(Charging::Connected),
+        place().prop_map(|to| Charging::Leaving { to }),
+    ]
 }
 
 pub(crate) fn worker() -> impl Strategy<Value = RobotKnowledge> {

@@ -79,6 +79,7 @@ mod tests {
     use crate::robot::test_values::idle_robot;
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{BatteryShare, WorldTime};
+    use std::collections::BTreeSet;
 
     fn at(ms: u64) -> NodeTime {
         NodeTime::default() + Duration::from_millis(ms)
@@ -117,10 +118,11 @@ mod tests {
     #[test]
     fn charging_of_a_free_robot_is_published_at_once() {
         let mut record = record();
-        let published = record.update(None, Availability::Free, Some(Charging::Waiting), at(100)).unwrap();
-        assert_eq!(published.charging, Some(Charging::Waiting));
+        let waiting = Charging::Waiting { chargers: BTreeSet::new() };
+        let published = record.update(None, Availability::Free, Some(waiting.clone()), at(100)).unwrap();
+        assert_eq!(published.charging, Some(waiting.clone()));
         let problem = Availability::OutOfService { problem: "its driver does not reply".to_owned() };
-        let failed = record.update(None, problem, Some(Charging::Waiting), at(200)).unwrap();
+        let failed = record.update(None, problem, Some(waiting), at(200)).unwrap();
         assert_eq!(failed.charging, None);
     }
 

@@ -27,14 +27,20 @@ impl RobotState {
         let Some(control) = &mut self.charging else { return Ok(()) };
         let (robot, estimator) = (&self.settings.robot, &self.settings.pricing.estimator);
         let worker = self.driver.worker();
-        let (place, battery, lacked_charge) = (&worker.place, worker.battery, control.lacks_charge());
+        let (place, battery) = (&worker.place, worker.battery);
+        let no_current = control.check_current(battery, now);
+        let lacked_charge = control.lacks_charge();
         let alone = Situation { robot, place, battery, lacked_charge, others: &[], now };
         let others = match control.depends_on_others(&alone) {
             true => other_robots(&self.settings.links.knowledge, robot),
             false => vec![],
         };
         let was_acting = control.is_acting();
-        let changed = control.decide(&Situation { others: &others, ..alone }, estimator, &context);
+        let changed =
+            control.decide(&Situation { others: &others, ..alone }, estimator, &context) || no_current.is_some();
+        if let Some(problem) = no_current {
+            warn!(%robot, %problem, "cannot charge");
+        }
         if changed {
             debug!(%robot, charging = ?control.published(), battery = %battery.percent(), "charging changes");
         }

@@ -8,7 +8,7 @@ use crate::robot::task_timeout::TaskTimer;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{ChargerClaim, Charging};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::units::{NodeTime, WorldTime};
+use consort_protocol::units::{BatteryShare, NodeTime, WorldTime};
 use consort_skills::descriptor::{EstimateContext, Estimator};
 use ractor::ActorId;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -18,6 +18,14 @@ use std::time::Duration;
 /// obstacles are gone by then.
 const AVOID_TIME: Duration = Duration::from_secs(60);
 
+/// Node time within which the charge of a connected robot must rise by [`RISE_MIN`], and for which the robot otherwise
+/// avoids the charger. Raised: a robot stays longer at a charger that has failed. A guess: even a slow charger gives
+/// several times as much.
+const RISE_TIME: Duration = Duration::from_secs(15 * 60);
+
+/// Rise of the charge that counts, as a share of a full battery. A guess: above the noise of a battery sensor.
+const RISE_MIN: f64 = 0.005;
+
 /// State of a robot with respect to its charge.
 pub(in crate::robot) struct ChargeControl {
     settings: RobotCharging,
@@ -25,8 +33,18 @@ pub(in crate::robot) struct ChargeControl {
     trip: Option<Trip>,
     /// The charge was too low for a role since the robot last had enough.
     lacks_charge: bool,
+    /// Latest rise of the charge of the connected robot.
+    rise: Option<Rise>,
     /// Places where a task has failed, until these times.
     avoided: BTreeMap<PlaceId, NodeTime>,
+}
+
+/// Rise of the charge at a charger.
+struct Rise {
+    /// Time of the latest rise, or of the connection.
+    since: NodeTime,
+    /// Least charge since then.
+    least: BatteryShare,
 }
 
 /// Tasks of an activity, in their order.
@@ -44,7 +62,8 @@ pub(in crate::robot) struct ChargingTask {
 
 impl ChargeControl {
     pub(in crate::robot) fn new(settings: RobotCharging) -> ChargeControl {
-        ChargeControl { settings, activity: Activity::Idle, trip: None, lacks_charge: false, avoided: BTreeMap::new() }
+        let (activity, avoided) = (Activity::Idle, BTreeMap::new());
+        ChargeControl { settings, activity, trip: None, lacks_charge: false, rise: None, avoided }
     }
 
     /// Returns the chargers that the robot may use.
@@ -64,7 +83,10 @@ impl ChargeControl {
 
     /// Returns what the robot publishes.
     pub(in crate::robot) fn published(&self) -> Option<Charging> {
-        self.activity.published()
+        match (&self.activity, &self.trip) {
+            (Activity::Leaving, Some(trip)) => Some(Charging::Leaving { to: trip.destination.clone() }),
+            (activity, _) => activity.published(),
+        }
     }
 
     /// Checks whether the robot acts.
@@ -77,6 +99,27 @@ impl ChargeControl {
         let is_enough = self.settings.thresholds.is_enough(situation.battery, situation.lacked_charge);
         let stays = self.activity == Activity::Idle && is_enough;
         !stays || self.settings.all.contains(situation.place)
+    }
+
+    /// Checks that the charge of a connected robot rises. Returns the problem if it does not: the charger is avoided.
+    pub(in crate::robot) fn check_current(&mut self, battery: BatteryShare, now: NodeTime) -> Option<String> {
+        let Activity::Connected(claim) = &self.activity else {
+            self.rise = None;
+            return None;
+        };
+        let charger = claim.published.charger.clone();
+        let rise = self.rise.get_or_insert(Rise { since: now, least: battery });
+        if battery.get() - rise.least.get() >= RISE_MIN {
+            *rise = Rise { since: now, least: battery };
+        } else if battery < rise.least {
+            rise.least = battery;
+        }
+        if now.since(rise.since) < RISE_TIME {
+            return None;
+        }
+        self.avoided.insert(charger.clone(), now + RISE_TIME);
+        (self.activity, self.rise) = (Activity::Idle, None);
+        Some(format!("{charger} gives no current: the charge has not risen for {} minutes", RISE_TIME.as_secs() / 60))
     }
 
     /// Decides about the activity. Returns true if it has changed: the tasks of the former activity have ended.
@@ -98,13 +141,18 @@ impl ChargeControl {
             let may_be_cut_off = !context.closed.is_empty() && charger != situation.place;
             may_be_cut_off && nearest(estimator, context, [charger]).is_empty()
         };
+        let leaves = self.activity == Activity::Leaving;
+        let yields_place = |trip: &Trip| leaves && situation.yields_place(&trip.destination);
+        let drives_elsewhere = self.trip.as_ref().is_some_and(yields_place);
         let idle = Activity::Idle;
-        let activity = match &self.activity {
+        let present = match &self.activity {
             Activity::Claimed(claim) if is_cut_off(claim) => &idle,
+            // A robot that has found no place decides anew: perhaps no robot waits any more.
+            Activity::Leaving if self.trip.is_none() => &idle,
             activity => activity,
         };
-        let next = thresholds.next(activity, situation, all, nearest_first);
-        let changed = next != self.activity;
+        let next = thresholds.next(present, situation, all, nearest_first);
+        let changed = drives_elsewhere || next != self.activity;
         if changed {
             self.end_trip();
             self.activity = next;
@@ -143,14 +191,15 @@ impl ChargeControl {
             Activity::Leaving => {
                 let is_free = |place: &&PlaceId| {
                     let is_avoided = self.settings.all.contains(*place) || self.avoided.contains_key(*place);
-                    !is_avoided && others.iter().all(|other| other.place != **place)
+                    let is_taken = |other: &OtherRobot| other.place == **place || other.leaves_to() == Some(*place);
+                    !is_avoided && !others.iter().any(is_taken)
                 };
                 let drives = nearest(estimator, context, places(estimator).filter(is_free));
                 let destination = drives.into_iter().next()?.to;
                 let tasks = VecDeque::from([drive_to(&destination)]);
                 Some(Trip { destination, tasks, running: None })
             }
-            Activity::Idle | Activity::Waiting | Activity::Claimed(_) | Activity::Connected(_) => None,
+            Activity::Idle | Activity::Waiting(_) | Activity::Claimed(_) | Activity::Connected(_) => None,
         }
     }
 
@@ -184,7 +233,7 @@ impl ChargeControl {
         self.trip = None;
         self.activity = match std::mem::replace(&mut self.activity, Activity::Idle) {
             Activity::Claimed(claim) | Activity::Connected(claim) => Activity::Connected(claim),
-            Activity::Idle | Activity::Waiting | Activity::Leaving => Activity::Idle,
+            Activity::Idle | Activity::Waiting(_) | Activity::Leaving => Activity::Idle,
         };
     }
 

@@ -5,8 +5,12 @@
 //!  Idle ───┬───────────────▶ Claimed ─────────────────────────────────────────────▶ Connected
 //!          │                  ▲   │ another claim prevails                             │ `until` is reached
 //!          │ all are taken    │   ▼                                                    ▼
-//!          └───────────────▶ Waiting                       Idle, or Leaving if another robot waits
+//!          └───────────────▶ Waiting                       Idle, or Leaving if another robot waits for the charger
 //! ```
+//!
+//! A robot that waits publishes the chargers that it may use. A robot that stands at one of them makes room if it needs no
+//! charge, or may not use that charger itself: it drives to the nearest place to which no other robot leaves. A robot
+//! whose charge does not rise at a charger tries another.
 //!
 //! An award, a hold and maintenance end each of these activities. After a start of its node a robot begins
 //! only when it has received its orders, or after 10 s. A robot bids at any charge that suffices for the role

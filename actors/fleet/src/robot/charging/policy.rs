@@ -1,7 +1,7 @@
 //! Decisions of a free robot about its charge, as a function of its state and the records of others.
 
 use consort_protocol::ids::{PlaceId, RobotId};
-use consort_protocol::knowledge::{ChargerClaim, Charging};
+use consort_protocol::knowledge::{AWAITED_MAX, ChargerClaim, Charging};
 use consort_protocol::units::{BatteryShare, NodeTime};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -27,8 +27,8 @@ pub struct ChargeThresholds {
 pub(super) enum Activity {
     /// The robot does not charge.
     Idle,
-    /// The robot needs charge, and every charger is taken.
-    Waiting,
+    /// The robot needs charge, and every charger that it can use is taken. These are the nearest.
+    Waiting(BTreeSet<PlaceId>),
     /// The robot has claimed a charger, and drives there once the claim is old enough.
     Claimed(Claim),
     /// The robot is connected to a charger.
@@ -79,11 +79,11 @@ pub(in crate::robot) struct Situation<'a> {
 }
 
 impl Activity {
-    /// Returns what the robot publishes.
+    /// Returns what the robot publishes, without the destination of a robot that leaves.
     pub(super) fn published(&self) -> Option<Charging> {
         match self {
             Activity::Idle | Activity::Leaving => None,
-            Activity::Waiting => Some(Charging::Waiting),
+            Activity::Waiting(chargers) => Some(Charging::Waiting { chargers: chargers.clone() }),
             Activity::Claimed(claim) => Some(Charging::Bound(claim.published.clone())),
             Activity::Connected(claim) => Some(Charging::Connected(claim.published.clone())),
         }
@@ -114,8 +114,8 @@ impl ChargeThresholds {
         nearest_first: impl FnOnce() -> Vec<PlaceId>,
     ) -> Activity {
         let goes_on = match activity {
-            Activity::Idle | Activity::Waiting => false,
-            Activity::Leaving => situation.battery >= self.below,
+            Activity::Idle | Activity::Waiting(_) => false,
+            Activity::Leaving => true,
             Activity::Claimed(claim) => {
                 situation.keeps(activity)
                     && !situation.is_occupied(&claim.published.charger)
@@ -137,18 +137,26 @@ impl ChargeThresholds {
     ) -> Activity {
         let purpose = self.purpose(situation);
         let chargers = if purpose.is_some() { nearest_first() } else { vec![] };
-        // A robot that can use no charger does not wait: the others would leave theirs in vain.
-        let Some(purpose) = purpose.filter(|_| !chargers.is_empty()) else {
-            let makes_room = situation.is_awaited() && all.contains(situation.place);
-            return if makes_room { Activity::Leaving } else { Activity::Idle };
+        let may_claim = |charger: &PlaceId, purpose: Purpose| {
+            !situation.is_taken(charger) && (purpose == Purpose::Need || !situation.is_awaited(charger))
         };
-        match (chargers.into_iter().find(|charger| !situation.is_taken(charger)), purpose) {
-            (Some(charger), purpose) => {
-                let published = ChargerClaim { charger, battery: situation.battery };
-                Activity::Claimed(Claim { published, since: situation.now, purpose })
-            }
-            (None, Purpose::Need) => Activity::Waiting,
-            (None, Purpose::TopUp) => Activity::Idle,
+        let claim = purpose.and_then(|purpose| {
+            let charger = chargers.iter().find(|charger| may_claim(charger, purpose))?.clone();
+            let published = ChargerClaim { charger, battery: situation.battery };
+            Some(Claim { published, since: situation.now, purpose })
+        });
+        if let Some(claim) = claim {
+            return Activity::Claimed(claim);
+        }
+        // A robot that can use no charger does not wait: the others would leave theirs in vain.
+        let waits = purpose == Some(Purpose::Need) && !chargers.is_empty();
+        let waits_here = waits && chargers.contains(situation.place);
+        if all.contains(situation.place) && situation.is_awaited(situation.place) && !waits_here {
+            Activity::Leaving
+        } else if waits {
+            Activity::Waiting(chargers.into_iter().take(AWAITED_MAX).collect())
+        } else {
+            Activity::Idle
         }
     }
 
@@ -157,18 +165,27 @@ impl ChargeThresholds {
             return Some(Purpose::Need);
         }
         let is_enough = self.is_enough(situation.battery, situation.lacked_charge);
-        (!is_enough && !situation.is_awaited()).then_some(Purpose::TopUp)
+        (!is_enough).then_some(Purpose::TopUp)
     }
 }
 
 impl Situation<'_> {
-    /// Checks whether another robot waits for a charger.
-    fn is_awaited(&self) -> bool {
-        self.others.iter().any(|other| other.charging == Some(Charging::Waiting))
+    /// Checks whether another robot waits for this charger.
+    fn is_awaited(&self, charger: &PlaceId) -> bool {
+        let awaits = |charging: &Charging| match charging {
+            Charging::Waiting { chargers } => chargers.contains(charger),
+            Charging::Bound(_) | Charging::Connected(_) | Charging::Leaving { .. } => false,
+        };
+        self.others.iter().filter_map(|other| other.charging.as_ref()).any(awaits)
     }
 
     fn yields(&self, claim: &Claim) -> bool {
-        claim.purpose == Purpose::TopUp && self.is_awaited()
+        claim.purpose == Purpose::TopUp && self.is_awaited(&claim.published.charger)
+    }
+
+    /// Checks whether a robot with an earlier name also leaves a charger for this place: this robot drives elsewhere.
+    pub(super) fn yields_place(&self, place: &PlaceId) -> bool {
+        self.others.iter().any(|other| other.leaves_to() == Some(place) && other.robot < *self.robot)
     }
 
     /// Checks whether another robot claims the charger, or stands there.
@@ -194,6 +211,14 @@ impl Situation<'_> {
 }
 
 impl OtherRobot {
+    /// Returns the place to which the robot leaves a charger.
+    pub(super) fn leaves_to(&self) -> Option<&PlaceId> {
+        match self.charging.as_ref()? {
+            Charging::Leaving { to } => Some(to),
+            Charging::Waiting { .. } | Charging::Bound(_) | Charging::Connected(_) => None,
+        }
+    }
+
     fn claim_to(&self, charger: &PlaceId) -> Option<&Charging> {
         self.charging.as_ref().filter(|charging| charging.claim().is_some_and(|claim| claim.charger == *charger))
     }

@@ -49,6 +49,10 @@ fn other(name: &str, at: &str, charging: Option<Charging>) -> OtherRobot {
     OtherRobot { robot: robot(name), place: place(at), charging }
 }
 
+fn waiting(chargers: &[&str]) -> Charging {
+    Charging::Waiting { chargers: places(chargers) }
+}
+
 /// Decides for robot `m` in a fleet with the chargers `P` and `Q`; it prefers `P`.
 fn decide(activity: &Activity, battery: f64, at_place: &str, others: &[OtherRobot]) -> Activity {
     let (robot, at_place) = (robot("m"), place(at_place));
@@ -68,15 +72,17 @@ fn a_free_robot_claims_a_charger_that_no_other_robot_uses() {
     let claimed = |charger, battery, purpose| Activity::Claimed(own_claim(charger, battery, at(5_000), purpose));
     let bound = other("a", "Hall", Some(Charging::Bound(claim("P", 0.2))));
     let stands = other("b", "Q", None);
-    let waits = other("c", "Hall", Some(Charging::Waiting));
+    let waits = other("c", "Hall", Some(waiting(&["P", "Q"])));
+    let waits_for_p = other("c", "Hall", Some(waiting(&["P"])));
     for (battery, others, expected) in [
         (0.29, vec![], claimed("P", 0.29, Purpose::Need)),
         (0.3, vec![], claimed("P", 0.3, Purpose::TopUp)),
         (0.6, vec![], Activity::Idle),
         (0.29, vec![bound.clone()], claimed("Q", 0.29, Purpose::Need)),
-        (0.29, vec![bound.clone(), stands.clone()], Activity::Waiting),
+        (0.29, vec![bound.clone(), stands.clone()], Activity::Waiting(places(&["P", "Q"]))),
         (0.3, vec![bound, stands], Activity::Idle),
         (0.3, vec![waits], Activity::Idle),
+        (0.3, vec![waits_for_p], claimed("Q", 0.3, Purpose::TopUp)),
     ] {
         assert_eq!(decide(&Activity::Idle, battery, "Hall", &others), expected, "{battery}, {others:?}");
     }
@@ -85,7 +91,7 @@ fn a_free_robot_claims_a_charger_that_no_other_robot_uses() {
 #[test]
 fn a_robot_that_can_use_no_charger_does_not_wait_for_one() {
     let (robot, stands_at) = (robot("m"), ["Hall", "P"].map(place));
-    let waits = [other("a", "Hall", Some(Charging::Waiting))];
+    let waits = [other("a", "Hall", Some(waiting(&["P"])))];
     let next = |at_place: &PlaceId, others: &[OtherRobot]| {
         let situation = Situation {
             robot: &robot,
@@ -101,11 +107,34 @@ fn a_robot_that_can_use_no_charger_does_not_wait_for_one() {
     assert_eq!(stands_at.each_ref().map(|at_place| next(at_place, &waits)), [Activity::Idle, Activity::Leaving]);
 }
 
+/// Each of two robots stands at the charger that only the other may use.
+#[test]
+fn a_robot_that_waits_makes_room_at_a_charger_that_it_may_not_use() {
+    let (robot, all) = (robot("m"), places(&["P", "Q"]));
+    let next = |at_place: &str, usable: &[&str], awaited: &[&str]| {
+        let (others, at_place) = ([other("a", "Q", Some(waiting(awaited)))], place(at_place));
+        let situation = Situation {
+            robot: &robot,
+            place: &at_place,
+            battery: share(0.1),
+            lacked_charge: false,
+            others: &others,
+            now: at(5_000),
+        };
+        let usable = usable.iter().map(|charger| place(charger)).collect();
+        thresholds().next(&Activity::Idle, &situation, &all, || usable)
+    };
+    assert_eq!(next("P", &["Q"], &["P"]), Activity::Leaving);
+    assert_eq!(next("Hall", &["Q"], &["P"]), Activity::Waiting(places(&["Q"])), "it has made room");
+    assert_eq!(next("P", &["Q"], &["Q"]), Activity::Waiting(places(&["Q"])), "the other does not need its place");
+}
+
 #[test]
 fn a_robot_charges_until_it_has_enough() {
     let needs = Activity::Connected(own_claim("P", 0.2, at(0), Purpose::Need));
     let tops_up = Activity::Connected(own_claim("P", 0.5, at(0), Purpose::TopUp));
-    let waits = [other("c", "Hall", Some(Charging::Waiting))];
+    let waits = [other("c", "Hall", Some(waiting(&["P", "Q"])))];
+    let waits_for_q = [other("c", "Hall", Some(waiting(&["Q"])))];
     for (activity, battery, others, expected) in [
         (&needs, 0.89, &[][..], needs.clone()),
         (&needs, 0.9, &[][..], Activity::Idle),
@@ -113,6 +142,8 @@ fn a_robot_charges_until_it_has_enough() {
         (&needs, 0.9, &waits[..], Activity::Leaving),
         (&tops_up, 0.7, &[][..], tops_up.clone()),
         (&tops_up, 0.7, &waits[..], Activity::Leaving),
+        (&tops_up, 0.7, &waits_for_q[..], tops_up.clone()),
+        (&Activity::Idle, 0.7, &waits_for_q[..], Activity::Idle),
         (&Activity::Idle, 0.7, &waits[..], Activity::Leaving),
         (&Activity::Leaving, 0.7, &[][..], Activity::Leaving),
     ] {
@@ -190,7 +221,7 @@ impl Simulated {
         match &self.activity {
             Activity::Claimed(claim) if claim.is_settled(now) => Some(claim.published.charger.clone()),
             Activity::Connected(claim) => Some(claim.published.charger.clone()),
-            Activity::Idle | Activity::Waiting | Activity::Claimed(_) | Activity::Leaving => None,
+            Activity::Idle | Activity::Waiting(_) | Activity::Claimed(_) | Activity::Leaving => None,
         }
     }
 
@@ -409,4 +440,76 @@ fn a_robot_avoids_a_charger_for_a_minute_after_a_failure() {
     assert_eq!(control.published(), None);
     control.decide(&situation(at(70_000)), &estimator, &context);
     assert_eq!(control.published(), Some(Charging::Bound(claim("A", 0.2))));
+}
+
+/// Robot `m` at the only charger `A`.
+struct AtCharger {
+    control: ChargeControl,
+    estimator: Estimator,
+    context: EstimateContext,
+}
+
+impl AtCharger {
+    fn new() -> AtCharger {
+        let usable = places(&["A"]);
+        let control = ChargeControl::new(RobotCharging { thresholds: thresholds(), all: usable.clone(), usable });
+        AtCharger { control, estimator: estimator(), context: context("A") }
+    }
+
+    /// Decides and begins the next task. Returns whether the activity has changed, and what the robot publishes.
+    fn decide(&mut self, battery: f64, others: &[OtherRobot], now: NodeTime) -> (bool, Option<Charging>) {
+        let (own, at_a, battery) = (robot("m"), place("A"), share(battery));
+        let situation = Situation { robot: &own, place: &at_a, battery, lacked_charge: false, others, now };
+        let changed = self.control.decide(&situation, &self.estimator, &self.context);
+        self.control.next_task(others, &self.estimator, &self.context, now);
+        (changed, self.control.published())
+    }
+}
+
+#[test]
+fn robots_leave_chargers_for_different_places() {
+    let leaves = |to: &str| Some(Charging::Leaving { to: place(to) });
+    let waits = other("w", "D", Some(waiting(&["A"])));
+    let mut robot = AtCharger::new();
+    assert_eq!(robot.decide(0.95, std::slice::from_ref(&waits), at(0)), (true, leaves("B")));
+    let later = [waits.clone(), other("z", "D", leaves("B"))];
+    assert_eq!(robot.decide(0.95, &later, at(0)), (false, leaves("B")), "the other drives elsewhere");
+    let earlier = [waits, other("a", "D", leaves("B"))];
+    assert_eq!(robot.decide(0.95, &earlier, at(0)), (true, leaves("C")));
+    assert_eq!(robot.decide(0.2, &[], at(0)), (false, leaves("C")), "it ends its drive");
+}
+
+#[test]
+fn a_robot_that_finds_no_place_charges_when_no_other_waits_any_more() {
+    let [b, c] = ["B", "C"].map(|at_place| other(&at_place.to_lowercase(), at_place, None));
+    let awaited = [b.clone(), c.clone(), other("w", "D", Some(waiting(&["A"])))];
+    let mut robot = AtCharger::new();
+    assert_eq!(robot.decide(0.5, &awaited, at(0)), (true, None));
+    assert_eq!(robot.decide(0.5, &awaited, at(0)), (false, None));
+    assert_eq!(robot.decide(0.5, &[b, c], at(0)), (true, Some(Charging::Bound(claim("A", 0.5)))));
+}
+
+#[test]
+fn a_robot_leaves_a_charger_that_gives_no_current() {
+    let mut robot = AtCharger::new();
+    let mut published = |battery: f64, minute: u64| {
+        let now = at(minute * 60_000);
+        let problem = robot.control.check_current(share(battery), now);
+        // The drive and the docking succeed at once.
+        robot.decide(battery, &[], now);
+        robot.control.task_succeeded();
+        robot.decide(battery, &[], now);
+        robot.control.task_succeeded();
+        (problem, robot.control.published())
+    };
+    let connected = || (None, Some(Charging::Connected(claim("A", 0.2))));
+    assert_eq!(published(0.2, 0), (None, Some(Charging::Bound(claim("A", 0.2)))));
+    assert_eq!(published(0.2, 1), connected());
+    assert_eq!(published(0.2, 2), connected());
+    assert_eq!(published(0.21, 16), connected(), "it has risen");
+    assert_eq!(published(0.208, 30), connected());
+    let problem = "A gives no current: the charge has not risen for 15 minutes".to_owned();
+    assert_eq!(published(0.212, 31), (Some(problem), None));
+    assert_eq!(published(0.2, 45), (None, None), "it avoids the charger");
+    assert_eq!(published(0.2, 46), (None, Some(Charging::Bound(claim("A", 0.2)))));
 }
