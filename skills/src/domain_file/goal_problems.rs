@@ -1,7 +1,7 @@
 //! Checks of the feedback of a goal, of the items that it moves, and of its cancel.
 
 use super::form::{ActionForm, CancelForm, ItemHolder, ParameterForm, ParameterKind, SimulatedMove};
-use super::reading_problems::value_problem;
+use super::reading_problems::passed_value_problem;
 use super::{DomainProblem, problem, returned_problems};
 use consort_protocol::mission::RESULTS_MAX;
 use consort_protocol::scalar::NAME_BYTES_MAX;
@@ -33,7 +33,7 @@ pub(super) fn feedback_problems(place: &str, action: &ActionForm) -> Vec<DomainP
     for (name, value) in simulated {
         let wrong = match (&action.simulate.system, feedback.get(name)) {
             (Some(system), _) => Some(format!("the system {system} determines the feedback; omit it")),
-            (None, Some(form)) => value_problem("feedback", form, value),
+            (None, Some(form)) => passed_value_problem("feedback", form, value),
             (None, None) => Some(format!("no such feedback; {}", AllowedNames::suggest_for(name, feedback.keys()))),
         };
         problems.extend(wrong.map(|wrong| problem(format!("{place}.simulate.feedback.{name}"), wrong)));

@@ -60,19 +60,36 @@ pub(super) fn effect_problems(
 
 /// Returns the problem of a value in the simulator that does not fit its form: that of a reading or of a result.
 pub(super) fn value_problem(what: &str, form: &ParameterForm, simulated: &SimulatedResult) -> Option<String> {
+    match simulated {
+        SimulatedResult::Range([least, greatest]) if least > greatest => {
+            Some(misfit(&range(*least, *greatest), what, form))
+        }
+        _ => passed_value_problem(what, form, simulated),
+    }
+}
+
+/// Same as [`value_problem`] for a value that is passed through, as feedback: a range may fall.
+pub(super) fn passed_value_problem(what: &str, form: &ParameterForm, simulated: &SimulatedResult) -> Option<String> {
     let kind = form.value_kind();
     let accepts = |value: &Scalar| kind.accept(value).is_some();
     let wrong = match simulated {
         SimulatedResult::Value(value) => (!accepts(value)).then(|| format!("`{value}`")),
         SimulatedResult::OneOf(values) if values.is_empty() => Some("an empty list".to_owned()),
         SimulatedResult::OneOf(values) => values.iter().find(|value| !accepts(value)).map(|value| format!("`{value}`")),
-        SimulatedResult::Range([least, greatest]) => {
-            let fits = |end: &f64| form.nearest(*end).is_some_and(|nearest| is_same(&nearest, *end));
-            let is_range = least <= greatest && fits(least) && fits(greatest);
-            (!is_range).then(|| format!("the range [{least}, {greatest}]"))
+        SimulatedResult::Range([first, last]) => {
+            let fits = |end: f64| form.nearest(end).is_some_and(|nearest| is_same(&nearest, end));
+            (!(fits(*first) && fits(*last))).then(|| range(*first, *last))
         }
     };
-    wrong.map(|wrong| format!("{wrong} does not fit the {what}; allowed is {kind}"))
+    wrong.map(|wrong| misfit(&wrong, what, form))
+}
+
+fn range(first: f64, last: f64) -> String {
+    format!("the range [{first}, {last}]")
+}
+
+fn misfit(wrong: &str, what: &str, form: &ParameterForm) -> String {
+    format!("{wrong} does not fit the {what}; allowed is {}", form.value_kind())
 }
 
 /// Checks whether a value of a reading is this number.

@@ -74,7 +74,11 @@ impl SimState {
             (Some(item), Some(to)) => Ok(ItemChange::Move(item, to)),
             (Some(item), None) => Ok(ItemChange::Consume(item)),
             (None, Some(to)) => Ok(ItemChange::Create(self.new_item(goal, name)?, to)),
-            (None, None) => unreachable!("a checked domain has two different holders"),
+            // The check of domain files rejects such an action, and a setup may contain others.
+            (None, None) => {
+                let message = format!("the action {} moves an item from nothing to nothing", goal.action.as_str());
+                Err(action_error(ErrorCode::Failed, message))
+            }
         }
     }
 

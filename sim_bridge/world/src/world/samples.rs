@@ -10,7 +10,7 @@ use super::names::SampleId;
 use super::setup::environment::sample_kg;
 use super::sim_state::SimState;
 use crate::map::PlaceIndex;
-use consort_protocol::ids::PlaceId;
+use consort_protocol::ids::{MAX_CHARS, PlaceId};
 use consort_protocol::units::WorldTime;
 use consort_skills::actions::{ActionError, ErrorCode};
 use hecs::Entity;
@@ -96,7 +96,12 @@ impl SimState {
 
     /// Returns the first name of this form that no sample has: `name 1`, `name 2` and so on.
     pub(crate) fn free_sample_id(&self, name: &str, first: usize) -> SampleId {
-        let mut ids = (first..).map(|number| SampleId::from(format!("{name} {number}").as_str()));
+        let id = |number: usize| {
+            let number = format!(" {number}");
+            let start: String = name.chars().take(MAX_CHARS - number.len()).collect();
+            SampleId::from((start + &number).as_str())
+        };
+        let mut ids = (first..).map(id);
         ids.find(|id| !self.samples.contains_key(id)).expect("the number of samples is bounded")
     }
 

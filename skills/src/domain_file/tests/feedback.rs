@@ -31,6 +31,14 @@ fn feedback_is_declared_like_results() {
 }
 
 #[test]
+fn simulated_feedback_may_fall() {
+    let domain = check(&SOAKING.replace("phase: [rest, fill]", "soaked: [0.8, 0.1], left: [90, 0]")).unwrap();
+    let (_, action) = domain.simulated_actions().next().unwrap();
+    let soaked = (&action.simulate.feedback["soaked"], &action.simulate.feedback["left"]);
+    assert_eq!(soaked, (&SimulatedResult::Range([0.8, 0.1]), &SimulatedResult::Range([90.0, 0.0])));
+}
+
+#[test]
 fn wrong_feedback_is_reported_with_its_place() {
     let wrong = r#"
 domain: laundry
@@ -42,7 +50,7 @@ actions:
       nurse: { type: role }
       dry-run: { type: bool }
       phase: { type: text, optional: true }
-    simulate: { feedback: { soaked: [0, 2], phse: fill } }
+    simulate: { feedback: { soaked: [2, 0], phse: fill } }
   drive: { feedback: { speed: { type: number } }, simulate: { system: driving, feedback: { speed: 1 } } }
   iron: { by_people: true, feedback: { heat: { type: number } } }
 "#;
@@ -52,7 +60,7 @@ actions:
         "actions.soak.feedback.nurse: allowed are seconds, number, integer, bool and text",
         "actions.soak.feedback.dry-run: allowed is a letter, followed by letters, digits and `_`",
         "actions.soak.feedback.phase: feedback is not `optional`",
-        "actions.soak.simulate.feedback.soaked: the range [0, 2] does not fit the feedback; allowed is a number, 1 or less",
+        "actions.soak.simulate.feedback.soaked: the range [2, 0] does not fit the feedback; allowed is a number, 1 or less",
         "actions.soak.simulate.feedback.phse: no such feedback; allowed: dry-run, nurse, phase, soaked, where; did you \
          mean `phase`?",
         "actions.drive.simulate.feedback.speed: the system driving determines the feedback; omit it",

@@ -4,7 +4,7 @@ use super::*;
 use crate::world::actions::{ApproachPerson, ApproachRobot, OperateDrawer};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::yaml;
-use consort_skills::domain_file::DomainFile;
+use consort_skills::domain_file::{DomainFile, ItemHolder};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -184,6 +184,31 @@ fn a_declared_goal_creates_and_consumes_items() {
         ("cup", false, table),
     ];
     assert_eq!(changes, expected.map(|(name, created, holder)| (name.to_owned(), created, holder)));
+}
+
+#[test]
+fn the_name_of_a_new_item_is_shortened() {
+    let long = "c".repeat(64);
+    let text = format!("{LOADING}  {long}: {{ simulate: {{ moves: {{ from: nothing, to: drawer }} }} }}\n");
+    let domain = DomainFile::check(yaml::parse(&text).unwrap(), &BTreeMap::new(), &[]).unwrap();
+    let mut world = World::new(store_setup(2).domain(&domain)).unwrap();
+    for id in [1, 2] {
+        run_to_success(&mut world, "r1", id, goal(&long, json!({})));
+    }
+    let expected = [1, 2].map(|number| format!("{} {number}", &long[..62]));
+    assert_eq!(names(&world)[..2], expected);
+}
+
+/// A setup of a library user may contain actions that no domain file may declare.
+#[test]
+fn an_action_that_moves_nothing_to_nothing_is_rejected() {
+    let mut setup = store_setup(1);
+    for moves in setup.actions.values_mut().filter_map(|action| action.simulate.moves.as_mut()) {
+        (moves.from, moves.to) = (ItemHolder::Nothing, ItemHolder::Nothing);
+    }
+    let mut world = World::new(setup).unwrap();
+    let nothing = aborted(ErrorCode::Failed, "the action cook moves an item from nothing to nothing");
+    assert_eq!(rejected_status(&mut world, "r1", 1, goal("cook", json!({}))), nothing);
 }
 
 #[test]
