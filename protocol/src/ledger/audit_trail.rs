@@ -5,6 +5,7 @@ use crate::codec;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
+use std::fmt;
 
 /// Maximum number of entries; the earliest are dropped. A guess: some days of a busy fleet.
 const ENTRIES_MAX: usize = 2000;
@@ -48,27 +49,14 @@ pub enum AuditAction {
     Close,
     /// Places or lanes were opened.
     Open,
+    /// The wire version of the fleet was raised.
+    RaiseWireVersion,
 }
 
-impl AuditAction {
-    /// Returns the name.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            AuditAction::Submit => "submit",
-            AuditAction::Cancel => "cancel",
-            AuditAction::Resolve => "resolve",
-            AuditAction::Answer => "answer",
-            AuditAction::AddSchedule => "add_schedule",
-            AuditAction::PauseSchedule => "pause_schedule",
-            AuditAction::ResumeSchedule => "resume_schedule",
-            AuditAction::RemoveSchedule => "remove_schedule",
-            AuditAction::Hold => "hold",
-            AuditAction::Release => "release",
-            AuditAction::BeginMaintenance => "begin_maintenance",
-            AuditAction::EndMaintenance => "end_maintenance",
-            AuditAction::Close => "close",
-            AuditAction::Open => "open",
-        }
+impl fmt::Display for AuditAction {
+    /// The name, as in JSON.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 
@@ -83,7 +71,7 @@ pub struct AuditEntry {
     pub by: String,
     /// Kind of change.
     pub action: AuditAction,
-    /// What was changed: a mission, a request to a person, a schedule, robots, or places and lanes.
+    /// What was changed: a mission, a request to a person, a schedule, robots, places and lanes, or the wire version.
     pub subject: String,
     /// Details, such as the reason; may be empty.
     pub details: String,

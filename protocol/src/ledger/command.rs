@@ -167,6 +167,10 @@ pub enum Command {
     RaiseWireVersion {
         /// New wire version.
         wire: u8,
+        /// Person that requests it; empty for the version of a new ledger.
+        by: String,
+        /// Time of the request in milliseconds since 1970; 0 if it is unknown.
+        at_ms: u64,
     },
     /// Changes the limits of the history. It has no effect before wire version 3.
     SetHistoryLimits(HistoryLimits),
@@ -283,6 +287,11 @@ pub enum Command {
 }
 
 impl Command {
+    /// Returns the command that sets the wire version of a new ledger, which no person requests.
+    pub fn first_wire_version(wire: u8) -> Command {
+        Command::RaiseWireVersion { wire, by: String::new(), at_ms: 0 }
+    }
+
     /// Returns the existing mission that the command concerns.
     pub fn mission(&self) -> Option<&MissionId> {
         match self {

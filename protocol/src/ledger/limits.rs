@@ -66,7 +66,8 @@ impl Command {
             Command::Cancel { by, .. }
             | Command::Resolve { by, .. }
             | Command::RemoveSchedule { by, .. }
-            | Command::ResumeSchedule { by, .. } => limit_text(by, PERSON_BYTES_MAX),
+            | Command::ResumeSchedule { by, .. }
+            | Command::RaiseWireVersion { by, .. } => limit_text(by, PERSON_BYTES_MAX),
             Command::Submit(submission) => limit_text(&mut submission.by, PERSON_BYTES_MAX),
             Command::PauseSchedule { pause, .. } => limit_text(&mut pause.by, PERSON_BYTES_MAX),
             Command::AddSchedule { schedule, .. } => limit_text(&mut schedule.submission.by, PERSON_BYTES_MAX),
@@ -99,7 +100,6 @@ impl Command {
             | Command::SubmitOccurrence { .. }
             | Command::SkipOccurrences { .. }
             | Command::ExpireOrders { .. }
-            | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => {}
         }
         self

@@ -383,7 +383,8 @@ impl ApiHandler {
                 .into())
             }
             (true, UpgradeStatus::Ready { next }) => {
-                let raised = self.propose(Command::RaiseWireVersion { wire: next }).await;
+                let (by, at_ms) = (self.responsible(None), self.audit_ms());
+                let raised = self.propose(Command::RaiseWireVersion { wire: next, by, at_ms }).await;
                 raised.map_err(|problem| not_committed(&problem))?;
                 Ok(self.upgrade_reply(next, &required_readers))
             }

@@ -424,7 +424,7 @@ fn found_ledger(context: &mut SessionContext) {
                 Ok(_) => info!(%cluster, "founded the ledger"),
                 Err(problem) => debug!(%cluster, %problem, "did not found the ledger"),
             }
-            if let Err(problem) = replica.propose(Command::RaiseWireVersion { wire }, BOOTSTRAP_TIMEOUT).await {
+            if let Err(problem) = replica.propose(Command::first_wire_version(wire), BOOTSTRAP_TIMEOUT).await {
                 debug!(%problem, "wire version was not recorded");
             }
             if let Some(command) = replica.read(|ledger| change_of_limits(ledger, limits))
@@ -436,7 +436,7 @@ fn found_ledger(context: &mut SessionContext) {
     } else if replica.read(Ledger::wire).is_none() {
         // The founder died before this proposal. Until then, no node has written more than the
         // first version, which every node reads.
-        context.propose(Command::RaiseWireVersion { wire: codec::FIRST_VERSION });
+        context.propose(Command::first_wire_version(codec::FIRST_VERSION));
     } else if let Some(command) = replica.read(|ledger| change_of_limits(ledger, limits)) {
         context.propose(command);
     }

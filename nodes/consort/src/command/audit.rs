@@ -16,7 +16,7 @@ use std::time::Duration;
 ///
 /// The entries come from the ledger: each is made together with its change, and in a closed fleet it names the signer.
 /// The fleet keeps the latest 2000 entries; export them regularly to keep them longer. Times are those of the
-/// coordinator. The leave of a node and an upgrade are not part of the trail: they are in the logs of the nodes.
+/// coordinator. The leave of a node is not part of the trail: it is in the logs of the nodes.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -74,7 +74,7 @@ fn row(entry: &AuditEntry) -> Vec<String> {
     vec![
         time_in_zone(entry.at_ms, "UTC"),
         or_dash(&entry.by),
-        entry.action.as_str().replace('_', " "),
+        entry.action.to_string().replace('_', " "),
         entry.subject.clone(),
         or_dash(&entry.details),
     ]

@@ -67,7 +67,7 @@ impl Log {
     /// A ledger of the wire version that has a history.
     fn with_history() -> Log {
         let mut log = Log::new();
-        log.apply(Command::RaiseWireVersion { wire: 3 });
+        log.apply(Command::first_wire_version(3));
         log
     }
 
@@ -460,14 +460,14 @@ fn a_request_that_may_be_a_repetition_of_a_forgotten_request_is_rejected() {
 #[test]
 fn a_ledger_keeps_its_layout_until_the_wire_version_is_raised() {
     let mut log = Log::new();
-    log.apply(Command::RaiseWireVersion { wire: 2 });
+    log.apply(Command::first_wire_version(2));
     let early = log.submit("first");
     log.cancel(&early);
     let former = (log.0.cluster, log.0.missions.clone(), log.0.requests.clone(), log.0.submitted, Some(2_u8));
     let bytes = codec::encode_record(&former).unwrap();
     assert_eq!(codec::encode_record(&log.0).unwrap(), bytes);
     log.0 = codec::decode_record(&bytes).unwrap();
-    log.apply(Command::RaiseWireVersion { wire: 3 });
+    log.apply(Command::first_wire_version(3));
     assert_eq!(log.0.mission_state(&early).map(MissionState::as_str), Some("canceled"));
     log.fail_others(520);
     assert!(log.0.remembers(&RequestId::new("first").unwrap()));

@@ -29,6 +29,7 @@ enum Subject {
     PersonRequest(PersonRequestId),
     Schedule(ScheduleId),
     Orders,
+    WireVersion,
 }
 
 /// State of what a request changes, to detect a change.
@@ -43,6 +44,7 @@ enum SubjectState {
     },
     /// The orders, not the position of their latest change: an entry of the log may contain two orders.
     Orders(BTreeMap<RobotId, RobotOrders>, Vec<Closure>),
+    WireVersion(Option<u8>),
 }
 
 impl Ledger {
@@ -53,9 +55,6 @@ impl Ledger {
 
     /// Returns the request of a person that a command executes, for [`record_request`](Self::record_request).
     pub(super) fn audited_request(&self, command: &Command) -> Option<AuditedRequest> {
-        if !self.keeps_history() {
-            return None;
-        }
         let (subject, entry) = request_of(command)?;
         let before = self.subject_state(&subject);
         Some(AuditedRequest { entry, subject, before })
@@ -69,7 +68,10 @@ impl Ledger {
             _ if self.subject_state(&subject) == before => return,
             _ => {}
         }
-        self.trail_mut().push(entry);
+        // The version that introduces the trail is its first entry.
+        if self.keeps_history() {
+            self.trail_mut().push(entry);
+        }
     }
 
     fn subject_state(&self, subject: &Subject) -> SubjectState {
@@ -90,6 +92,7 @@ impl Ledger {
                 let orders = self.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone()));
                 SubjectState::Orders(orders.collect(), self.closures().collect())
             }
+            Subject::WireVersion => SubjectState::WireVersion(self.wire()),
         }
     }
 }
@@ -143,11 +146,12 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
             let names = robots.iter().map(RobotId::as_str).collect::<Vec<_>>().join(", ");
             let (action, details) = match change {
                 OrderChange::Hold { until_ms, reason } => {
-                    let seconds = until_ms.saturating_sub(*at_ms) / 1000;
-                    (AuditAction::Hold, with_reason(format!("for {seconds} s"), reason))
+                    (AuditAction::Hold, period_and_reason(Some(*until_ms), *at_ms, reason))
                 }
                 OrderChange::Release => (AuditAction::Release, String::new()),
-                OrderChange::Maintain { reason, .. } => (AuditAction::BeginMaintenance, reason.clone()),
+                OrderChange::Maintain { until_ms, reason } => {
+                    (AuditAction::BeginMaintenance, period_and_reason(*until_ms, *at_ms, reason))
+                }
                 OrderChange::EndMaintenance => (AuditAction::EndMaintenance, String::new()),
             };
             Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
@@ -155,10 +159,16 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         Command::ChangeClosures { parts, order: OrderRequest { change, by, at_ms, .. } } => {
             let names = parts.iter().map(ClosedPart::to_string).collect::<Vec<_>>().join(", ");
             let (action, details) = match change {
-                ClosureChange::Close { reason, .. } => (AuditAction::Close, reason.clone()),
+                ClosureChange::Close { until_ms, reason } => {
+                    (AuditAction::Close, period_and_reason(*until_ms, *at_ms, reason))
+                }
                 ClosureChange::Open => (AuditAction::Open, String::new()),
             };
             Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
+        }
+        Command::RaiseWireVersion { wire, by, at_ms } => {
+            let entry = plain(AuditAction::RaiseWireVersion, by, *at_ms, format!("wire version {wire}"));
+            (!by.is_empty()).then_some((Subject::WireVersion, entry))
         }
         Command::Bootstrap { .. }
         | Command::Award { .. }
@@ -176,7 +186,6 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         | Command::SubmitOccurrence { .. }
         | Command::SkipOccurrences { .. }
         | Command::ExpireOrders { .. }
-        | Command::RaiseWireVersion { .. }
         | Command::SetHistoryLimits(_) => None,
     }
 }
@@ -190,6 +199,12 @@ fn answer_text(PersonAnswer { content, note, .. }: &PersonAnswer) -> String {
         AnswerContent::Later(_) => "later",
     };
     with_reason(word.to_owned(), note)
+}
+
+/// Formats the period and the reason of an order: `for 60 s: a spill`. An order without an end has no period.
+fn period_and_reason(until_ms: Option<u64>, at_ms: u64, reason: &str) -> String {
+    let Some(until_ms) = until_ms else { return reason.to_owned() };
+    with_reason(format!("for {} s", until_ms.saturating_sub(at_ms) / 1000), reason)
 }
 
 fn with_reason(text: String, reason: &str) -> String {

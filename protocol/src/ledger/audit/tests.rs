@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 
 fn ledger() -> Ledger {
     let mut ledger = Ledger::default();
-    apply(&mut ledger, Command::RaiseWireVersion { wire: HISTORY_SINCE });
+    apply(&mut ledger, Command::first_wire_version(HISTORY_SINCE));
     ledger
 }
 
@@ -43,7 +43,7 @@ fn order(change: OrderChange, at_ms: u64) -> Command {
 /// Returns the trail as text, an entry per line.
 fn trail(ledger: &Ledger) -> Vec<String> {
     let line = |AuditEntry { at_ms, by, action, subject, details, .. }: &AuditEntry| {
-        format!("{at_ms} {by} {} {subject} {details}", action.as_str()).trim_end().to_owned()
+        format!("{at_ms} {by} {action} {subject} {details}").trim_end().to_owned()
     };
     ledger.audit_trail().map(line).collect()
 }
@@ -79,12 +79,14 @@ fn orders_to_robots_are_recorded_with_their_reasons() {
     apply(&mut ledger, order(OrderChange::Release, 200));
     apply(&mut ledger, order(OrderChange::Release, 300));
     apply(&mut ledger, order(OrderChange::Maintain { until_ms: None, reason: "tyres".to_owned() }, 400));
+    apply(&mut ledger, order(OrderChange::Maintain { until_ms: Some(90_450), reason: "tyres".to_owned() }, 450));
     apply(&mut ledger, Command::ExpireOrders { now_ms: 500 });
     apply(&mut ledger, order(OrderChange::EndMaintenance, 600));
     let expected = [
         "100 Nia hold ada, bob for 60 s: a spill",
         "200 Nia release ada, bob",
         "400 Nia begin_maintenance ada, bob tyres",
+        "450 Nia begin_maintenance ada, bob for 90 s: tyres",
         "600 Nia end_maintenance ada, bob",
     ];
     assert_eq!(trail(&ledger), expected);
@@ -102,9 +104,14 @@ fn closures_are_recorded_with_their_reasons() {
     };
     change(ClosureChange::Open, 50);
     change(ClosureChange::Close { until_ms: None, reason: "a spill".to_owned() }, 100);
+    change(ClosureChange::Close { until_ms: Some(60_150), reason: String::new() }, 150);
     change(ClosureChange::Open, 200);
     change(ClosureChange::Open, 300);
-    let expected = ["100 Nia close Ward A, Ward B – Ward C a spill", "200 Nia open Ward A, Ward B – Ward C"];
+    let expected = [
+        "100 Nia close Ward A, Ward B – Ward C a spill",
+        "150 Nia close Ward A, Ward B – Ward C for 60 s",
+        "200 Nia open Ward A, Ward B – Ward C",
+    ];
     assert_eq!(trail(&ledger), expected);
 }
 
@@ -141,6 +148,18 @@ fn changes_of_schedules_are_recorded() {
     assert_eq!(trail(&ledger), expected);
     let numbers: Vec<u64> = ledger.audit_trail().map(|entry| entry.number).collect();
     assert_eq!(numbers, [1, 2, 3, 4]);
+}
+
+#[test]
+fn a_person_that_raises_the_wire_version_is_recorded() {
+    let mut ledger = Ledger::default();
+    let raise = |wire, at_ms| Command::RaiseWireVersion { wire, by: "Nia".to_owned(), at_ms };
+    for (wire, at_ms) in [(HISTORY_SINCE - 1, 100), (HISTORY_SINCE, 200), (HISTORY_SINCE, 300)] {
+        apply(&mut ledger, raise(wire, at_ms));
+    }
+    apply(&mut ledger, raise(HISTORY_SINCE + 1, 400));
+    let expected = ["200 Nia raise_wire_version wire version 3", "400 Nia raise_wire_version wire version 4"];
+    assert_eq!(trail(&ledger), expected);
 }
 
 #[test]

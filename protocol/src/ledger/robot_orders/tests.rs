@@ -18,7 +18,7 @@ struct Log(Ledger, u64);
 impl Log {
     fn new() -> Log {
         let mut log = Log(Ledger::default(), 1);
-        log.apply(Command::RaiseWireVersion { wire: HISTORY_SINCE });
+        log.apply(Command::first_wire_version(HISTORY_SINCE));
         log
     }
 

@@ -31,7 +31,7 @@ fn rounds() -> Schedule {
 /// Returns a ledger with the schedule, which is handled up to 100.
 fn ledger() -> Ledger {
     let mut ledger = Ledger::default();
-    apply(&mut ledger, Command::RaiseWireVersion { wire: 3 });
+    apply(&mut ledger, Command::first_wire_version(3));
     assert_eq!(apply(&mut ledger, add(rounds())), CommandOutcome::Done);
     ledger
 }

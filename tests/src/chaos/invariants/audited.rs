@@ -116,7 +116,7 @@ mod tests {
 
     fn applied(commands: Vec<Command>) -> Result<Audited, InvariantViolation> {
         let mut state = Audited::default();
-        let commands = [Command::RaiseWireVersion { wire: 3 }].into_iter().chain(commands);
+        let commands = [Command::first_wire_version(3)].into_iter().chain(commands);
         for (command, index) in commands.zip(1..) {
             state.apply(Epoch { term: 1, index }, &[command])?;
         }

@@ -197,7 +197,7 @@ mod tests {
         let change = OrderChange::Hold { until_ms: DATE_MS + 160_000, reason: String::new() };
         let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: DATE_MS + 100_000, request: None };
         let hold = Command::OrderRobots { robots: BTreeSet::from([slug("garnet")]), order };
-        state.reference.apply(Epoch { term: 1, index: 1 }, &[Command::RaiseWireVersion { wire: 3 }, hold]);
+        state.reference.apply(Epoch { term: 1, index: 1 }, &[Command::first_wire_version(3), hold]);
         if in_role {
             state.roles.insert((slug("garnet"), "lab-samples-1".parse().unwrap(), slug("r1")));
         }

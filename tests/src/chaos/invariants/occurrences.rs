@@ -139,7 +139,7 @@ mod tests {
         let rule = ScheduleRule { cron: "* * * * *".to_owned(), zone: "UTC".to_owned(), until_ms: None, missed };
         let schedule = Schedule { id: slug(SCHEDULE), rule, submission: submission(), deadline_after_ms: None };
         let add = Command::AddSchedule { schedule: Box::new(schedule), from_ms: DATE_MS };
-        let commands = [Command::RaiseWireVersion { wire: 3 }, add].into_iter().chain(commands);
+        let commands = [Command::first_wire_version(3), add].into_iter().chain(commands);
         let mut invariant = Occurrences::default();
         commands.zip(1..).try_for_each(|(command, index)| {
             let (at, commands) = (Epoch { term: 1, index }, [command].into());

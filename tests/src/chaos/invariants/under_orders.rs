@@ -85,7 +85,7 @@ mod tests {
         let hold = order(OrderChange::Hold { until_ms: 9, reason: String::new() });
         let maintain = order(OrderChange::Maintain { until_ms: None, reason: "tyres".to_owned() });
         let commands = [
-            (1, Command::RaiseWireVersion { wire: 3 }),
+            (1, Command::first_wire_version(3)),
             (5, hold),
             (7, maintain),
             (9, order(OrderChange::Release)),

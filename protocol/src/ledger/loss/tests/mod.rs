@@ -280,7 +280,7 @@ fn a_carrier_lost_with_the_parcel_needs_intervention_until_resolved() {
 #[test]
 fn a_robot_lost_with_the_parcel_stays_until_a_person_has_it() {
     let mut log = Log::of(&fetch_parcel());
-    log.apply(Command::RaiseWireVersion { wire: HISTORY_SINCE });
+    log.apply(Command::first_wire_version(HISTORY_SINCE));
     let awarded = log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", awarded, 0..8);
     let notice = |log: &Log, name: &str| OrdersNotice::of(&log.0, &robot(name), None);
