@@ -25,12 +25,16 @@ pub fn read_text(path: &Path) -> Result<String, Diagnostics> {
     file::read_text(path, BYTES_MAX).map_err(|problem| Diagnostic::for_file(path.display(), problem).into())
 }
 
-/// Loads a mission by name, or else from a file. `people` are agents of a flat iHTN.
+/// Loads the mission that a word means. `people` are agents of a flat iHTN.
+///
+/// The same holds for [`mission_request`]: the word is the name of a shipped mission, or else a file, or else the name of
+/// a mission of the fleet.
 ///
 /// # Errors
 /// [`Diagnostics`] of the file; if it does not exist, with the names of `missions`.
 pub fn mission(word: &str, people: &[RoleId], missions: &NamedMissions) -> Result<MissionDocument, Diagnostics> {
-    if missions.contains(word) {
+    let is_shipped = NamedMissions::default().contains(word);
+    if missions.contains(word) && (is_shipped || is_name_of_fleet(word)) {
         return missions.document(word, &ihtn_fields(people)).map_err(|error| Diagnostic::for_file(word, error).into());
     }
     mission_file(existing_file(word, missions)?, people)
@@ -294,4 +298,28 @@ pub fn scenarios(text: &str, file: &str) -> Result<Vec<PublishedScenario>, Diagn
         Ok(PublishedScenario { code: entry.code, room: nurse.location, workers })
     };
     entries.into_iter().map(scenario).collect::<Result<_, Diagnostic>>().map_err(Diagnostics::from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file in the folder in which the tests of this crate run. It contains no mission.
+    const FILE: &str = "Cargo.toml";
+
+    #[test]
+    fn a_file_prevails_over_a_mission_of_the_fleet() {
+        let mut missions = NamedMissions::default();
+        for name in [FILE, "rounds"] {
+            let text = format!(
+                "mission: {name}\nroles: {{ r1: {{ kind: managed }} }}\n\
+                 root: {{ task: rest, type: wait, roles: [r1], parameters: {{ seconds: \"5\" }} }}\n"
+            );
+            missions.add(MissionDocument::parse(&text, Format::Yaml, ihtn_fields(&[])).unwrap()).unwrap();
+        }
+        assert!(mission(FILE, &[], &missions).is_err() && mission_request(FILE, &[]).is_err());
+        assert_eq!(mission("rounds", &[], &missions).unwrap().name().as_str(), "rounds");
+        let source = mission_request("rounds", &[]).unwrap().mission;
+        assert!(matches!(&source, MissionSource::Named(name) if name == "rounds"), "{source:?}");
+    }
 }

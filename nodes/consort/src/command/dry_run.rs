@@ -46,8 +46,8 @@ A workers file, in TOML (in JSON and YAML: a list of the same):
   discharge_share_per_s = 0.0004   # default 0
   useful_charge = 0.08             # the default")]
 pub(crate) struct Args {
-    /// The mission: the name of a bundled mission (lab-samples, …) or of a mission of the fleet file, a mission file,
-    /// or a file in the flat iHTN form (JSON)
+    /// The mission: the name of a bundled mission (lab-samples, …), a mission file, a file in the flat iHTN form (JSON),
+    /// or else the name of a mission of the fleet file
     mission: String,
     #[command(flatten)]
     people: PeopleFlags,

@@ -63,8 +63,8 @@ impl RunFlags {
 /// Flags of a requested mission.
 #[derive(Debug, clap::Args)]
 pub(super) struct MissionFlags {
-    /// The mission: the name of a bundled mission (lab-samples, …) or of a mission that the fleet file of the nodes
-    /// names, a mission file, or a file in the flat iHTN form (JSON)
+    /// The mission: the name of a bundled mission (lab-samples, …), a mission file, a file in the flat iHTN form (JSON),
+    /// or else the name of a mission that the fleet file of the nodes names
     #[arg(value_name = "FILE|NAME")]
     mission: String,
     /// A parameter of the mission; may be repeated
