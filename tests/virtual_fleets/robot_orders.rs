@@ -246,3 +246,20 @@ fn an_order_to_an_unknown_robot_is_rejected() {
         assert_eq!(orders, Some(0), "seed {seed}");
     });
 }
+
+/// Maintenance has no end, so its order would stay in the ledger.
+#[test]
+fn orders_to_a_robot_end_when_it_leaves_the_fleet() {
+    for_each_seed([1391, 1392], async |seed| {
+        let mut fleet = fleet(seed).await;
+        fleet.wait_for_audit_trail().await;
+        let begin = json!({ "robots": ["fern", "gorse"], "action": "begin", "reason": "tyres", "by": "Nia" });
+        maintenance(&fleet, begin).await;
+        fleet.leave("gorse").await;
+        let ordered = |fleet: &Fleet| {
+            fleet.ledger(|ledger| ledger.robot_orders().map(|(robot, _)| robot.to_string()).collect::<Vec<_>>())
+        };
+        let is_over = |fleet: &Fleet| ordered(fleet).is_some_and(|ordered| ordered == ["fern"]);
+        fleet.wait_until("the end of its orders", SOON, is_over).await;
+    });
+}

@@ -38,6 +38,7 @@ impl StateMachine for Ledger {
             | Command::SkipOccurrences { .. }
             | Command::OrderRobots { .. }
             | Command::ExpireOrders { .. }
+            | Command::EndOrders { .. }
             | Command::ChangeClosures { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)

@@ -284,6 +284,11 @@ pub enum Command {
         /// The change of the closures, with the person who requests it.
         order: OrderRequest<ClosureChange>,
     },
+    /// Ends the orders to robots that have left the fleet.
+    EndOrders {
+        /// The robots.
+        robots: BTreeSet<RobotId>,
+    },
 }
 
 impl Command {
@@ -320,6 +325,7 @@ impl Command {
             | Command::SkipOccurrences { .. }
             | Command::OrderRobots { .. }
             | Command::ExpireOrders { .. }
+            | Command::EndOrders { .. }
             | Command::ChangeClosures { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,

@@ -100,6 +100,7 @@ impl Command {
             | Command::SubmitOccurrence { .. }
             | Command::SkipOccurrences { .. }
             | Command::ExpireOrders { .. }
+            | Command::EndOrders { .. }
             | Command::SetHistoryLimits(_) => {}
         }
         self

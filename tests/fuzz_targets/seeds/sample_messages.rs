@@ -308,6 +308,7 @@ fn ledger_commands() -> Vec<Command> {
             },
         },
         Command::ExpireOrders { now_ms: 9 },
+        Command::EndOrders { robots: [slug("ada")].into() },
         Command::ChangeClosures {
             parts: BTreeSet::from([ClosedPart::of_place("IC Room 6".parse().expect("a place"))]),
             order: OrderRequest {

@@ -1,5 +1,5 @@
 //! Orders of people during a session: the coordinator sends them to the robots with the closures, publishes the
-//! changes of those to robots, and proposes the end of those whose time has passed.
+//! changes of those to robots, and proposes the end of those whose time has passed, or whose robot has left the fleet.
 //!
 //! A robot that holds a role also gets its orders with each renewal of its lease.
 
@@ -32,7 +32,7 @@ pub(super) struct OrderDelivery {
     /// Time of the latest search for robots that need a notice.
     checked_at: NodeTime,
     /// Time of the latest proposal to end orders.
-    expired_at: Option<NodeTime>,
+    ended_at: Option<NodeTime>,
 }
 
 /// Latest notice to a robot.
@@ -60,7 +60,7 @@ impl OrderDelivery {
     /// Creates the state of a session. Orders that are in the ledger before the session are not published.
     pub(super) fn new(context: &SessionContext) -> OrderDelivery {
         let (published, position) = context.read_ledger(|ledger| (all_orders(ledger), ledger.orders_changed()));
-        OrderDelivery { sent: BTreeMap::new(), published, position, checked_at: NodeTime::ZERO, expired_at: None }
+        OrderDelivery { sent: BTreeMap::new(), published, position, checked_at: NodeTime::ZERO, ended_at: None }
     }
 
     /// Sends and publishes the orders that have changed. `confirmed_ms` is the time of day that a majority of the
@@ -80,11 +80,10 @@ impl OrderDelivery {
         for (robot, notice) in self.due(context, now, confirmed_ms) {
             context.notify_orders(robot, notice);
         }
-        let Some(now_ms) = confirmed_ms else { return };
-        let may_propose = self.expired_at.is_none_or(|at| now.since(at) >= RETRY_INTERVAL);
-        if may_propose && context.read_ledger(|ledger| ledger.has_order_to_expire(now_ms)) {
-            self.expired_at = Some(now);
-            context.propose(Command::ExpireOrders { now_ms });
+        let may_propose = self.ended_at.is_none_or(|at| now.since(at) >= RETRY_INTERVAL);
+        if let Some(command) = may_propose.then(|| end_of_orders(context, confirmed_ms)).flatten() {
+            self.ended_at = Some(now);
+            context.propose(command);
         }
     }
 
@@ -130,6 +129,24 @@ impl OrderDelivery {
         }
         self.published = present;
     }
+}
+
+/// Returns the command that ends orders to robots that have left the fleet, or orders whose time has passed.
+fn end_of_orders(context: &SessionContext, confirmed_ms: Option<u64>) -> Option<Command> {
+    let knowledge = &context.settings.parts.knowledge;
+    let ordered: Vec<NodeId> =
+        context.read_ledger(|ledger| ledger.robot_orders().map(|(robot, _)| NodeId::from(robot.clone())).collect());
+    let leaving: Vec<NodeId> = knowledge.read(|base| {
+        let is_leaving = |node: &NodeId| base.get(node).is_some_and(|known| known.record.knowledge.leaving);
+        ordered.into_iter().filter(is_leaving).collect()
+    });
+    let robots: BTreeSet<RobotId> =
+        leaving.into_iter().filter(|node| !knowledge.is_alive(node)).map(RobotId::from).collect();
+    if !robots.is_empty() {
+        return Some(Command::EndOrders { robots });
+    }
+    let now_ms = confirmed_ms?;
+    context.read_ledger(|ledger| ledger.has_order_to_expire(now_ms)).then_some(Command::ExpireOrders { now_ms })
 }
 
 fn all_orders(ledger: &Ledger) -> BTreeMap<RobotId, RobotOrders> {

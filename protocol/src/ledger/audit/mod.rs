@@ -186,6 +186,7 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         | Command::SubmitOccurrence { .. }
         | Command::SkipOccurrences { .. }
         | Command::ExpireOrders { .. }
+        | Command::EndOrders { .. }
         | Command::SetHistoryLimits(_) => None,
     }
 }

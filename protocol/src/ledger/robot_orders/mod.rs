@@ -117,6 +117,14 @@ impl Ledger {
         CommandOutcome::Done
     }
 
+    /// Ends the orders to robots that have left the fleet.
+    pub(super) fn end_orders(&mut self, robots: &BTreeSet<RobotId>, at: Epoch) -> CommandOutcome {
+        let mut changed = self.order_book().orders.clone();
+        changed.robots.retain(|robot, _| !robots.contains(robot));
+        self.set_orders(changed, at);
+        CommandOutcome::Done
+    }
+
     fn set_orders(&mut self, orders: Orders, at: Epoch) {
         let book = self.order_book_mut();
         if book.orders != orders {

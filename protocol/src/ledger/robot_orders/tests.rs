@@ -119,6 +119,19 @@ fn the_latest_hold_counts_and_maintenance_is_independent_of_it() {
 }
 
 #[test]
+fn orders_to_a_robot_end_when_it_has_left() {
+    let mut log = Log::new();
+    log.order(&["ada", "bob"], maintain(None), 50);
+    let ordered = log.0.orders_changed();
+    let robots = BTreeSet::from([robot("ada"), robot("cyd")]);
+    assert_eq!(log.apply(Command::EndOrders { robots: robots.clone() }), CommandOutcome::Done);
+    let ended = log.0.orders_changed();
+    assert!(log.0.robot_orders().map(|(robot, _)| robot).eq([&robot("bob")]) && ended > ordered);
+    log.apply(Command::EndOrders { robots });
+    assert_eq!(log.0.orders_changed(), ended, "they had none");
+}
+
+#[test]
 fn a_clock_that_no_majority_confirms_ends_no_hold() {
     let mut log = Log::new();
     log.order(&["ada"], hold(500), 100);
