@@ -263,3 +263,20 @@ fn orders_to_a_robot_end_when_it_leaves_the_fleet() {
         fleet.wait_until("the end of its orders", SOON, is_over).await;
     });
 }
+
+/// A client repeats a request for which it got no reply.
+#[test]
+fn a_repeated_hold_is_executed_once() {
+    for_each_seed([1395, 1396], async |seed| {
+        let mut fleet = fleet(seed).await;
+        fleet.wait_for_audit_trail().await;
+        let hold = json!({ "robots": ["fern"], "for_s": 600, "by": "Nia", "request": "order-7" });
+        let first = request(&fleet, ApiCall::Hold, &hold).await;
+        let from = fleet.elapsed();
+        let is_later = |fleet: &Fleet| fleet.elapsed() >= from + Duration::from_secs(2);
+        fleet.wait_until("another time of the request", SOON, is_later).await;
+        assert_eq!(request(&fleet, ApiCall::Hold, &hold).await, first, "seed {seed}: its end is the same");
+        let trail = request(&fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
+        assert_eq!(trail["entries"].as_array().map(Vec::len), Some(1), "seed {seed}: {trail}");
+    });
+}

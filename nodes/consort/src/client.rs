@@ -14,9 +14,11 @@ use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_dashboard::query::{QueryError, QueryTarget, RETRY_DELAY, query_once};
 use consort_protocol::access;
-use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::ids::{FleetId, NodeId, RequestId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::trust::Principal;
+use rand::TryRng;
+use rand::rngs::SysRng;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -128,6 +130,12 @@ impl QueryFlags {
 pub(crate) fn read_answer<T: for<'de> Deserialize<'de>>(answer: &Value) -> Result<T, Failure> {
     T::deserialize(answer)
         .map_err(|problem| Failure::Unsuccessful(format!("the answer cannot be read: {problem}: {answer}")))
+}
+
+/// Creates an id that contains the time: a fleet rejects it once it no longer knows the outcome.
+pub(crate) fn new_request_id() -> RequestId {
+    let half = || u128::from(SysRng.try_next_u64().expect("the system has random numbers"));
+    RequestId::generate(Clock::real().wall_ms(), half() << 64 | half())
 }
 
 /// A connected client.

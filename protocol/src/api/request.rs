@@ -223,6 +223,11 @@ pub struct HoldRequest {
     /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
+    /// the signed request counts instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub request: Option<RequestId>,
 }
 
 /// Seconds after which a hold ends by default.
@@ -240,6 +245,11 @@ pub struct ReleaseRequest {
     /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
+    /// the signed request counts instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub request: Option<RequestId>,
 }
 
 /// Takes robots out of service, or returns them to service.
@@ -260,6 +270,11 @@ pub struct MaintenanceRequest {
     /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
+    /// the signed request counts instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub request: Option<RequestId>,
 }
 
 /// Change of the maintenance of robots.
@@ -299,6 +314,11 @@ pub struct CloseRequest {
     /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
+    /// the signed request counts instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub request: Option<RequestId>,
 }
 
 /// Opens closed places or lanes.
@@ -314,6 +334,11 @@ pub struct OpenRequest {
     /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
+    /// the signed request counts instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<String>")]
+    pub request: Option<RequestId>,
 }
 
 /// The robots of a request.

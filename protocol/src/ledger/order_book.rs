@@ -21,7 +21,7 @@ pub(super) struct OrderBook {
     pub(super) changed: Epoch,
     /// The orders in force.
     pub(super) orders: Orders,
-    /// The latest signed requests.
+    /// The latest requests with an id.
     pub(super) requests: VecDeque<RequestId>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::api::{ApiError, ApiHandler};
 use consort_protocol::api::{CLOSE_S_MAX, CloseRequest, ClosuresReply, OpenRequest, parse_request};
-use consort_protocol::ids::PlaceId;
+use consort_protocol::ids::{PlaceId, RequestId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{ClosedPart, ClosureChange, Command};
 use consort_protocol::mission::Domain;
@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 impl ApiHandler {
     /// Closes places and lanes.
     pub(super) async fn close(&self, payload: &[u8]) -> Result<ClosuresReply, ApiError> {
-        let CloseRequest { places, lanes, for_s, until, reason, by } = parse_request(ApiCall::Close, payload)?;
+        let CloseRequest { places, lanes, for_s, until, reason, by, request } = parse_request(ApiCall::Close, payload)?;
         let parts = parts(places, lanes)?;
         parts.iter().try_for_each(|part| check(part, &self.domain))?;
         let until_ms = match (for_s, until) {
@@ -23,18 +23,18 @@ impl ApiHandler {
             (Some(seconds), None) => Some(self.time_ms()?.saturating_add(u64::from(seconds) * 1000)),
             (None, until) => self.end_ms(until)?,
         };
-        self.change_closures(parts, ClosureChange::Close { until_ms, reason }, by).await
+        self.change_closures(parts, ClosureChange::Close { until_ms, reason }, by, request).await
     }
 
     /// Opens closed places and lanes.
     pub(super) async fn open(&self, payload: &[u8]) -> Result<ClosuresReply, ApiError> {
-        let OpenRequest { places, lanes, by } = parse_request(ApiCall::Open, payload)?;
+        let OpenRequest { places, lanes, by, request } = parse_request(ApiCall::Open, payload)?;
         let parts = parts(places, lanes)?;
         // A closed place may be missing on the present map.
         let closed: BTreeSet<ClosedPart> =
             self.replica.read(|ledger| ledger.closures().map(|closure| closure.part).collect());
         parts.difference(&closed).try_for_each(|part| check(part, &self.domain))?;
-        self.change_closures(parts, ClosureChange::Open, by).await
+        self.change_closures(parts, ClosureChange::Open, by, request).await
     }
 
     /// Commits a change of closures, and returns those in force.
@@ -43,8 +43,10 @@ impl ApiHandler {
         parts: BTreeSet<ClosedPart>,
         change: ClosureChange,
         by: Option<String>,
+        request: Option<RequestId>,
     ) -> Result<ClosuresReply, ApiError> {
-        self.commit_order(Command::ChangeClosures { parts, order: self.order_request(change, by)? }).await?;
+        let order = self.order_request(change, by, request)?;
+        self.commit_order(Command::ChangeClosures { parts, order }).await?;
         Ok(ClosuresReply { closures: self.replica.read(|ledger| ledger.closures().collect()) })
     }
 }

@@ -20,24 +20,25 @@ const NAMES_BYTES_MAX: usize = 400;
 impl ApiHandler {
     /// Holds robots.
     pub(super) async fn hold(&self, payload: &[u8]) -> Result<OrdersReply, ApiError> {
-        let HoldRequest { robots, for_s, reason, by } = parse_request(ApiCall::Hold, payload)?;
+        let HoldRequest { robots, for_s, reason, by, request } = parse_request(ApiCall::Hold, payload)?;
         let seconds = for_s.unwrap_or(HOLD_S);
         if !(1..=HOLD_S_MAX).contains(&seconds) {
             return Err(format!("for_s is {seconds}; allowed are 1 to {HOLD_S_MAX}").into());
         }
         let until_ms = self.time_ms()?.saturating_add(u64::from(seconds) * 1000);
-        self.order(&robots, OrderChange::Hold { until_ms, reason }, by).await
+        self.order(&robots, OrderChange::Hold { until_ms, reason }, by, request).await
     }
 
     /// Releases held robots.
     pub(super) async fn release(&self, payload: &[u8]) -> Result<OrdersReply, ApiError> {
-        let ReleaseRequest { robots, by } = parse_request(ApiCall::Release, payload)?;
-        self.order(&robots, OrderChange::Release, by).await
+        let ReleaseRequest { robots, by, request } = parse_request(ApiCall::Release, payload)?;
+        self.order(&robots, OrderChange::Release, by, request).await
     }
 
     /// Takes robots out of service, or returns them to service.
     pub(super) async fn maintenance(&self, payload: &[u8]) -> Result<OrdersReply, ApiError> {
-        let MaintenanceRequest { robots, action, until, reason, by } = parse_request(ApiCall::Maintenance, payload)?;
+        let MaintenanceRequest { robots, action, until, reason, by, request } =
+            parse_request(ApiCall::Maintenance, payload)?;
         let change = match action {
             MaintenanceAction::Begin if reason.trim().is_empty() => {
                 return Err("the action `begin` needs a `reason`".to_owned().into());
@@ -48,7 +49,7 @@ impl ApiHandler {
             }
             MaintenanceAction::End => OrderChange::EndMaintenance,
         };
-        self.order(&robots, change, by).await
+        self.order(&robots, change, by, request).await
     }
 
     /// Returns the end of an order in milliseconds since 1970.
@@ -71,9 +72,10 @@ impl ApiHandler {
         selection: &RobotSelection,
         change: OrderChange,
         by: Option<String>,
+        request: Option<RequestId>,
     ) -> Result<OrdersReply, ApiError> {
         let robots = self.selected(selection)?;
-        let command = Command::OrderRobots { robots: robots.clone(), order: self.order_request(change, by)? };
+        let command = Command::OrderRobots { robots: robots.clone(), order: self.order_request(change, by, request)? };
         self.commit_order(command).await?;
         Ok(self.replica.read(|ledger| {
             let orders = |robot: RobotId| {
@@ -84,14 +86,15 @@ impl ApiHandler {
         }))
     }
 
-    /// Returns the request of a person for a change of orders.
+    /// Returns the request of a person for a change of orders. The id of a signed request prevails over the given one.
     pub(super) fn order_request<Change>(
         &self,
         change: Change,
         by: Option<String>,
+        request: Option<RequestId>,
     ) -> Result<OrderRequest<Change>, ApiError> {
-        let request = self.requester.as_ref().map(|requester| RequestId::new(requester.request.clone())).transpose();
-        let request = request.map_err(|problem| problem.to_string())?;
+        let signed = self.requester.as_ref().map(|requester| RequestId::new(requester.request.clone())).transpose();
+        let request = signed.map_err(|problem| problem.to_string())?.or(request);
         Ok(OrderRequest { change, by: self.responsible(by), at_ms: self.time_ms()?, request })
     }
 

@@ -2,7 +2,7 @@
 
 use super::flag_values::parse_duration;
 use super::hold::seconds;
-use crate::client::QueryFlags;
+use crate::client::{QueryFlags, new_request_id};
 use crate::exit::Failure;
 use consort_fleet::recurrence::until_text;
 use consort_protocol::api::{CLOSE_S_MAX, CloseRequest, ClosuresReply, OpenRequest};
@@ -89,7 +89,7 @@ pub(crate) fn run(args: CloseArgs) -> Result<(), Failure> {
     let CloseArgs { parts, length, until, reason, by, query } = args;
     let (places, lanes) = parts.parts();
     let for_s = length.map(|length| seconds(length, CLOSE_S_MAX)).transpose()?;
-    let request = CloseRequest { places, lanes, for_s, until, reason, by };
+    let request = CloseRequest { places, lanes, for_s, until, reason, by, request: Some(new_request_id()) };
     query.print(async |client| client.api(ApiCall::Close, &request).await, reply_text)
 }
 
@@ -100,7 +100,7 @@ pub(crate) fn run(args: CloseArgs) -> Result<(), Failure> {
 pub(crate) fn open(args: OpenArgs) -> Result<(), Failure> {
     let OpenArgs { parts, by, query } = args;
     let (places, lanes) = parts.parts();
-    let request = OpenRequest { places, lanes, by };
+    let request = OpenRequest { places, lanes, by, request: Some(new_request_id()) };
     query.print(async |client| client.api(ApiCall::Open, &request).await, reply_text)
 }
 

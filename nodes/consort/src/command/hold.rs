@@ -2,7 +2,7 @@
 
 use super::flag_values::parse_duration;
 use super::robot_selection::{RobotFlags, orders_text};
-use crate::client::QueryFlags;
+use crate::client::{QueryFlags, new_request_id};
 use crate::exit::Failure;
 use consort_protocol::api::{HOLD_S_MAX, HoldRequest, ReleaseRequest};
 use consort_protocol::keys::ApiCall;
@@ -64,7 +64,8 @@ pub(crate) struct ReleaseArgs {
 /// See [`Client::api`](crate::client::Client::api); [`Failure::Usage`] if the time is too long.
 pub(crate) fn run(args: HoldArgs) -> Result<(), Failure> {
     let HoldArgs { robots, length, reason, by, query } = args;
-    let request = HoldRequest { robots: robots.selection()?, for_s: Some(seconds(length, HOLD_S_MAX)?), reason, by };
+    let (robots, for_s) = (robots.selection()?, Some(seconds(length, HOLD_S_MAX)?));
+    let request = HoldRequest { robots, for_s, reason, by, request: Some(new_request_id()) };
     query.print(async |client| client.api(ApiCall::Hold, &request).await, orders_text)
 }
 
@@ -74,7 +75,7 @@ pub(crate) fn run(args: HoldArgs) -> Result<(), Failure> {
 /// See [`Client::api`](crate::client::Client::api).
 pub(crate) fn release(args: ReleaseArgs) -> Result<(), Failure> {
     let ReleaseArgs { robots, by, query } = args;
-    let request = ReleaseRequest { robots: robots.selection()?, by };
+    let request = ReleaseRequest { robots: robots.selection()?, by, request: Some(new_request_id()) };
     query.print(async |client| client.api(ApiCall::Release, &request).await, orders_text)
 }
 

@@ -1,7 +1,7 @@
 //! `consort maintenance`: takes robots out of service, and returns them to service.
 
 use super::robot_selection::{RobotFlags, orders_text};
-use crate::client::QueryFlags;
+use crate::client::{QueryFlags, new_request_id};
 use crate::exit::Failure;
 use consort_protocol::api::{MaintenanceAction, MaintenanceRequest};
 use consort_protocol::keys::ApiCall;
@@ -44,6 +44,6 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Args { robots, reason, until, end, by, query } = args;
     let action = if end { MaintenanceAction::End } else { MaintenanceAction::Begin };
     let (robots, reason) = (robots.selection()?, reason.unwrap_or_default());
-    let request = MaintenanceRequest { robots, action, until, reason, by };
+    let request = MaintenanceRequest { robots, action, until, reason, by, request: Some(new_request_id()) };
     query.print(async |client| client.api(ApiCall::Maintenance, &request).await, orders_text)
 }

@@ -2,17 +2,14 @@
 
 use super::flag_values::{InvalidValue, parse_duration};
 use super::flags::MissionFlags;
-use crate::client::{Client, ClientFlags, read_answer};
+use crate::client::{Client, ClientFlags, new_request_id, read_answer};
 use crate::exit::Failure;
 use crate::{node_runtime, output};
-use consort_bus::clock::Clock;
 use consort_protocol::api::{MissionQuery, StartTime, SubmitReply, SubmitRequest};
 use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::view::{MissionBrief, MissionView};
-use rand::TryRng;
-use rand::rngs::SysRng;
 use serde_json::{Map, Value};
 use std::env;
 use std::time::Duration;
@@ -145,12 +142,6 @@ fn start_time(text: &str) -> Result<StartTime, InvalidValue> {
              now, as 15m"
         ))
     })
-}
-
-/// Creates an id that contains the time: a fleet rejects it once it no longer knows the outcome.
-fn new_request_id() -> RequestId {
-    let half = || u128::from(SysRng.try_next_u64().expect("the system has random numbers"));
-    RequestId::generate(Clock::real().wall_ms(), half() << 64 | half())
 }
 
 async fn wait(client: &mut Client, id: &MissionId, in_json: bool) -> Result<(), Failure> {
