@@ -219,11 +219,10 @@ impl RobotState {
     /// Ends the plan of the award `epoch`, whether active or restored from a checkpoint. Its sent
     /// signals can still be queried.
     fn end_plan(&mut self, epoch: Epoch, reason: EndReason) {
+        let mut may_have_item = false;
         if let Some(mut active) = self.execution.take_plan(epoch) {
             active.stop();
-            if active.sequencer.may_have_custody() && reason != EndReason::Over {
-                self.orders.await_notice(self.now());
-            }
+            may_have_item = active.sequencer.may_have_custody();
             self.signals.end_role(&active.award.mission, &active.award.role);
             // The events have happened and are published. Signals that were not sent are left to
             // the next holder.
@@ -235,7 +234,11 @@ impl RobotState {
             self.emit_halted(&active.award, reason);
         }
         if let Some(checkpoint) = self.checkpoint.take_restored_if(epoch) {
+            may_have_item = true;
             self.emit_halted(&checkpoint.award, reason);
+        }
+        if may_have_item && reason != EndReason::Over {
+            self.orders.await_notice(self.now());
         }
     }
 
