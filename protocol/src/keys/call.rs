@@ -151,7 +151,7 @@ impl KeyKind {
                 ("swim", _) => KeyKind::Swim,
                 ("raft", Some("heartbeat")) => KeyKind::RaftHeartbeat,
                 ("raft", Some("append")) => KeyKind::RaftAppend,
-                ("raft" | "bootstrap" | "clock", _) => KeyKind::Raft,
+                ("raft" | "bootstrap" | "clock" | "leader", _) => KeyKind::Raft,
                 ("beacon", _) => KeyKind::Beacon,
                 ("driver", Some("state")) => KeyKind::DriverState,
                 ("driver", _) => KeyKind::DriverCommand,

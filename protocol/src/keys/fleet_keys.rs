@@ -38,7 +38,7 @@ impl Keys {
         let below = text.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix("/wire/"));
         let kind = below.map(|rest| rest.split('/').next().unwrap_or(rest));
         kind.is_some_and(|kind| {
-            ["beacon", "bid", "award", "report", "signal", "signal_history", "ensemble"].contains(&kind)
+            ["beacon", "bid", "award", "report", "leader", "signal", "signal_history", "ensemble"].contains(&kind)
         })
     }
 

@@ -35,6 +35,8 @@ pub enum Key {
     Report(NodeId),
     /// `wire/clock/{node}`: the time of day of a node that may vote.
     Clock(NodeId),
+    /// `wire/leader/{node}`: the leader that a node that may vote follows.
+    Leader(NodeId),
     /// `wire/signal/{mission}/{role}`: a signal of the mission's plan, published for the role that
     /// awaits it.
     Signal(MissionId, RoleId),
@@ -112,6 +114,7 @@ impl fmt::Display for Key {
             Key::Award(robot) => write!(f, "wire/award/{robot}"),
             Key::Report(node) => write!(f, "wire/report/{node}"),
             Key::Clock(node) => write!(f, "wire/clock/{node}"),
+            Key::Leader(node) => write!(f, "wire/leader/{node}"),
             Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
             Key::SignalHistory(mission, role) => write!(f, "wire/signal_history/{mission}/{role}"),
             Key::Ensemble(ensemble, robot) => write!(f, "wire/ensemble/{ensemble}/{robot}"),
@@ -165,6 +168,7 @@ pub(super) fn read(text: &str) -> Option<Key> {
         ["wire", "award", robot] => Key::Award(robot.parse().ok()?),
         ["wire", "report", node] => Key::Report(node.parse().ok()?),
         ["wire", "clock", node] => Key::Clock(node.parse().ok()?),
+        ["wire", "leader", node] => Key::Leader(node.parse().ok()?),
         ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "signal_history", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "ensemble", ensemble, robot] => Key::Ensemble(ensemble.parse().ok()?, robot.parse().ok()?),

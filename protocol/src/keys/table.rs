@@ -122,6 +122,7 @@ table! {
     Key::Award(_) => "wire/award/{robot}", "the robot" Answers WIRE, "the award or the revocation of a role, and the orders of people";
     Key::Report(_) => "wire/report/{node}", "the coordinator" Answers WIRE, "reports of robots, which also renew their leases";
     Key::Clock(_) => "wire/clock/{node}", "nodes that may vote" Answers WIRE, "the time of day of the node, for the coordinator";
+    Key::Leader(_) => "wire/leader/{node}", "nodes that may vote" Answers WIRE, "the leader that the node follows: by it robots confirm their coordinator";
     Key::Signal(..) => "wire/signal/{mission}/{role}", "robots, and the coordinator for people" Publishes WIRE, "a signal of the mission's plan for this role";
     Key::SignalHistory(..) => "wire/signal_history/{mission}/{role}", "the robot that holds the role" Answers WIRE, "the signals that the role has sent";
     Key::Ensemble(..) => "wire/ensemble/{ensemble}/{robot}", "the robot" Publishes WIRE, "values of the robot for the members of the ensemble";

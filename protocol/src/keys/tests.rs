@@ -19,6 +19,7 @@ pub(super) fn all() -> Vec<Key> {
         Key::Award(robot.clone()),
         Key::Report(node.clone()),
         Key::Clock(node.clone()),
+        Key::Leader(node.clone()),
         Key::Signal(mission.clone(), role.clone()),
         Key::SignalHistory(mission.clone(), role),
         Key::ViewFleet,
@@ -89,9 +90,9 @@ fn all_keys_are_formatted_differently() {
 #[test]
 fn keys_about_missions_are_cluster_scoped() {
     let keys = Keys::new(&FleetId::new("ward").unwrap());
-    for text in
-        [keys.any_bid(), keys.any_signal(), keys.any_of_ensemble(&"icu".parse().unwrap()), keys.write(&Key::Beacon)]
-    {
+    let leader = keys.write(&Key::Leader(NodeId::new("lab-1").unwrap()));
+    let of_ensemble = keys.any_of_ensemble(&"icu".parse().unwrap());
+    for text in [keys.any_bid(), keys.any_signal(), of_ensemble, keys.write(&Key::Beacon), leader] {
         assert!(keys.is_cluster_scoped(&text), "{text}");
     }
     let warden = "consort/warden/wire/beacon".to_owned();

@@ -10,6 +10,7 @@
 //! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardReply`] |
 //! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportReply`] |
 //! | `wire/clock/{node}` | query | coordinator → voter | empty | `u64`: milliseconds since 1970 |
+//! | `wire/leader/{node}` | query | robot → voter | empty | `Option` of [`FollowedLeader`] |
 //! | `wire/signal/{mission}/{role}` | publish | role → role | [`SignalHistory`] | – |
 //! | `wire/signal_history/{mission}/{role}` | query | waiting role → role | empty | [`SignalHistory`] |
 //! | `wire/ensemble/{ensemble}/{robot}` | publish | robot → members of the ensemble | [`MemberValues`](crate::ensemble::MemberValues) | – |
@@ -146,6 +147,16 @@ pub struct ClusterEnvelope {
     pub cluster: Option<ClusterId>,
     /// The message.
     pub payload: Vec<u8>,
+}
+
+/// Leader of the ledger that a voter follows; the leader itself follows itself. A beacon of any author counts only
+/// if voters state the same.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct FollowedLeader {
+    /// Node of the leader.
+    pub node: NodeId,
+    /// Its term.
+    pub term: u64,
 }
 
 /// Notification of a robot by the coordinator about its entry in the ledger.

@@ -14,8 +14,8 @@ use consort_protocol::knowledge::{Digest, DigestScope, Record};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 use consort_protocol::message::{
-    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, RecordUpdate, Report,
-    ReportReply, SignalHistory,
+    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FollowedLeader,
+    RecordUpdate, Report, ReportReply, SignalHistory,
 };
 use ledger_values::*;
 use message_values::*;
@@ -114,6 +114,7 @@ proptest! {
         let founder = BootstrapRequest { mobile: term % 2 == 0, on_battery: term % 3 == 0, node: node.clone() };
         assert_round_trip(&BootstrapReply::Refused { reason: founder.node.to_string() })?;
         assert_round_trip(&founder)?;
+        assert_round_trip(&Some(FollowedLeader { node, term }))?;
     }
 
     #[test]
@@ -139,6 +140,7 @@ proptest! {
         assert_harmless::<Beacon>(&bytes);
         assert_harmless::<BootstrapRequest>(&bytes);
         assert_harmless::<BootstrapReply>(&bytes);
+        assert_harmless::<Option<FollowedLeader>>(&bytes);
     }
 
     #[test]

@@ -22,7 +22,8 @@ use consort_protocol::ledger::{
 };
 use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope, Exchange,
-    FailureKind, OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
+    FailureKind, FollowedLeader, OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory,
+    TaskFailure,
 };
 use consort_protocol::mission::{Escalation, TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
@@ -225,6 +226,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&beacon),
         encoded(&BootstrapRequest { node: ada.clone(), mobile: false, on_battery: false }),
         encoded(&BootstrapReply::Refused { reason: "no".to_owned() }),
+        encoded(&FollowedLeader { node: ada.clone(), term: 3 }),
         encoded(&DriverCommand {
             request: Some(GoalRequest::Cancel { id: GoalId(3) }),
             permit: Permit { goals: vec![GoalId(2)], state: StateStamp { boot: 5, sequence: 7 }, keep_for_ms: 2_900 },

@@ -13,8 +13,8 @@ use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::RaftCall;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, Submission};
 use consort_protocol::message::{
-    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, RecordUpdate, Report,
-    ReportReply, SignalHistory,
+    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FollowedLeader,
+    RecordUpdate, Report, ReportReply, SignalHistory,
 };
 use consort_protocol::plan::LocalPlan;
 use serde::Serialize;
@@ -65,6 +65,7 @@ pub(super) fn wire(bytes: &[u8]) -> bool {
         Beacon,
         BootstrapRequest,
         BootstrapReply,
+        FollowedLeader,
         DriverCommand,
         DriverState,
         PersonCommand,

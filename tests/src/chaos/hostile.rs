@@ -45,10 +45,11 @@ const LONG_TEXT: usize = 100_000;
 const LONG_REASON: usize = 60_000;
 
 /// Keys of queries that it answers and refuses.
-const ATTACKED_QUERIES: [&str; 9] = [
+const ATTACKED_QUERIES: [&str; 10] = [
     "wire/bid/*",
     "wire/award/*",
     "wire/report/*",
+    "wire/leader/*",
     "wire/people/ask",
     "wire/signal_history/*/*",
     "wire/raft/*/*",

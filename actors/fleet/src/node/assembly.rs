@@ -28,10 +28,10 @@ use consort_protocol::ids::{ClusterId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Attributes, Knowledge};
 use consort_protocol::ledger::{Command, Ledger};
-use consort_protocol::message::{BootstrapRequest, Exchange};
+use consort_protocol::message::{BootstrapRequest, Exchange, FollowedLeader};
 use consort_protocol::timing::TimingParameters;
 use consort_raft::store::CheckpointStore;
-use consort_raft::{ApplyObserver, LogStore, RaftSettings, Replica};
+use consort_raft::{ApplyObserver, LeadershipView, LogStore, RaftSettings, Replica};
 use ractor::{Actor, ActorRef};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -121,6 +121,7 @@ pub(super) async fn start_parts(
             assembly.follow_ledger_cluster(&replica);
             assembly.follow_ledger_version(&replica);
             assembly.serve_clock().await?;
+            assembly.serve_leader(&replica).await?;
             let coordinator = assembly.start_coordinator(&replica, rng.next_u64()).await?;
             assembly.end_with_ledger(&replica);
             let (mobile, on_battery) = (!settings.stationary, !settings.mains_powered);
@@ -207,6 +208,20 @@ impl Assembly {
         self.tasks.spawn(async move {
             while let Some(query) = readings.recv().await {
                 reply::wire(&query, &query.key, &clock.wall_ms()).await;
+            }
+        });
+        Ok(())
+    }
+
+    /// Returns the leader that this node follows to robots.
+    async fn serve_leader(&mut self, replica: &Replica<Ledger>) -> Result<(), NodeError> {
+        let mut queries = self.bus.serve(&self.keys.write(&Key::Leader(self.node.clone()))).await?;
+        let leadership = replica.leadership();
+        self.tasks.spawn(async move {
+            while let Some(query) = queries.recv().await {
+                let LeadershipView { leader_id, leader, .. } = leadership.borrow().clone();
+                let followed = leader.zip(leader_id).map(|(node, id)| FollowedLeader { node, term: id.term });
+                reply::wire(&query, &query.key, &followed).await;
             }
         });
         Ok(())

@@ -14,6 +14,7 @@
 //! | `wire/award/{robot}` | – | voters | that robot |
 //! | `wire/report/{node}` | – | robots, in their own name | that node, if a voter |
 //! | `wire/clock/{node}` | – | voters | that node, if a voter |
+//! | `wire/leader/{node}` | – | robots | that node, if a voter |
 //! | `wire/signal/{mission}/{role}` | robots and voters | – | – |
 //! | `wire/signal_history/{mission}/{role}` | – | any node | robots |
 //! | `wire/ensemble/{ensemble}/{robot}` | that robot | – | – |
@@ -30,7 +31,7 @@
 //! The nodes that may reply to a query may also refuse it. Persons publish nothing and reply to
 //! nothing. Not checked here, but by the receivers, which learn the verified author of each message:
 //! that a robot holds the role for which it reports or signals; that a host serves the person for
-//! whom it replies; that a voter leads (terms and majorities ensure it); and the
+//! whom it replies; that a voter leads (terms and majorities ensure it, and robots query the other voters); and the
 //! content of a third node's record that a node passes on.
 
 use crate::auction::BidResponse;
@@ -197,7 +198,8 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
         (&["wire", "bid", name], Reply) => (node.is(Robot) && node.is_named(name)).then_some(NamedContent::BidResponse),
         (&["wire", "award", name], Reply) => unnamed(node.is(Robot) && node.is_named(name)),
         (&["wire", "report", _], Query) => node.is(Robot).then_some(NamedContent::Report),
-        (&["wire", "report" | "clock", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
+        (&["wire", "leader", _], Query) => unnamed(node.is(Robot)),
+        (&["wire", "report" | "clock" | "leader", name], Reply) => unnamed(node.is(Voter) && node.is_named(name)),
         (&["wire", "signal_history", _, _] | &["wire", "world"], Query) => unnamed(true),
         (&["wire", "signal", _, _], Publish) => unnamed(node.is(Robot) || node.is(Voter)),
         (&["wire", "ensemble", _, name], Publish) => unnamed(node.is(Robot) && node.is_named(name)),

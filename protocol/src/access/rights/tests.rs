@@ -23,7 +23,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 39] = [
+const TABLE: [(&str, [&str; 3]); 40] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
@@ -37,6 +37,7 @@ const TABLE: [(&str, [&str; 3]); 39] = [
     ("wire/bid/*", ["", "vV", ""]),
     ("wire/award/ada", ["", "vV", "r"]),
     ("wire/report/ada", ["", "rR", "v"]),
+    ("wire/leader/ada", ["", "rR", "v"]),
     ("wire/signal/lab-1/r1", ["rvRV", "", ""]),
     ("wire/signal_history/lab-1/r1", ["", ANY, "rR"]),
     ("wire/ensemble/icu/ada", ["r", "", ""]),
