@@ -25,13 +25,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-const SEEDS: [u64; 3] = [51, 52, 53];
-const ROOM: &str = "IC Room 6";
-const SOON: Duration = Duration::from_secs(60);
+pub(crate) const SEEDS: [u64; 3] = [51, 52, 53];
+pub(crate) const ROOM: &str = "IC Room 6";
+pub(crate) const SOON: Duration = Duration::from_secs(60);
 
 /// `fern` is far away and `gorse` near, so that `gorse` carries. Tests with an attacker do not
 /// start the node of `fern`.
-async fn closed(seed: u64, fern: RobotSpec) -> Fleet {
+pub(crate) async fn closed(seed: u64, fern: RobotSpec) -> Fleet {
     let robots = vec![fern, RobotSpec::carrier("gorse", "IC Room 4")];
     let mut fleet = Fleet::closed_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
     assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the first coordinator");
@@ -39,7 +39,7 @@ async fn closed(seed: u64, fern: RobotSpec) -> Fleet {
 }
 
 /// Returns the buses of an attacker with the key of a node that the test does not start.
-async fn stolen(fleet: &Fleet, name: &str, role: NodeRole) -> StolenKey {
+pub(crate) async fn stolen(fleet: &Fleet, name: &str, role: NodeRole) -> StolenKey {
     StolenKey::of(fleet, name, Some(role), 0).await.expect("a closed fleet")
 }
 
@@ -69,7 +69,7 @@ fn a_closed_fleet_completes_a_mission_after_a_takeover() {
     });
 }
 
-fn wire<T: Serialize>(message: &T) -> Bytes {
+pub(crate) fn wire<T: Serialize>(message: &T) -> Bytes {
     codec::encode(message).expect("a message").into()
 }
 
@@ -237,7 +237,7 @@ fn the_key_of_a_robot_gives_no_power_over_other_nodes() {
 }
 
 /// Returns the replies to a request, as text.
-async fn replies(bus: &SharedBus, key: &str, payload: Bytes, attachment: Bytes) -> Vec<String> {
+pub(crate) async fn replies(bus: &SharedBus, key: &str, payload: Bytes, attachment: Bytes) -> Vec<String> {
     let asked = bus.query_with(key, payload, attachment, Duration::from_secs(3), ServiceSelection::All).await;
     let (mut replies, mut all) = (asked.expect("a network"), vec![]);
     while let Some(reply) = replies.recv().await {

@@ -15,6 +15,7 @@ mod decommission_of_robots;
 mod determinism;
 mod energy_bounds;
 mod exchange;
+mod false_coordinator;
 mod fencing;
 mod found_by_chaos;
 mod interventions;

@@ -1,9 +1,9 @@
 //! The coordinator that a node follows, by the beacons of coordinators and by its own queries to
 //! them.
 //!
-//! A beacon with a later term shows a new coordinator. It proves nothing: only a coordinator that a
-//! majority follows can answer a report or a query for missions. A node that fails to answer loses
-//! its precedence, whatever term its beacons contain.
+//! A beacon with a later term shows a new coordinator. It proves nothing: a coordinator that no
+//! majority follows answers neither a report nor a query for missions. A node that fails to answer,
+//! or that the voters contradict, loses its precedence, whatever term its beacons contain.
 
 use consort_bus::clock::Clock;
 use consort_bus::{Sample, Stream};
@@ -87,11 +87,11 @@ impl FollowedCoordinator {
 
     /// Checks whether a beacon replaces the known one, which arrived `age` ago.
     fn supersedes(&self, beacon: &Beacon, known: &Beacon, age: Duration) -> bool {
+        let distrusts = |node: &NodeId| self.distrusted.contains_key(node);
         // The receiver has moved to another cluster, where terms are counted anew.
-        if beacon.is_other_cluster(known) || age > SILENCE_MAX {
+        if beacon.is_other_cluster(known) && !distrusts(&beacon.node) || age > SILENCE_MAX {
             return true;
         }
-        let distrusts = |node: &NodeId| self.distrusted.contains_key(node);
         match (distrusts(&known.node), distrusts(&beacon.node)) {
             (true, false) => true,
             (false, true) => false,
@@ -115,8 +115,13 @@ impl FollowedCoordinator {
         self.failures += 1;
         if self.failures >= FAILURES_MAX {
             self.failures = 0;
-            self.distrusted.insert(node.clone(), now);
+            self.distrust(node.clone(), now);
         }
+    }
+
+    /// Lets the beacons of other nodes take precedence over those of this node for a while.
+    pub(crate) fn distrust(&mut self, node: NodeId, now: NodeTime) {
+        self.distrusted.insert(node, now);
     }
 }
 
@@ -174,6 +179,16 @@ mod tests {
         assert_eq!(followed.receive(beacon("eve", u64::MAX), at(4)), None);
         assert_eq!(followed.receive(beacon("one", 2), at(30)), change(false, false));
         assert_eq!(followed.receive(beacon("eve", u64::MAX), at(33)), change(true, false), "once more, later");
+    }
+
+    #[test]
+    fn a_distrusted_node_is_not_followed_to_another_cluster() {
+        let mut followed = FollowedCoordinator::default();
+        let other = Beacon { cluster: Some(ClusterId(2)), ..beacon("eve", 1) };
+        followed.receive(other.clone(), at(0));
+        followed.distrust("eve".parse().unwrap(), at(0));
+        assert_eq!(followed.receive(beacon("one", 2), at(1)), change(true, true));
+        assert_eq!(followed.receive(other, at(1)), None);
     }
 
     #[test]

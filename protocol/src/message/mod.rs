@@ -185,6 +185,17 @@ pub enum AwardNotice {
     Orders(OrdersNotice),
 }
 
+impl AwardNotice {
+    /// Returns the position in the ledger that the notice states.
+    pub fn position(&self) -> Epoch {
+        match self {
+            AwardNotice::Awarded(award) => award.epoch,
+            AwardNotice::Revoked { epoch, .. } | AwardNotice::GiveWay { epoch, .. } => *epoch,
+            AwardNotice::Orders(orders) => orders.as_of,
+        }
+    }
+}
+
 /// Orders of people to a robot, as of a position in the ledger. A robot ignores an earlier position than the
 /// latest that it has received, so a delayed message changes nothing.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -175,6 +175,11 @@ impl LeaseClient {
         }
     }
 
+    /// Lets the beacons of other nodes than `node`, which claims to coordinate, take precedence.
+    pub(super) fn distrust(&mut self, node: NodeId, now: NodeTime) {
+        self.coordinator.distrust(node, now);
+    }
+
     /// Takes the request for another report.
     pub(super) fn take_queued_report(&mut self) -> bool {
         std::mem::take(&mut self.reports.queued)

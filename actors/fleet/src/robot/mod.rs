@@ -22,6 +22,7 @@
 //! | `CheckpointStorage` | writes of the checkpoint |
 //! | `DriverLink` with `WorkerRecord` | telemetry, and the robot's own knowledge record |
 //! | `StandingOrders` | hold and maintenance, ordered by people |
+//! | `LeaderCheck` with `LeaderPoll` | the coordinator, confirmed by the voters |
 //! | `ChargeControl` | charging while the robot is free |
 //!
 //! Each skill runs in an actor of its own: a panic in a skill fails the attempt and not the node.
@@ -40,6 +41,7 @@ mod checkpoint_writer;
 mod driver_link;
 mod energy_check;
 mod execution;
+mod leader_poll;
 mod lease_client;
 mod recovery_policy;
 mod release;

@@ -14,12 +14,17 @@ use std::time::Duration;
 /// notice.
 const FIRST_NOTICE_WAIT: Duration = Duration::from_secs(10);
 
+/// Time for which a robot stands still because of a hold that is not confirmed. The coordinator repeats it more often.
+const UNCONFIRMED_HOLD: Duration = Duration::from_secs(3);
+
 /// Orders of people to this robot.
 #[derive(Debug, Default)]
 pub(super) struct StandingOrders {
     /// Position in the ledger of the latest notice.
     as_of: Epoch,
     hold: Option<StandingOrder>,
+    /// Hold by a node that no poll has confirmed as the coordinator yet.
+    unconfirmed_hold: Option<StandingOrder>,
     maintenance: Option<StandingOrder>,
     closures: Vec<StandingClosure>,
     stay: Option<StandingOrder>,
@@ -63,7 +68,7 @@ impl StandingOrders {
         StandingOrders { acts_alone_from: now + FIRST_NOTICE_WAIT, ..StandingOrders::default() }
     }
 
-    /// Receives the orders from a coordinator. A notice that is older than the latest has no effect.
+    /// Receives the orders from the coordinator. A notice that is older than the latest has no effect.
     pub(super) fn receive(&mut self, notice: OrdersNotice, now: NodeTime) {
         let OrdersNotice { as_of, hold, maintenance, closures, stay } = notice;
         if as_of < self.as_of {
@@ -72,7 +77,29 @@ impl StandingOrders {
         let standing = |order: Option<OrderNotice>| order.map(|order| StandingOrder::new(order, now));
         let (hold, maintenance, stay) = (standing(hold), standing(maintenance), standing(stay));
         let closures = closures.into_iter().map(|closure| StandingClosure::new(closure, now)).collect();
-        *self = StandingOrders { as_of, hold, maintenance, closures, stay, acts_alone_from: now };
+        *self =
+            StandingOrders { as_of, hold, unconfirmed_hold: None, maintenance, closures, stay, acts_alone_from: now };
+    }
+
+    /// Receives orders from a node that may be the coordinator: a hold counts for a short time, and nothing else.
+    pub(super) fn receive_unconfirmed(&mut self, notice: &OrdersNotice, now: NodeTime) {
+        self.unconfirmed_hold = notice.hold.clone().map(|hold| {
+            let mut order = StandingOrder::new(hold, now);
+            let end = now + UNCONFIRMED_HOLD;
+            order.until = Some(order.until.map_or(end, |until| until.min(end)));
+            order
+        });
+    }
+
+    /// Ends the hold of a node that is not the coordinator.
+    pub(super) fn end_unconfirmed(&mut self) {
+        self.unconfirmed_hold = None;
+    }
+
+    /// Accepts any position from now on: the ledger of a new leader contains everything that was committed before, and
+    /// a position that only the former leader stated counts no longer.
+    pub(super) fn change_session(&mut self) {
+        self.as_of = Epoch::default();
     }
 
     /// Waits for a notice before the robot acts without a role: it has lost its role, perhaps with an item.
@@ -83,7 +110,7 @@ impl StandingOrders {
     /// Accepts any position from now on: the positions of another cluster are counted anew. A cluster without orders
     /// sends none, and its people cannot end those of the former one: they end by themselves.
     pub(super) fn change_cluster(&mut self, now: NodeTime) {
-        self.as_of = Epoch::default();
+        self.change_session();
         let end = now + FIRST_NOTICE_WAIT;
         let of_closures = self.closures.iter_mut().map(|closure| &mut closure.order);
         for order in self.hold.iter_mut().chain(&mut self.maintenance).chain(&mut self.stay).chain(of_closures) {
@@ -103,7 +130,7 @@ impl StandingOrders {
 
     /// Checks whether the robot has to stand still.
     pub(super) fn is_held(&self, now: NodeTime) -> bool {
-        self.hold.as_ref().is_some_and(|hold| hold.is_in_force(now))
+        self.hold.iter().chain(&self.unconfirmed_hold).any(|hold| hold.is_in_force(now))
     }
 
     /// Returns the closed lanes by their ends, and each closed place twice.
@@ -122,7 +149,7 @@ impl StandingOrders {
 
     /// Returns the order for which the robot takes no role, as text; `None` if there is none.
     pub(super) fn problem(&self, now: NodeTime) -> Option<&str> {
-        let mut orders = self.hold.iter().chain(&self.maintenance);
+        let mut orders = self.hold.iter().chain(&self.unconfirmed_hold).chain(&self.maintenance);
         orders.find(|order| order.is_in_force(now)).map(|order| order.text.as_str())
     }
 }
@@ -181,6 +208,32 @@ mod tests {
         assert!(orders.is_held(at(3)));
         orders.receive(notice(8, None), at(4));
         assert!(!orders.is_held(at(4)), "the present state at the same position");
+    }
+
+    #[test]
+    fn an_unconfirmed_notice_holds_for_a_short_time_and_releases_nothing() {
+        let mut orders = StandingOrders::default();
+        let hold = || order("held by Nia", None);
+        orders.receive_unconfirmed(&notice(u64::MAX, hold()), at(0));
+        assert!(orders.is_held(at(2_999)) && !orders.is_held(at(3_000)));
+        orders.receive_unconfirmed(&notice(u64::MAX, hold()), at(4_000));
+        orders.end_unconfirmed();
+        assert!(!orders.is_held(at(4_000)));
+        orders.receive(notice(7, hold()), at(5_000));
+        orders.receive_unconfirmed(&notice(u64::MAX, None), at(5_000));
+        assert!(orders.is_held(at(60_000)));
+        orders.receive(notice(8, None), at(60_000));
+        assert!(!orders.is_held(at(60_000)));
+    }
+
+    #[test]
+    fn the_next_leader_session_replaces_an_invented_position() {
+        let mut orders = StandingOrders::default();
+        orders.receive(notice(u64::MAX, order("held by dill", None)), at(0));
+        orders.change_session();
+        assert!(orders.is_held(at(1)), "until the next leader states the orders");
+        orders.receive(notice(7, None), at(2));
+        assert!(!orders.is_held(at(2)));
     }
 
     #[test]

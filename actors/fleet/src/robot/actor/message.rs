@@ -1,5 +1,6 @@
 //! Messages for the robot actor.
 
+use crate::robot::leader_poll::LeaderPoll;
 use crate::robot::signals::ReceivedSignals;
 use crate::robot::skill_runner::SkillOutcome;
 use consort_bus::{Query, Sample};
@@ -21,14 +22,9 @@ pub(crate) enum RobotMessage {
     /// Award of a role, or its end, from the coordinator.
     AwardNotice(Query),
     /// The query of a report has ended, with or without a reply.
-    ReportReplied {
-        /// Node that the report was sent to.
-        recipient: NodeId,
-        /// Time at which the report was sent.
-        sent: NodeTime,
-        /// Reply of the coordinator; `None` without a reply.
-        reply: Option<ReportReply>,
-    },
+    ReportReplied(EndedReport),
+    /// A poll of the voters about their leader has ended.
+    LeaderPolled(LeaderPoll),
     /// A skill has ended.
     SkillEnded {
         /// Number of the skill run.
@@ -54,4 +50,14 @@ pub(crate) enum RobotMessage {
     },
     /// The time for the decommission has passed.
     DecommissionTimeout,
+}
+
+/// A report whose query has ended.
+pub(crate) struct EndedReport {
+    /// Node that the report was sent to.
+    pub(super) recipient: NodeId,
+    /// Time at which the report was sent.
+    pub(super) sent: NodeTime,
+    /// Reply of the coordinator; `None` without a reply.
+    pub(super) reply: Option<ReportReply>,
 }

@@ -1,9 +1,10 @@
 //! The robot actor: mailbox, timers and bus around the values that make the decisions.
 //!
-//! `state` holds the values and performs single effects, `plan`, `role` and `charging` perform the
-//! decisions about the plan, the role and the charge, and this file dispatches messages.
+//! `state` holds the values and performs single effects, `plan`, `role`, `coordinator` and `charging` perform the
+//! decisions about the plan, the role, the coordinator and its orders, and the charge, and this file dispatches messages.
 
 mod charging;
+mod coordinator;
 mod message;
 mod plan;
 mod role;
@@ -17,6 +18,7 @@ use super::checkpoint::Checkpoint;
 use super::checkpoint_storage::CheckpointStorage;
 use super::driver_link::DriverLink;
 use super::execution::Execution;
+use super::leader_poll::LeaderCheck;
 use super::lease_client::LeaseClient;
 use super::recovery_policy::AttemptFailure;
 use super::settings::{RobotLinks, RobotSettings, RobotStart};
@@ -81,6 +83,9 @@ impl Actor for Robot {
             charging: settings.charging.clone().map(ChargeControl::new),
             decommission: DecommissionRequests::default(),
             orders: StandingOrders::new(now),
+            leader_check: LeaderCheck::default(),
+            unconfirmed_notices: vec![],
+            unconfirmed_reply: None,
             tasks,
             myself,
             settings,
@@ -110,9 +115,8 @@ impl Actor for Robot {
                 Ok(())
             }
             RobotMessage::AwardNotice(query) => state.handle_award_notice(query).await,
-            RobotMessage::ReportReplied { recipient, sent, reply } => {
-                state.handle_report_reply(&recipient, sent, reply).await
-            }
+            RobotMessage::ReportReplied(report) => state.handle_report_reply(report).await,
+            RobotMessage::LeaderPolled(poll) => state.handle_leader_poll(poll).await,
             RobotMessage::SkillEnded { run, outcome } => state.skill_ended(run, outcome).await,
             RobotMessage::Signal(sample) => match ReceivedSignals::of(sample) {
                 Some(received) => state.receive_signals(&received).await,
@@ -193,10 +197,13 @@ impl RobotState {
         };
         let node = beacon.node.clone();
         let now = self.now();
+        self.hear_beacon(&beacon, &sample.author, now);
         let Some(change) = self.lease.follow(beacon, now) else { return };
         if change.other_cluster {
             info!(robot = %self.settings.robot, %node, "follows the coordinator of another cluster");
-            self.orders.change_cluster(now);
+            if !self.leader_check.has_certificates() {
+                self.orders.change_cluster(now);
+            }
         }
         if change.new_session {
             self.report();

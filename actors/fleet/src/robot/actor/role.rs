@@ -1,18 +1,19 @@
 //! The robot actor performs its role: awards, replies to reports, start and end of the plan.
 
-use super::message::RobotMessage;
+use super::message::{EndedReport, RobotMessage};
 use super::state::{RobotState, leaving};
 use crate::robot::active_plan::{ActivePlan, PlanStart};
 use crate::robot::checkpoint_writer::PendingOutput;
+use crate::robot::leader_poll::Standing;
 use crate::robot::lease_client::Renewal;
 use crate::robot::recovery_policy::AttemptFailure;
 use consort_bus::Query;
 use consort_bus::reply;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
-use consort_protocol::message::{AwardNotice, FailureKind, OrdersNotice, ReportReply};
+use consort_protocol::message::{AwardNotice, FailureKind, ReportReply};
 use consort_protocol::mission::TaskOutcomes;
 use consort_protocol::plan::{Signal, StepIndex};
 use consort_protocol::units::NodeTime;
@@ -25,14 +26,15 @@ impl RobotState {
         let Some((query, notice)) = reply::decode_or_refuse_in::<AwardNotice>(&mut self.tasks, query) else {
             return Ok(());
         };
-        let now = self.now();
-        // The key of a voter that does not lead holds no robot.
-        let is_followed = self.lease.coordinator().is_some_and(|node| query.author.may_be(node.as_str()));
-        if matches!(notice, AwardNotice::Orders(_)) && !is_followed {
-            let reason = format!("{} is not the coordinator of {}", query.author, self.settings.robot);
-            reply::refuse_in(&mut self.tasks, query, reason);
-            return Ok(());
+        match self.confirm_notice(query, notice) {
+            Some((query, notice)) => self.perform_notice(query, notice).await,
+            None => Ok(()),
         }
+    }
+
+    /// Performs a notice of the coordinator.
+    pub(super) async fn perform_notice(&mut self, query: Query, notice: AwardNotice) -> Result<(), ActorProcessingErr> {
+        let now = self.now();
         let (mut give_way, mut orders) = (None, None);
         match &notice {
             AwardNotice::GiveWay { epoch, to, for_now } => give_way = Some((*epoch, to.clone(), *for_now)),
@@ -71,37 +73,34 @@ impl RobotState {
         Ok(())
     }
 
-    /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.
-    fn follow_orders(&mut self, orders: OrdersNotice, now: NodeTime) {
-        self.orders.receive(orders, now);
-        self.driver.set_closures(self.orders.closed(now));
-        if !self.orders.is_held(now) {
-            return;
-        }
-        if let Some(active) = self.execution.plan.as_mut().filter(|active| active.attempt.is_some()) {
-            active.suspend();
-            info!(robot = %self.settings.robot, mission = %active.award.mission, "held: suspended");
-        }
-    }
-
     /// Handles an event of the lease.
     pub(super) async fn handle_lease_event(&mut self, event: Event, now: NodeTime) -> Result<(), ActorProcessingErr> {
         let actions = self.lease.handle(event, now);
         self.perform_actions(actions).await
     }
 
-    pub(super) async fn handle_report_reply(
-        &mut self,
-        recipient: &NodeId,
-        sent: NodeTime,
-        reply: Option<ReportReply>,
-    ) -> Result<(), ActorProcessingErr> {
+    /// Handles the end of a report. A reply counts only once the voters have had the time to confirm its author.
+    pub(super) async fn handle_report_reply(&mut self, report: EndedReport) -> Result<(), ActorProcessingErr> {
         let now = self.now();
+        let has_effect = matches!(report.reply, Some(ReportReply::Renewed { .. } | ReportReply::Ended { .. }));
+        let standing = self.leader_check.standing(&report.recipient, Epoch::default(), now);
+        if has_effect && standing == Standing::Unconfirmed {
+            self.await_poll_for_reply(report, now);
+            return Ok(());
+        }
+        self.end_report(report).await
+    }
+
+    /// Ends a report: renews the lease, or ends the role.
+    pub(super) async fn end_report(&mut self, report: EndedReport) -> Result<(), ActorProcessingErr> {
+        let now = self.now();
+        let EndedReport { recipient, sent, reply } = report;
+        let reply = reply.filter(|_| !self.leader_check.is_refuted(&recipient, now));
         let answered = !matches!(reply, None | Some(ReportReply::NotCoordinator { .. }));
-        self.lease.end_report(recipient, answered, now);
+        self.lease.end_report(&recipient, answered, now);
         let actions = match reply {
             Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer, orders }) => {
-                self.follow_orders(*orders, now);
+                self.follow_renewed_orders(&recipient, *orders, now);
                 answer.into_iter().for_each(|answer| self.driver.question().receive(epoch, answer));
                 self.update_plan(epoch, &ended, &holders, &signals, outcomes);
                 self.lease.renew(Renewal { epoch, sent, ended, holders }, now)

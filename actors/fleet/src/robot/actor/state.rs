@@ -1,12 +1,13 @@
 //! State of the robot actor, and the effects that it performs: events, reports, checkpoint writes
 //! and queries.
 
-use super::message::RobotMessage;
+use super::message::{EndedReport, RobotMessage};
 use crate::robot::charging::ChargeControl;
 use crate::robot::checkpoint_storage::{CheckpointStorage, CheckpointWrite};
 use crate::robot::checkpoint_writer::PendingOutput;
 use crate::robot::driver_link::DriverLink;
 use crate::robot::execution::Execution;
+use crate::robot::leader_poll::LeaderCheck;
 use crate::robot::lease_client::{LeaseClient, ReportHeader};
 use crate::robot::release::{DriverActivity, PendingRelease};
 use crate::robot::report::send_report;
@@ -14,10 +15,12 @@ use crate::robot::sequencer::Sequencer;
 use crate::robot::settings::RobotSettings;
 use crate::robot::signals::SignalExchange;
 use crate::robot::standing_orders::StandingOrders;
+use consort_bus::Query;
 use consort_bus::tasks::Tasks;
 use consort_protocol::event::EventKind;
+use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
-use consort_protocol::message::{FailureKind, Report, TaskFailure};
+use consort_protocol::message::{AwardNotice, FailureKind, Report, TaskFailure};
 use consort_protocol::units::NodeTime;
 use ractor::{ActorRef, RpcReplyPort};
 use std::time::Duration;
@@ -43,7 +46,19 @@ pub(crate) struct RobotState {
     pub(super) charging: Option<ChargeControl>,
     pub(super) decommission: DecommissionRequests,
     pub(super) orders: StandingOrders,
+    pub(super) leader_check: LeaderCheck,
+    /// Notices by nodes that a poll may confirm, in the order of their arrival.
+    pub(super) unconfirmed_notices: Vec<UnconfirmedNotice>,
+    /// Reply to the report in flight, by a node that a poll may confirm.
+    pub(super) unconfirmed_reply: Option<EndedReport>,
     pub(super) tasks: Tasks,
+}
+
+/// A notice that waits for the result of a poll.
+pub(super) struct UnconfirmedNotice {
+    pub(super) author: NodeId,
+    pub(super) notice: AwardNotice,
+    pub(super) query: Query,
 }
 
 /// Decommission of the robot; `Some` once the first request has arrived.
@@ -155,7 +170,7 @@ impl RobotState {
         self.tasks.spawn(async move {
             let reply = send_report(bus, &key, &report, limit).await;
             // A stopped robot needs no reply.
-            let _ = to.cast(RobotMessage::ReportReplied { recipient, sent, reply });
+            let _ = to.cast(RobotMessage::ReportReplied(EndedReport { recipient, sent, reply }));
         });
     }
 

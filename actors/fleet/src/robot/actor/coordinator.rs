@@ -1,0 +1,143 @@
+//! The robot actor follows the coordinator that the voters confirm, and the orders of people that it sends.
+
+use super::message::{EndedReport, RobotMessage};
+use super::state::{RobotState, UnconfirmedNotice};
+use crate::robot::leader_poll::{LeaderPoll, Standing};
+use consort_bus::{Author, Query, reply};
+use consort_protocol::ids::NodeId;
+use consort_protocol::message::{AwardNotice, Beacon, OrdersNotice};
+use consort_protocol::units::NodeTime;
+use ractor::ActorProcessingErr;
+use tracing::{info, warn};
+
+/// Maximum number of notices of a node that wait for the result of a poll. A coordinator repeats its notices.
+const UNCONFIRMED_MAX: usize = 4;
+
+impl RobotState {
+    /// Returns a notice whose author is confirmed as the coordinator. Refuses any other, or keeps it until the voters have
+    /// stated their leader.
+    pub(super) fn confirm_notice(&mut self, query: Query, notice: AwardNotice) -> Option<(Query, AwardNotice)> {
+        // In a fleet without certificates authors are unknown, and every node is trusted.
+        let Some(author) = node_of(&query.author) else { return Some((query, notice)) };
+        let now = self.now();
+        self.leader_check.require_polls();
+        match self.leader_check.standing(&author, notice.position(), now) {
+            Standing::Confirmed => return Some((query, notice)),
+            Standing::Refuted => self.refuse_notice(query),
+            Standing::Unconfirmed => {
+                let kept = self.unconfirmed_notices.iter().filter(|kept| kept.author == author).count();
+                match kept < UNCONFIRMED_MAX {
+                    true => self.unconfirmed_notices.push(UnconfirmedNotice { author, notice, query }),
+                    false => self.refuse_notice(query),
+                }
+                self.poll_voters(now);
+            }
+        }
+        None
+    }
+
+    /// Follows the orders in the reply of `recipient` to a report. A hold counts for a short time although the voters have
+    /// not confirmed this node: a robot that reaches few voters must not act against it.
+    pub(super) fn follow_renewed_orders(&mut self, recipient: &NodeId, orders: OrdersNotice, now: NodeTime) {
+        match self.leader_check.standing(recipient, orders.as_of, now) {
+            Standing::Confirmed => self.follow_orders(orders, now),
+            Standing::Unconfirmed => self.hold_for_now(&orders, now),
+            Standing::Refuted => {}
+        }
+    }
+
+    /// Keeps the reply to a report until the voters have stated their leader.
+    pub(super) fn await_poll_for_reply(&mut self, report: EndedReport, now: NodeTime) {
+        self.unconfirmed_reply = Some(report);
+        self.poll_voters(now);
+    }
+
+    /// Records the beacon of a node that claims to coordinate.
+    pub(super) fn hear_beacon(&mut self, beacon: &Beacon, author: &Author, now: NodeTime) {
+        if node_of(author).is_none() {
+            return;
+        }
+        self.leader_check.hear(beacon, now);
+        if self.leader_check.has_moved(beacon, now) {
+            self.poll_voters(now);
+        }
+    }
+
+    fn poll_voters(&mut self, now: NodeTime) {
+        let Some(poll) = self.leader_check.begin_poll(now) else { return };
+        let (bus, keys) = (self.settings.links.bus.clone(), self.settings.links.keys.clone());
+        let to = self.myself.clone();
+        self.tasks.spawn(async move {
+            // A stopped robot needs no result.
+            let _ = to.cast(RobotMessage::LeaderPolled(poll.run(&bus, &keys).await));
+        });
+    }
+
+    pub(super) async fn handle_leader_poll(&mut self, poll: LeaderPoll) -> Result<(), ActorProcessingErr> {
+        let now = self.now();
+        let change = self.leader_check.end_poll(&poll, now);
+        if change.other_cluster {
+            self.orders.change_cluster(now);
+        } else if change.new_session {
+            self.orders.change_session();
+        }
+        if let Some(node) = self.lease.coordinator().filter(|node| poll.is_impostor(node)).cloned() {
+            warn!(robot = %self.settings.robot, %node, "it claims to coordinate, and no voter follows it");
+            self.lease.distrust(node, now);
+        }
+        for UnconfirmedNotice { author, notice, query } in std::mem::take(&mut self.unconfirmed_notices) {
+            let standing = self.leader_check.standing(&author, notice.position(), now);
+            let may_lead = standing == Standing::Unconfirmed && poll.is_unopposed(&author);
+            let may_act = may_lead && !matches!(notice, AwardNotice::Orders(_));
+            if standing == Standing::Confirmed || may_act {
+                self.perform_notice(query, notice).await?;
+                continue;
+            }
+            if let AwardNotice::Orders(orders) = &notice {
+                match may_lead {
+                    true => self.hold_for_now(orders, now),
+                    false => self.orders.end_unconfirmed(),
+                }
+            }
+            self.refuse_notice(query);
+        }
+        self.perform_actions(vec![]).await?;
+        match self.unconfirmed_reply.take() {
+            Some(report) => self.end_report(report).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.
+    pub(super) fn follow_orders(&mut self, orders: OrdersNotice, now: NodeTime) {
+        self.orders.receive(orders, now);
+        self.driver.set_closures(self.orders.closed(now));
+        self.stop_if_held(now);
+    }
+
+    /// Lets the robot stand still by a hold of a node that may be the coordinator.
+    fn hold_for_now(&mut self, orders: &OrdersNotice, now: NodeTime) {
+        self.orders.receive_unconfirmed(orders, now);
+        self.stop_if_held(now);
+    }
+
+    fn stop_if_held(&mut self, now: NodeTime) {
+        if !self.orders.is_held(now) {
+            return;
+        }
+        if let Some(active) = self.execution.plan.as_mut().filter(|active| active.attempt.is_some()) {
+            active.suspend();
+            info!(robot = %self.settings.robot, mission = %active.award.mission, "held: suspended");
+        }
+    }
+
+    fn refuse_notice(&mut self, query: Query) {
+        let reason = format!("{} is not the coordinator of {}", query.author, self.settings.robot);
+        reply::refuse_in(&mut self.tasks, query, reason);
+    }
+}
+
+/// Returns the node with a verified signature.
+fn node_of(author: &Author) -> Option<NodeId> {
+    author.name()?.parse().ok()
+}
