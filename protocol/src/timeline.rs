@@ -86,6 +86,8 @@ pub struct Insertion {
     pub added_travel_s: f64,
     /// Begin of the job in seconds.
     pub begin_s: f64,
+    /// Seconds by which the next job begins later. The jobs after that begin later by at most as much.
+    pub delay_s: f64,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -133,6 +135,15 @@ impl<K: PartialEq, P> Timeline<K, P> {
         Timeline { capacity, ..self }
     }
 
+    /// Sets the jobs in their order, whether or not they begin within their windows.
+    #[must_use]
+    pub fn with_jobs(mut self, jobs: impl IntoIterator<Item = Job<K, P>>, travel: &impl Travel<P>) -> Timeline<K, P> {
+        self.entries = jobs.into_iter().map(|job| Entry { job, begin_s: 0.0, latest_s: 0.0 }).collect();
+        self.load = self.entries.iter().map(|entry| entry.job.load).sum();
+        self.update(travel);
+        self
+    }
+
     /// Returns the jobs in their order.
     pub fn jobs(&self) -> impl ExactSizeIterator<Item = &Job<K, P>> {
         self.entries.iter().map(|entry| &entry.job)
@@ -162,23 +173,34 @@ impl<K: PartialEq, P> Timeline<K, P> {
 
     /// Returns the position with the least additional travel; the first of equal ones. `None` if the job fits nowhere.
     pub fn best_insertion(&self, job: &Job<K, P>, travel: &impl Travel<P>) -> Option<Insertion> {
+        self.cheapest_insertion(job, travel, |insertion| insertion.added_travel_s)
+    }
+
+    /// Returns the position with the least cost; the first of equal ones. `None` if the job fits nowhere.
+    pub fn cheapest_insertion<C: PartialOrd>(
+        &self,
+        job: &Job<K, P>,
+        travel: &impl Travel<P>,
+        cost_of: impl Fn(&Insertion) -> C,
+    ) -> Option<Insertion> {
         if self.load + job.load > self.capacity {
             return None;
         }
-        let mut best: Option<Insertion> = None;
+        let mut best: Option<(C, Insertion)> = None;
         for position in 0..=self.entries.len() {
             // At all later positions it begins later still.
             let free_s = position.checked_sub(1).map_or(self.from_s, |before| self.entries[before].end_s());
             if free_s > job.window.latest_s {
                 break;
             }
-            if let Some(insertion) = self.check_position(job, position, travel)
-                && best.is_none_or(|best| insertion.added_travel_s < best.added_travel_s)
-            {
-                best = Some(insertion);
+            if let Some(insertion) = self.check_position(job, position, travel) {
+                let cost = cost_of(&insertion);
+                if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                    best = Some((cost, insertion));
+                }
             }
         }
-        best
+        best.map(|(_, insertion)| insertion)
     }
 
     /// Returns the insertion after all jobs, if the job fits there.
@@ -210,11 +232,16 @@ impl<K: PartialEq, P> Timeline<K, P> {
             (None, Some((home, by_s))) => (travel.seconds(&job.to, home), travel.seconds(before, home), *by_s),
             (None, None) => (0.0, 0.0, f64::INFINITY),
         };
+        let delay_s = self.entries.get(position).map_or(0.0, |next| {
+            let later_s = (end_s + onwards_s).max(next.job.window.earliest_s);
+            (later_s - next.begin_s).max(0.0)
+        });
         // An unreachable place is infinitely far.
         (end_s + onwards_s <= by_s && (there_s + onwards_s).is_finite()).then_some(Insertion {
             position,
             added_travel_s: there_s + onwards_s - direct_s,
             begin_s,
+            delay_s,
         })
     }
 

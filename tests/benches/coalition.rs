@@ -11,8 +11,8 @@
 
 use consort_fleet::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
-    AuctionContext, AuctionId, AuctionOutcome, Bid, BidLimits, BidResponse, CallForBids, Invitation, clear_auction,
-    optimal_assignment,
+    AuctionContext, AuctionId, AuctionOutcome, Bid, BidLimits, BidResponse, CallForBids, Invitation, Objective,
+    Timelines, clear_auction, optimal_assignment,
 };
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
@@ -90,6 +90,7 @@ impl Scene {
                 roles: BTreeMap::from([(slug("r1"), plan)]),
                 eligible: BTreeMap::new(),
                 spread: BTreeSet::new(),
+                timelines: Timelines::default(),
             },
             roles: BTreeSet::from([slug("r1")]),
             bidders: (0..workers).map(|number| Bidder::new(robot(number), Arc::clone(&estimator))).collect(),
@@ -158,11 +159,13 @@ impl Scene {
                 age_ms: 0,
                 parts,
                 present: None,
+                planned: None,
             };
             bid.check_viable(&self.limits).is_ok().then_some(bid)
         };
         let bids: Vec<Bid> = self.expected.robots.iter().zip(&self.circumstances).filter_map(bid).collect();
-        let chosen = optimal_assignment(&self.roles, &BTreeSet::new(), &bids).expect("a worker can fill the role");
+        let chosen = optimal_assignment(&self.roles, &BTreeSet::new(), &bids, Objective::EarliestEnd)
+            .expect("a worker can fill the role");
         bids[chosen[role]].robot.clone()
     }
 }

@@ -119,7 +119,7 @@ async fn start(setup: ShiftSetup, places: &[String], chance: &mut ChaCha8Rng) ->
     let people = places.iter().map(nurse).collect();
     let options = NodeOptions {
         world_speed: 1.0,
-        adjust: Box::new(move |settings| settings.fleet.promises_max = setup.promises),
+        adjust: Box::new(move |settings| settings.fleet.promises.promises_max = setup.promises),
         ..NodeOptions::default()
     };
     let mut fleet = Fleet::hospital_with(setup.seed, robots, &STATIONS, people, options).await;

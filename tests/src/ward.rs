@@ -4,7 +4,7 @@ use crate::slug;
 use consort_fleet::autopilot::{self, VOTERS};
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::FleetSettings;
-use consort_protocol::auction::{BidLimits, OptimalAssignment, PROMISES_MAX};
+use consort_protocol::auction::{BidLimits, OptimalAssignment, PromiseTerms};
 use consort_protocol::ensemble::{EnsembleSpec, Ensembles};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
@@ -32,7 +32,7 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
         ensembles: Arc::new(ensembles),
         limits: BidLimits::default(),
         charging: None,
-        promises_max: PROMISES_MAX,
+        promises: PromiseTerms::default(),
         request_limits: RequestLimits::default(),
         history_limits: HistoryLimits::default(),
         allocator: Arc::new(OptimalAssignment),

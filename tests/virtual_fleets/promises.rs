@@ -126,6 +126,77 @@ fn drive_and_wait(room: &str, request: &str) -> Value {
     json!({ "mission": mission, "request": request })
 }
 
+/// Returns a mission in which a cart drives for some minutes, and then a courier visits a room.
+fn visit_after_drives(room: &str, request: &str) -> Value {
+    let managed = json!({ "kind": "managed" });
+    let drive = |task: &str, role: &str, to: &str| -> Value {
+        json!({ "task": task, "type": "navigation", "roles": [role], "parameters": { "to": to } })
+    };
+    let ends = ["IC Room 6", "PC Room 8"].into_iter().cycle().take(LEGS);
+    let legs = ends.enumerate().map(|(number, to)| drive(&format!("leg-{number}"), "cart", to));
+    let act = json!({ "task": "act", "type": "wait", "roles": ["courier"], "parameters": { "seconds": "5" } });
+    let tasks: Vec<Value> = legs.chain([drive("visit", "courier", room), act]).collect();
+    let mission = json!({
+        "mission": "visit", "roles": { "cart": managed, "courier": managed },
+        "root": { "task": "all", "method": "sequential", "tasks": tasks },
+    });
+    json!({ "mission": mission, "request": request })
+}
+
+/// Number of drives of the cart.
+const LEGS: usize = 5;
+
+#[test]
+fn a_robot_inserts_a_role_on_its_way_before_an_earlier_promise() {
+    for_each_seed(SEEDS, async |seed| {
+        let courier = RobotSpec::carrier("gorse", "Dock").with_skill("wait");
+        let carts = [("amber", "PC Room 8"), ("birch", "PC Room 2")];
+        let carts = carts.map(|(name, place)| RobotSpec::carrier(name, place));
+        let robots = carts.into_iter().chain([courier]).collect();
+        let mut fleet = Fleet::hospital(seed, robots, &["aba"], &[]).await;
+        fleet.wait_for_coordinator().await;
+        let stay = json!({
+            "mission": "stay", "roles": { "courier": { "kind": "managed" } },
+            "root": { "task": "stay", "type": "wait", "roles": ["courier"], "parameters": { "seconds": "100" } },
+        });
+        let stay = json!({ "mission": stay, "request": "stay" });
+        let (far, near) = (visit_after_drives("IC Room 6", "far"), visit_after_drives("IC Room 1", "near"));
+        let mut missions: Vec<MissionId> = vec![];
+        for (promises, request) in [stay, far, near].iter().enumerate() {
+            let answer = fleet.request_answered(ApiCall::Submit, request).await;
+            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+            fleet
+                .wait_until("the role of the courier", SOON, |fleet| {
+                    fleet.has_event(task_began("stay")) && has_promises(fleet, promises)
+                })
+                .await;
+        }
+        // The courier is held until both roles can start.
+        let reply = fleet.request_answered(ApiCall::Hold, &json!({ "robots": ["gorse"], "for_s": 3600 })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        let [_, far, near] = &missions[..] else { panic!("seed {seed}: {missions:?}") };
+        let in_order = |ledger: &Ledger| -> Vec<MissionId> {
+            ledger.promises_in_order().into_iter().map(|(entry, ..)| entry.id.clone()).collect()
+        };
+        assert_eq!(fleet.ledger(in_order), Some(vec![near.clone(), far.clone()]), "seed {seed}");
+        let last_leg = format!("leg-{}", LEGS - 1);
+        let is_last = |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == last_leg);
+        fleet.wait_until("both carts to arrive", 5 * SOON, |fleet| fleet.event_log.count(&is_last) == 2).await;
+        let reply = fleet.request_answered(ApiCall::Release, &json!({ "robots": ["gorse"] })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        for mission in &missions {
+            fleet.assert_completes(mission).await;
+        }
+        fleet.assert_exclusive_roles();
+        let visits = fleet.events().into_iter().filter_map(|what| match what {
+            EventKind::TaskBegan { mission, task, .. } if task.as_str() == "visit" => Some(mission),
+            _ => None,
+        });
+        let in_order = [near.clone(), far.clone()];
+        assert_eq!(visits.collect::<Vec<_>>(), in_order, "seed {seed}:\n{}", fleet.event_log_text());
+    });
+}
+
 /// Starts two arms, and missions that share them. Returns a robot with a promise.
 async fn sharing_two_arms(seed: u64) -> (Fleet, Vec<MissionId>, RobotId) {
     let mut fleet = fleet(seed, &["lab-arm-1", "lab-arm-2"], &["aba", "bab", "cab"]).await;

@@ -46,7 +46,7 @@ fn every_refusal_reason_is_in_the_events_and_the_view() {
             RobotSpec::carrier("elm", "Dock"),
         ];
         // Without promises, the bid of a busy robot does not count.
-        let adjust = Box::new(|node: &mut NodeSettings| node.fleet.promises_max = 0);
+        let adjust = Box::new(|node: &mut NodeSettings| node.fleet.promises.promises_max = 0);
         let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aba", "abb"], &[ROOM, "PC Room 8"], adjust).await;
         assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aba", "seed {seed}: the coordinator");
         fleet.submit("a", ROOM).await;

@@ -6,7 +6,7 @@ use crate::wiring::SkillResources;
 use consort_fleet::robot::{BidContext, Bidder, ChargerReserve, ChargingSettings};
 use consort_protocol::auction::{
     AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, EnergyBudget, Invitation, RoleReply,
-    clear_auction,
+    Timelines, clear_auction,
 };
 use consort_protocol::ensemble::{Ensembles, Membership};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
@@ -132,6 +132,7 @@ pub(crate) fn simulate_auction(
         eligible: mission.roles.iter().filter_map(condition).collect(),
         spread: mission.roles.iter().filter(|(_, declared)| declared.spread).map(|(role, _)| role.clone()).collect(),
         roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
+        timelines: Timelines::default(),
     };
     let memberships = Memberships::of(workers, fleet);
     let respond = |worker: &WorkerEntry| response(worker, &call, memberships.of_worker(&call, worker), fleet);

@@ -147,7 +147,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         missions: Arc::new(missions),
         limits: limits(config),
         charging,
-        promises_max: config.auction.promises,
+        promises: config.auction.promise_terms(),
         request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
         history_limits: config.history.limits(),
         allocator: Arc::new(OptimalAssignment),

@@ -42,7 +42,7 @@ pub struct OptimalAssignment;
 impl Allocator for OptimalAssignment {
     fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
         let roles = input.call.roles.keys().cloned().collect();
-        let picks = optimal_assignment(&roles, &input.call.spread, input.viable)?;
+        let picks = optimal_assignment(&roles, &input.call.spread, input.viable, input.call.timelines.objective)?;
         Ok(picks.into_iter().map(|(role, index)| (role, input.viable[index].robot.clone())).collect())
     }
 }

@@ -1,5 +1,6 @@
 //! Calls, bids and refusals as values, and the viability check of bids.
 
+use super::insertion::{Objective, PlannedRole, Timelines};
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
 use crate::mission::{ENSEMBLES_MAX, ROLES_MAX};
@@ -37,6 +38,8 @@ pub struct CallForBids {
     /// Roles that may stay open: those of spread loops.
     #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
     pub spread: BTreeSet<RoleId>,
+    /// Timelines of the robots, and the objective of bids.
+    pub timelines: Timelines,
 }
 
 /// Replies of a robot to a call: a bid or a refusal for each role.
@@ -88,6 +91,9 @@ pub struct Bid {
     /// Role that the robot holds. The bid is for the time after its end.
     #[serde(default)]
     pub present: Option<PresentRole>,
+    /// Position of the role in the timeline of the robot, if it states it.
+    #[serde(default)]
+    pub planned: Option<PlannedRole>,
 }
 
 /// Role that a robot holds while it bids for a role of another mission.
@@ -312,7 +318,18 @@ pub enum ViabilityError {
     },
 }
 
+/// Maximum cost of a bid: sums of such costs are exact.
+const COST_MAX: f64 = 1e15;
+
 impl Bid {
+    /// Returns the marginal cost of the bid: its time, the delay of the promised roles after it, and its energy with that
+    /// of the additional drives.
+    pub(super) fn cost(&self, objective: Objective) -> f64 {
+        let planned = self.planned.as_ref();
+        let (delay_s, detour) = planned.map_or((0.0, 0.0), |planned| (planned.delay_sum_s(), planned.detour_energy));
+        objective.cost(self.time.get() + delay_s, self.energy + detour).clamp(0.0, COST_MAX)
+    }
+
     /// Checks the bid against the limits: the time limit, and a remaining charge above both the
     /// fleet's minimum and the robot's own useful charge.
     ///

@@ -2,7 +2,8 @@
 //!
 //! All open roles of a mission are auctioned at once (Algorithm 1 of the thesis, with an optimal
 //! assignment in place of a greedy choice per role). A robot fills at most 1 role, and either all
-//! open roles are filled or none. A role whose robot is busy may be promised (the module `promise`).
+//! open roles are filled or none. A role whose robot is busy may be promised (the module `promise`), at the best
+//! position among the promised roles of the robot (the module `insertion`).
 
 mod allocator;
 mod assignment;
@@ -11,6 +12,7 @@ mod clearing;
 mod energy;
 mod energy_exceeded;
 mod explain;
+mod insertion;
 mod invitation;
 mod promise;
 mod record;
@@ -25,6 +27,9 @@ pub use clearing::{AuctionContext, AuctionOutcome, clear_auction, clear_auction_
 pub use energy::EnergyBudget;
 pub use energy_exceeded::EnergyExceeded;
 pub use explain::{BidCost, Explanation, RobotExplanation, RobotOutcome, RoleExplanation, explain};
+pub use insertion::{
+    Objective, PlannedRole, PromisedRole, RoleInsertion, RoleOfMission, RoleSpan, TimelineStart, Timelines, insert_role,
+};
 pub use invitation::Invitation;
-pub use promise::{PROMISES_MAX, PromiseContext, RobotQueue};
+pub use promise::{PromiseContext, PromiseTerms, RobotQueue};
 pub use record::{AuctionEntry, AuctionRecord, BidVerdict};

@@ -1,6 +1,7 @@
 //! Record of an auction, for display.
 
 use super::bid::{AuctionId, BidPart, RefusalReason, ViabilityError};
+use super::insertion::PlannedRole;
 use crate::bounds::{TEXT_BYTES_MAX, limit_text};
 use crate::codec::{self, encoded_size};
 use crate::ids::{RobotId, RoleId};
@@ -28,6 +29,9 @@ pub struct AuctionRecord {
     pub promised: BTreeMap<RoleId, Seconds>,
     /// Reason, if no roles were assigned.
     pub failure: Option<String>,
+    /// Position of each assigned role in the timeline of its robot, if its bid states it.
+    #[serde(default)]
+    pub planned: BTreeMap<RoleId, PlannedRole>,
 }
 
 impl AuctionRecord {
@@ -52,6 +56,7 @@ impl AuctionRecord {
             chosen: BTreeMap::new(),
             promised: BTreeMap::new(),
             failure: None,
+            planned: BTreeMap::new(),
         }
     }
 

@@ -3,7 +3,7 @@
 use super::branch::Branch;
 use super::person_request::PersonRequestEntry;
 use super::submission::{Priority, Submission};
-use crate::auction::{AuctionId, AuctionRecord, CallForBids, EnergyBudget};
+use crate::auction::{AuctionId, AuctionRecord, CallForBids, EnergyBudget, RoleSpan, Timelines};
 use crate::cause::CauseClass;
 use crate::codec;
 use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
@@ -228,6 +228,12 @@ pub struct RoleAssignment {
     pub energy: Energy,
     /// Time that its bid has estimated for the tasks of the role.
     pub time: Seconds,
+    /// Places, time and energy of the tasks without the first drive, if its bid states them.
+    pub span: Option<RoleSpan>,
+    /// Position among the promised roles of the robot, while the role is promised.
+    pub position: u32,
+    /// Time by which roles that were inserted before it have delayed it.
+    pub delayed: Seconds,
 }
 
 impl MissionEntry {
@@ -356,6 +362,7 @@ impl MissionEntry {
             roles: open.iter().map(plan).collect::<Option<_>>()?,
             eligible: open.iter().filter_map(condition).collect(),
             spread: open.iter().filter(|role| self.is_spread(role)).cloned().collect(),
+            timelines: Timelines::default(),
         })
     }
 

@@ -3,7 +3,8 @@
 use crate::message_values::task_question;
 use crate::values::*;
 use consort_protocol::auction::{
-    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, PresentRole, RefusalReason, ViabilityError,
+    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, Objective, PlannedRole, PresentRole,
+    PromisedRole, RefusalReason, RoleOfMission, RoleSpan, Timelines, ViabilityError,
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
@@ -13,6 +14,7 @@ use consort_protocol::ledger::{
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
+use consort_protocol::units::Energy;
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
 use proptest::prelude::*;
@@ -33,11 +35,52 @@ pub(crate) fn part() -> impl Strategy<Value = BidPart> {
     })
 }
 
+fn role_of_mission() -> impl Strategy<Value = RoleOfMission> {
+    (name(), name()).prop_map(|(mission, role)| RoleOfMission { mission, role })
+}
+
+fn span() -> impl Strategy<Value = RoleSpan> {
+    (option::of(place()), option::of(place()), seconds(), 0.0..2.0).prop_map(|(from, to, time, energy)| RoleSpan {
+        from,
+        to,
+        time,
+        energy: Energy::of_share(energy),
+    })
+}
+
+fn planned() -> impl Strategy<Value = PlannedRole> {
+    let position = (seconds(), option::of(role_of_mission()), any::<u32>(), any::<u32>());
+    (span(), position, seconds(), seconds(), 0.0..2.0, -1.0..1.0).prop_map(
+        |(span, (start, before, delayed, promised), delay, delay_max, energy, detour_energy)| PlannedRole {
+            span,
+            start,
+            before,
+            delay,
+            delayed,
+            delay_max,
+            promised,
+            energy: Energy::of_share(energy),
+            detour_energy,
+        },
+    )
+}
+
+pub(crate) fn timelines() -> impl Strategy<Value = Timelines> {
+    let objective = prop_oneof![
+        Just(Objective::EarliestEnd),
+        Just(Objective::LeastEnergy),
+        seconds().prop_map(|battery_s| Objective::Weighted { battery_s }),
+    ];
+    let promised = (name(), role_of_mission(), span(), option::of(seconds()))
+        .prop_map(|(robot, role, span, slack)| PromisedRole { robot, role, span, slack });
+    (objective, vec(promised, 0..3)).prop_map(|(objective, promised)| Timelines { objective, promised })
+}
+
 pub(crate) fn bid() -> impl Strategy<Value = Bid> {
     let present = (name(), name(), seconds()).prop_map(|(mission, role, time)| PresentRole { mission, role, time });
-    let of_plan = (vec(part(), 0..4), option::of(present));
+    let of_plan = (vec(part(), 0..4), option::of(present), option::of(planned()));
     (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), of_plan).prop_map(
-        |(robot, role, time, energy, remaining, useful_charge, from, age_ms, (parts, present))| Bid {
+        |(robot, role, time, energy, remaining, useful_charge, from, age_ms, (parts, present, planned))| Bid {
             robot,
             role,
             time,
@@ -48,6 +91,7 @@ pub(crate) fn bid() -> impl Strategy<Value = Bid> {
             age_ms,
             parts,
             present,
+            planned,
         },
     )
 }
@@ -88,8 +132,9 @@ pub(crate) fn auction_record() -> impl Strategy<Value = AuctionRecord> {
         parts,
     });
     let (chosen, promised) = (btree_map(name(), name(), 0..3), btree_map(name(), seconds(), 0..3));
-    (auction(), any::<u64>(), vec(entry, 0..4), any::<u32>(), chosen, promised, option::of(text())).prop_map(
-        |(auction, at_ms, entries, omitted, chosen, promised, failure)| AuctionRecord {
+    let plans = btree_map(name(), planned(), 0..3);
+    (auction(), any::<u64>(), vec(entry, 0..4), any::<u32>(), chosen, promised, option::of(text()), plans).prop_map(
+        |(auction, at_ms, entries, omitted, chosen, promised, failure, planned)| AuctionRecord {
             auction,
             at_ms,
             entries,
@@ -97,6 +142,7 @@ pub(crate) fn auction_record() -> impl Strategy<Value = AuctionRecord> {
             chosen,
             promised,
             failure,
+            planned,
         },
     )
 }

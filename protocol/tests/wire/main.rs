@@ -73,10 +73,10 @@ proptest! {
     #[test]
     fn auctions_survive(
         auction in auction(), roles in btree_map(name(), plan(), 0..3), ensembles in vec(name(), 0..3), bid in bid(),
-        eligible in btree_map(name(), text(), 0..3), spread in btree_set(name(), 0..3),
+        eligible in btree_map(name(), text(), 0..3), spread in btree_set(name(), 0..3), timelines in timelines(),
         robot in name::<RobotId>(), role in name::<RoleId>(), reason in reason()
     ) {
-        assert_round_trip(&CallForBids { auction: auction.clone(), ensembles, roles, eligible, spread })?;
+        assert_round_trip(&CallForBids { auction: auction.clone(), ensembles, roles, eligible, spread, timelines })?;
         let refusal = BidRefusal { robot: robot.clone(), role, reason };
         assert_round_trip(&BidResponse { robot, auction, replies: vec![RoleReply::Bid(bid), RoleReply::Refusal(refusal)] })?;
     }

@@ -7,7 +7,8 @@ use consort_fleet::robot_driver::{
 };
 use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{
-    AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, PresentRole, RoleReply,
+    AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, Objective, PlannedRole, PresentRole,
+    PromisedRole, RoleOfMission, RoleReply, RoleSpan, Timelines,
 };
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec::{encode, encode_for_version, encode_record};
@@ -30,7 +31,7 @@ use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::trust::{Fingerprint, MessageKind, SIGNATURE_BYTES, SignedEnvelope, encode_envelope};
-use consort_protocol::units::{BatteryShare, Seconds, SharePerSecond};
+use consort_protocol::units::{BatteryShare, Energy, Seconds, SharePerSecond};
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, NavigateToPose};
 use serde::Serialize;
@@ -124,6 +125,30 @@ fn bid() -> Bid {
             energy: 0.1,
         }],
         present: Some(PresentRole { mission: slug("lab-samples-2"), role: slug("r1"), time: seconds(20.0) }),
+        planned: Some(planned()),
+    }
+}
+
+fn promised_role() -> RoleOfMission {
+    RoleOfMission { mission: slug("lab-samples-3"), role: slug("r1") }
+}
+
+fn span() -> RoleSpan {
+    let time = Seconds::new(90.0).expect("a time");
+    RoleSpan { from: Some(slug("Dock")), to: Some(slug("Laboratory")), time, energy: Energy::of_share(0.1) }
+}
+
+fn planned() -> PlannedRole {
+    let seconds = |seconds: f64| Seconds::new(seconds).expect("a time");
+    PlannedRole {
+        before: Some(promised_role()),
+        delay: seconds(30.0),
+        delayed: 1,
+        delay_max: seconds(600.0),
+        promised: 1,
+        energy: Energy::of_share(0.1),
+        detour_energy: 0.01,
+        ..PlannedRole::alone(span(), seconds(20.0))
     }
 }
 
@@ -213,6 +238,15 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
             roles: plans(),
             eligible: [(slug("r1"), r#"robot.attributes.section == "icu""#.to_owned())].into(),
             spread: [slug("r1")].into(),
+            timelines: Timelines {
+                objective: Objective::Weighted { battery_s: Seconds::new(3600.0).expect("a time") },
+                promised: vec![PromisedRole {
+                    robot: slug("ada"),
+                    role: promised_role(),
+                    span: span(),
+                    slack: Some(Seconds::new(60.0).expect("a time")),
+                }],
+            },
         }),
         encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),
         encoded(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),
@@ -263,6 +297,7 @@ fn ledger_commands() -> Vec<Command> {
         chosen: BTreeMap::clone(&given),
         promised: BTreeMap::from([(slug("r1"), Seconds::new(20.0).expect("a time"))]),
         failure: None,
+        planned: BTreeMap::from([(slug("r1"), planned())]),
     };
     let (role, epoch) = (roles[0].clone(), Epoch { term: 1, index: 3 });
     let ended = BTreeSet::from([0]);

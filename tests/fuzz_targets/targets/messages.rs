@@ -5,7 +5,7 @@ use consort_fleet::fuzz_api;
 use consort_fleet::robot_driver::{DriverCommand, DriverState, PersonCommand, PersonEvent, PersonRequestState};
 use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{
-    AuctionContext, BidLimits, BidResponse, CallForBids, Invitation, RoleReply, clear_auction, explain,
+    AuctionContext, BidLimits, BidResponse, CallForBids, Invitation, RoleReply, Timelines, clear_auction, explain,
 };
 use consort_protocol::codec::{self, MESSAGE_BYTES_MAX, VersionedMessage};
 use consort_protocol::ensemble::MemberValues;
@@ -98,6 +98,7 @@ fn auction(call: Option<CallForBids>, tender: Option<BidResponse>) {
         roles,
         eligible: BTreeMap::new(),
         spread: BTreeSet::new(),
+        timelines: Timelines::default(),
     };
     let robots = BTreeSet::from([tender.robot.clone()]);
     let (limits, invitation) = (BidLimits::default(), Invitation { robots, preferred: vec![] });

@@ -18,7 +18,7 @@ use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
 use consort_protocol::api::SubmitRequest;
-use consort_protocol::auction::{Allocator, BidLimits, OptimalAssignment, PROMISES_MAX};
+use consort_protocol::auction::{Allocator, BidLimits, OptimalAssignment, PromiseTerms};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
@@ -140,7 +140,7 @@ impl<'s> TrialRun<'s> {
             missions: Arc::default(),
             limits: BidLimits::default(),
             charging: None,
-            promises_max: PROMISES_MAX,
+            promises: PromiseTerms::default(),
             request_limits: RequestLimits::default(),
             history_limits: HistoryLimits::default(),
             allocator: allocator_of_policy(setup, trial, &division, &managed, seed),

@@ -14,8 +14,8 @@ use super::queues::{robot_queues, unavailable_robots, unpromisable_robots};
 use super::reconcile::{backoff, can_be_auctioned};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
-    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, EnergyBudget, Invitation,
-    PromiseContext, RefusalReason, RobotQueue, RoleReply, clear_auction_with,
+    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, CallForBids, EnergyBudget,
+    Invitation, PromiseContext, PromiseTerms, RefusalReason, RobotQueue, RoleReply, Timelines, clear_auction_with,
 };
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
@@ -92,9 +92,14 @@ impl Auctions {
         });
         let (number, hopeless) = previous.unwrap_or((1, 0));
         let auction = AuctionId { mission: mission.clone(), term: context.term, round: number };
-        let call = context.read_ledger(|ledger| ledger.mission(mission)?.call_for_bids(auction));
-        let Some(call) = call else { return };
         let settings = &context.settings;
+        let PromiseTerms { objective, delay_max, .. } = settings.auctions.promises;
+        let call = context.read_ledger(|ledger| {
+            let call = ledger.mission(mission)?.call_for_bids(auction)?;
+            let timelines = Timelines { objective, promised: ledger.promised_roles(mission, delay_max) };
+            Some(CallForBids { timelines, ..call })
+        });
+        let Some(call) = call else { return };
         let robots = |nodes: BTreeSet<NodeId>| nodes.into_iter().map(RobotId::from).collect();
         let members = live_members(settings, now).into_iter().map(|(name, nodes)| (name, robots(nodes))).collect();
         let invitation = Invitation::of(&call.ensembles, &members);
@@ -205,7 +210,7 @@ impl Auctions {
                 unavailable: unpromisable,
                 startable,
                 is_under_way: *is_under_way,
-                promises_max: settings.promises_max,
+                terms: settings.promises,
             };
             let auction_context = AuctionContext {
                 invitation,
@@ -227,7 +232,7 @@ impl Auctions {
             promised.is_empty() || !outcome.holders.iter().any(is_circular)
         };
         let clear = |excluded| {
-            let outcome = clear_with(excluded, settings.promises_max > 0);
+            let outcome = clear_with(excluded, settings.promises.promises_max > 0);
             if is_possible(&outcome) { outcome } else { clear_with(excluded, false) }
         };
         let by_others = (released != failed).then(|| clear(released));

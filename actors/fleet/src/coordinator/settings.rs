@@ -7,7 +7,7 @@ use consort_bus::SharedBus;
 use consort_bus::clock::Clock;
 use consort_bus::wire_version::WireVersion;
 use consort_gossip::SharedKnowledge;
-use consort_protocol::auction::{Allocator, BidLimits};
+use consort_protocol::auction::{Allocator, BidLimits, PromiseTerms};
 use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
@@ -71,8 +71,8 @@ pub(crate) struct AuctionSettings {
     pub(crate) ensembles: Arc<Ensembles>,
     /// Limits that bids must meet.
     pub(crate) limits: BidLimits,
-    /// Maximum number of roles that are promised to a robot.
-    pub(crate) promises_max: u32,
+    /// Limits of what robots promise.
+    pub(crate) promises: PromiseTerms,
     /// Allocation rule of the auctions.
     pub(crate) allocator: Arc<dyn Allocator>,
     /// Time for which an auction waits for missing bids. Raised: robots on slow links still win

@@ -292,7 +292,7 @@ impl Assembly {
             auctions: AuctionSettings {
                 ensembles: Arc::clone(&self.fleet.ensembles),
                 limits: self.fleet.limits,
-                promises_max: self.fleet.promises_max,
+                promises: self.fleet.promises,
                 allocator: Arc::clone(&self.fleet.allocator),
                 bid_window: self.fleet.bid_window,
             },

@@ -6,7 +6,7 @@ use crate::observe::SharedObserver;
 use crate::robot::ChargingSettings;
 use consort_bus::clock::Clock;
 use consort_bus::record_signer::SharedRecordSigner;
-use consort_protocol::auction::{Allocator, BidLimits};
+use consort_protocol::auction::{Allocator, BidLimits, PromiseTerms};
 use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::knowledge::RobotKnowledge;
@@ -39,8 +39,8 @@ pub struct FleetSettings {
     pub limits: BidLimits,
     /// Chargers, and when robots use them; `None` if robots charge by tasks of missions only.
     pub charging: Option<Arc<ChargingSettings>>,
-    /// Maximum number of roles that are promised to a robot while it holds another; 0 for none.
-    pub promises_max: u32,
+    /// Limits of what robots promise while they hold other roles.
+    pub promises: PromiseTerms,
     /// Limits of accepted requests and missions.
     pub request_limits: RequestLimits,
     /// Limits of the ledger's history of ended missions.

@@ -7,7 +7,7 @@ use crate::diagnostic::Diagnostics;
 use crate::map_loader::is_shipped;
 use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
-use consort_protocol::auction::{BidLimits, PROMISES_MAX};
+use consort_protocol::auction::{BidLimits, Objective, PromiseTerms};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue, private_attribute_problems};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
@@ -159,6 +159,33 @@ pub struct AuctionConfig {
     /// Maximum number of roles that are promised to a robot while it holds another; 0 for none. More: missions
     /// start earlier, and their other robots wait for a scarce robot. Default 16.
     pub promises: u32,
+    /// Maximum time until a robot is free for a role that it promises, in seconds. Longer: roles are assigned earlier, by
+    /// less certain estimates. Default: no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub horizon_s: Option<u32>,
+    /// Maximum time by which a promised role is delayed, by all roles that robots insert before it, in seconds. Longer: robots
+    /// drive less, and some roles wait for longer. Default 600.
+    pub delay_s: u32,
+    /// What robots minimise when they insert a role among their promised roles, and the coordinator when it chooses among
+    /// bids: `earliest_end` (default) for the sum of the times at which roles end, `least_energy`, or `weighted` for the
+    /// sum of both.
+    pub objective: ObjectiveName,
+    /// Seconds for which a full battery counts with the objective `weighted`. More: robots drive less, and roles end later.
+    /// Default 3600.
+    pub battery_s: u32,
+}
+
+/// Objective of auctions.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectiveName {
+    /// The least sum of the ends of all roles.
+    #[default]
+    EarliestEnd,
+    /// The least energy.
+    LeastEnergy,
+    /// The least sum of ends and energy.
+    Weighted,
 }
 
 impl Default for FleetConfig {
@@ -196,7 +223,26 @@ impl Default for LimitsConfig {
 
 impl Default for AuctionConfig {
     fn default() -> Self {
-        AuctionConfig { window_ms: None, promises: PROMISES_MAX }
+        let PromiseTerms { promises_max: promises, delay_max, .. } = PromiseTerms::default();
+        let (delay_s, objective) = (delay_max.get().round() as u32, ObjectiveName::default());
+        AuctionConfig { window_ms: None, promises, horizon_s: None, delay_s, objective, battery_s: 3600 }
+    }
+}
+
+impl AuctionConfig {
+    /// Returns the limits of promises.
+    pub(crate) fn promise_terms(&self) -> PromiseTerms {
+        let seconds = |number: u32| Seconds::new(number.into()).expect("a whole number of seconds is a time");
+        PromiseTerms {
+            promises_max: self.promises,
+            horizon: self.horizon_s.map(seconds),
+            delay_max: seconds(self.delay_s),
+            objective: match self.objective {
+                ObjectiveName::EarliestEnd => Objective::EarliestEnd,
+                ObjectiveName::LeastEnergy => Objective::LeastEnergy,
+                ObjectiveName::Weighted => Objective::Weighted { battery_s: seconds(self.battery_s) },
+            },
+        }
     }
 }
 
@@ -310,6 +356,9 @@ impl ConfigFile for FleetConfig {
         within("lease.lease_ms", self.lease.lease_ms, 500, LEASE_MS_MAX);
         within("lease.grace_ms", self.lease.grace_ms, 1, LEASE_MS_MAX);
         within("auction.window_ms", ms(times.auction_window), 1, 60_000);
+        within("auction.horizon_s", self.auction.horizon_s.unwrap_or(PLANNED_S_MAX).into(), 1, PLANNED_S_MAX.into());
+        within("auction.delay_s", self.auction.delay_s.into(), 0, PLANNED_S_MAX.into());
+        within("auction.battery_s", self.auction.battery_s.into(), 1, 1_000_000);
         let LeaseConfig { lease_ms, grace_ms } = self.lease;
         let grace_min_ms = ms(LeaseTerms::grace_min(Duration::from_millis(lease_ms.min(LEASE_MS_MAX))));
         if grace_ms < grace_min_ms {
@@ -351,6 +400,9 @@ impl ConfigFile for FleetConfig {
         validate
     }
 }
+
+/// Longest horizon and delay of promised roles, in seconds.
+const PLANNED_S_MAX: u32 = 604_800;
 
 /// Longest lease and grace, in milliseconds.
 const LEASE_MS_MAX: u64 = 3_600_000;

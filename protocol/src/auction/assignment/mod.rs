@@ -1,6 +1,6 @@
 //! Optimal assignment of robots to roles (Kuhn 1955, Munkres 1957).
 //!
-//! The assignment minimises the sum of costs, in whole millionths: the bids' times, or the energy. Ties
+//! The assignment minimises the sum of costs, in whole millionths: those of the objective, or the energy. Ties
 //! are resolved by the smallest sum of the robots' ranks (in the order of their names). Remaining ties
 //! are resolved by the solver. It receives roles and robots in the order of their names, so the result
 //! is deterministic.
@@ -9,6 +9,7 @@
 
 use super::bid::Bid;
 use super::energy_exceeded::EnergyExceeded;
+use super::insertion::Objective;
 use crate::ids::{RobotId, RoleId};
 use pathfinding::matrix::Matrix;
 use pathfinding::prelude::kuhn_munkres_min;
@@ -54,11 +55,12 @@ pub fn optimal_assignment<B: Borrow<Bid>>(
     roles: &BTreeSet<RoleId>,
     spread: &BTreeSet<RoleId>,
     bids: &[B],
+    objective: Objective,
 ) -> Result<BTreeMap<RoleId, usize>, AssignmentError> {
     let offers: Vec<Offer<'_>> = bids
         .iter()
         .map(Borrow::borrow)
-        .map(|bid: &Bid| Offer { role: &bid.role, robot: &bid.robot, cost: bid.time.get() })
+        .map(|bid: &Bid| Offer { role: &bid.role, robot: &bid.robot, cost: bid.cost(objective) })
         .collect();
     cheapest_assignment(roles, spread, &offers)
 }

@@ -16,6 +16,7 @@ fn bid(robot: &str, role: &str, time: f64) -> Bid {
         age_ms: 0,
         parts: vec![],
         present: None,
+        planned: None,
     }
 }
 
@@ -24,7 +25,7 @@ fn roles(names: &[&str]) -> BTreeSet<RoleId> {
 }
 
 fn chosen(names: &[&str], bids: &[Bid]) -> Result<Vec<String>, AssignmentError> {
-    let picks = optimal_assignment(&roles(names), &BTreeSet::new(), bids)?;
+    let picks = optimal_assignment(&roles(names), &BTreeSet::new(), bids, Objective::EarliestEnd)?;
     Ok(picks.values().map(|index| bids[*index].robot.to_string()).collect())
 }
 
@@ -121,7 +122,7 @@ proptest! {
         let role = |row: usize| RoleId::new(format!("role{row}")).unwrap();
         let roles: BTreeSet<RoleId> = (0..costs.len()).map(role).collect();
         let may_stay_open = (0..costs.len()).filter(|row| spread[*row]).map(role).collect();
-        let found = optimal_assignment(&roles, &may_stay_open, &bids).ok();
+        let found = optimal_assignment(&roles, &may_stay_open, &bids, Objective::EarliestEnd).ok();
         let found = found.map(|picks| {
             let robots: BTreeSet<_> = picks.values().map(|index| &bids[*index].robot).collect();
             assert_eq!(robots.len(), picks.len());
@@ -149,7 +150,7 @@ proptest! {
         }
         let roles = (0..costs.len()).map(|row| RoleId::new(format!("role{row}")).unwrap()).collect();
         let expected = cheapest(&costs, 0, &mut vec![false; costs[0].len()]);
-        let found = optimal_assignment(&roles, &BTreeSet::new(), &bids).ok();
+        let found = optimal_assignment(&roles, &BTreeSet::new(), &bids, Objective::EarliestEnd).ok();
         let total = found.as_ref().map(|picks| picks.values().map(|i| bids[*i].time.get() as u64).sum::<u64>());
         prop_assert_eq!(total, expected);
         if let Some(picks) = found {
@@ -178,7 +179,7 @@ proptest! {
             }
         }
         let roles = (0..offers.len()).map(|row| RoleId::new(format!("role{row}")).unwrap()).collect();
-        let Ok(picks) = optimal_assignment(&roles, &BTreeSet::new(), &bids) else { return Ok(()) };
+        let Ok(picks) = optimal_assignment(&roles, &BTreeSet::new(), &bids, Objective::EarliestEnd) else { return Ok(()) };
         let fastest: BTreeMap<_, _> = picks.into_iter().map(|(role, i)| (role, bids[i].robot.clone())).collect();
         let energy_of = |holders: &BTreeMap<RoleId, RobotId>| {
             let of = |(role, robot): (&RoleId, &RobotId)| bids.iter().find(|bid| bid.role == *role && bid.robot == *robot).unwrap().energy;

@@ -117,7 +117,10 @@ fn clear_among(
     let failure = energy_exceeded.as_ref().map(ToString::to_string).or(problem.map(|problem| problem.to_string()));
     let chosen = holders.clone().unwrap_or_default();
     keep_parts(&mut entries, &chosen, |role, robot| bid_of(replies, role, robot).map_or(&[], |bid| &bid.parts));
+    let planned_by =
+        |(role, robot): (&RoleId, &RobotId)| Some((role.clone(), bid_of(replies, role, robot)?.planned.clone()?));
     let mut record = AuctionRecord {
+        planned: chosen.iter().filter_map(planned_by).collect(),
         auction: call.auction.clone(),
         at_ms: context.at_ms,
         entries,

@@ -1,5 +1,5 @@
 use super::*;
-use crate::auction::{AuctionId, BidRefusal};
+use crate::auction::{AuctionId, BidRefusal, Objective, Timelines};
 use crate::codec;
 use crate::ids::{EnsembleId, MissionId, PlaceId};
 use crate::ledger::{Branch, Command};
@@ -25,6 +25,7 @@ fn call() -> CallForBids {
         roles: BTreeMap::from([(role(), LocalPlan::of(role(), vec![]))]),
         eligible: BTreeMap::new(),
         spread: BTreeSet::new(),
+        timelines: Timelines::default(),
     }
 }
 
@@ -64,6 +65,7 @@ fn bids_with_energy(name: &str, time: f64, remaining: f64, energy: f64) -> BidRe
         age_ms: 0,
         parts: vec![],
         present: None,
+        planned: None,
     };
     BidResponse { robot: robot(name), auction: call().auction, replies: vec![RoleReply::Bid(bid)] }
 }
@@ -104,6 +106,20 @@ fn the_record_contains_every_robot_with_its_reason() {
             "fay: no reply within 200 ms",
         ]
     );
+}
+
+#[test]
+fn the_objective_decides_between_time_and_energy() {
+    let invitation = invited(&["ada", "bob"]);
+    let responses = [bids_with_energy("ada", 9.0, 0.5, 0.2), bids_with_energy("bob", 12.0, 0.5, 0.1)];
+    let winner = |objective| {
+        let call = CallForBids { timelines: Timelines { objective, promised: vec![] }, ..call() };
+        let outcome = clear_auction(&call, &responses, &context(&invitation, &BTreeMap::new(), &NO_EXCLUDED));
+        outcome.holders.unwrap()[&role()].to_string()
+    };
+    let weighted = |battery_s| Objective::Weighted { battery_s: Seconds::new(battery_s).unwrap() };
+    assert_eq!([Objective::EarliestEnd, Objective::LeastEnergy].map(winner), ["ada", "bob"]);
+    assert_eq!([weighted(20.0), weighted(40.0)].map(winner), ["ada", "bob"], "0.1 of a battery or 3 s");
 }
 
 #[test]

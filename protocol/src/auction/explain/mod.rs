@@ -205,10 +205,17 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
 
 /// Returns a text like ` in about 40 s` for a promised role.
 fn later_text(record: &AuctionRecord, role: &RoleId) -> String {
-    match record.promised.get(role) {
-        None => String::new(),
-        Some(start) if start.get() < 1.0 => " once it can start".to_owned(),
-        Some(start) => format!(" in about {:.0} s", start.get()),
+    let Some(start) = record.promised.get(role) else { return String::new() };
+    let when = match start.get() {
+        start if start < 1.0 => " once it can start".to_owned(),
+        start => format!(" in about {start:.0} s"),
+    };
+    let planned = record.planned.get(role);
+    match planned.and_then(|planned| Some((planned.before.as_ref()?, planned.delay.get()))) {
+        Some((next, delay_s)) => {
+            format!("{when} (before {} of {}, which it delays by {delay_s:.0} s)", next.role, next.mission)
+        }
+        None => when,
     }
 }
 
@@ -239,7 +246,10 @@ fn why_won(
                 )
             }
             _ => {
-                format!("{bid}, although {} would be faster: the allocator of this fleet chose otherwise", rival.robot)
+                format!(
+                    "{bid}, although {} would be faster: the objective or the allocator of this fleet chose otherwise",
+                    rival.robot
+                )
             }
         };
     }

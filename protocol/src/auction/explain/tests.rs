@@ -1,6 +1,6 @@
 use super::*;
-use crate::auction::{AuctionId, ViabilityError};
-use crate::units::BatteryShare;
+use crate::auction::{AuctionId, PlannedRole, RoleOfMission, RoleSpan, ViabilityError};
+use crate::units::{BatteryShare, Energy};
 
 fn slug<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
     text.parse().unwrap()
@@ -44,6 +44,7 @@ fn record(entries: Vec<AuctionEntry>, chosen: &[(&str, &str)], failure: Option<&
         chosen: chosen.iter().map(|(role, robot)| (slug(role), slug(robot))).collect(),
         promised: BTreeMap::new(),
         failure: failure.map(str::to_owned),
+        planned: BTreeMap::new(),
     }
 }
 
@@ -93,6 +94,24 @@ fn the_fastest_wins_and_every_other_robot_has_a_reason() {
     let outcomes: Vec<RobotOutcome> = explained.roles[0].robots.iter().map(|robot| robot.outcome).collect();
     use RobotOutcome::{NotMember, Outbid, Refused, Silent, Won};
     assert_eq!(outcomes, [Won, Outbid, Outbid, Refused, Refused, NotMember, Silent, RobotOutcome::Unviable]);
+}
+
+#[test]
+fn a_promise_is_explained_with_its_position() {
+    let mut record = record(vec![bid("r1", "birch", 60.0)], &[("r1", "birch")], None);
+    let seconds = |value: f64| Seconds::new(value).unwrap();
+    record.promised.insert(slug("r1"), seconds(20.0));
+    let role = |record: &AuctionRecord| words(&explain(record)).remove(0);
+    let bid = "60.0 s, 6.0 % of its charge, 84.0 % left: there is no other viable bid";
+    assert_eq!(role(&record), format!("r1: birch gets the role in about 20 s with {bid}"));
+
+    let span = RoleSpan { from: None, to: None, time: seconds(40.0), energy: Energy::ZERO };
+    let next = RoleOfMission { mission: slug("vital-signs-7"), role: slug("r2") };
+    let delay = seconds(12.0);
+    let planned = PlannedRole { before: Some(next), delay, ..PlannedRole::alone(span, seconds(20.0)) };
+    record.planned.insert(slug("r1"), planned);
+    let position = "(before r2 of vital-signs-7, which it delays by 12 s)";
+    assert_eq!(role(&record), format!("r1: birch gets the role in about 20 s {position} with {bid}"));
 }
 
 #[test]

@@ -2,18 +2,37 @@
 //!
 //! An auction that cannot fill its roles with free robots is cleared again. A role that waits for other roles
 //! first may then get a busy robot, after the time that the robot needs for what it holds and has promised. So may a
-//! role of a robot that has promises already; otherwise it would never be its turn. The result counts if
+//! role of a robot that has promises already; otherwise it would never be its turn. The role may be inserted before
+//! promised roles (the module `insertion`). The result counts if
 //! another role starts at once and takes longer than that time, so that nobody waits for long, or if the mission
 //! is under way, or if all its robots have promises. Otherwise the mission waits, and gets the robots that are
 //! free first.
 
 use super::bid::{Bid, BidRefusal, BidResponse, RefusalReason, RoleReply};
+use super::insertion::{Objective, PlannedRole};
 use crate::ids::{RobotId, RoleId};
 use crate::units::{Energy, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Maximum number of roles that are promised to a robot, unless the fleet sets another.
-pub const PROMISES_MAX: u32 = 16;
+/// Limits of what robots promise. Fleet-wide.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PromiseTerms {
+    /// Maximum number of roles that are promised to a robot; 0 for none. Default 16.
+    pub promises_max: u32,
+    /// Maximum time until a robot is free for a role that it promises; `None` for no limit.
+    pub horizon: Option<Seconds>,
+    /// Maximum time by which a promised role is delayed, by all roles that are inserted before it. Default 600 s.
+    pub delay_max: Seconds,
+    /// Objective of insertions, and of the choice among bids.
+    pub objective: Objective,
+}
+
+impl Default for PromiseTerms {
+    fn default() -> Self {
+        let delay_max = Seconds::new(600.0).expect("600 s is a time");
+        PromiseTerms { promises_max: 16, horizon: None, delay_max, objective: Objective::default() }
+    }
+}
 
 /// What a robot holds and has promised.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,8 +60,8 @@ pub struct PromiseContext<'a> {
     pub startable: &'a BTreeSet<RoleId>,
     /// Robots hold other roles of the mission.
     pub is_under_way: bool,
-    /// Maximum number of roles that are promised to a robot.
-    pub promises_max: u32,
+    /// Limits of promises.
+    pub terms: PromiseTerms,
 }
 
 impl PromiseContext<'_> {
@@ -70,15 +89,32 @@ impl PromiseContext<'_> {
         let start = self.start_of(bid);
         let promised = queue.map_or(0, |queue| queue.promised);
         let may_be_late = promised > 0 || !self.startable.contains(&bid.role);
-        if promised >= self.promises_max || !may_be_late {
+        let is_too_late = self.terms.horizon.is_some_and(|horizon| start > horizon);
+        if promised >= self.terms.promises_max || is_too_late || !may_be_late {
             return RoleReply::Refusal(BidRefusal { robot: bid.robot.clone(), role: bid.role.clone(), reason });
         }
-        let energy = queue.map_or(0.0, |queue| queue.energy.get());
-        RoleReply::Bid(Bid { time: start + bid.time, remaining: bid.remaining - energy, present: None, ..bid.clone() })
+        let plan = self.plan_of(bid);
+        let energy = plan.map(|plan| plan.energy).or(queue.map(|queue| queue.energy)).unwrap_or(Energy::ZERO);
+        let planned = match plan {
+            Some(plan) => Some(PlannedRole { delay_max: self.terms.delay_max, ..plan.clone() }),
+            None => bid.planned.clone().map(|planned| PlannedRole::alone(planned.span, start)),
+        };
+        let (time, remaining) = (start + bid.time, bid.remaining - energy.get());
+        RoleReply::Bid(Bid { time, remaining, present: None, planned, ..bid.clone() })
     }
 
-    /// Returns the estimated time until the robot has ended what it holds and has promised.
+    /// Returns the position of the role in the timeline of the robot, unless the robot did not consider all that it has
+    /// promised meanwhile.
+    fn plan_of<'b>(&self, bid: &'b Bid) -> Option<&'b PlannedRole> {
+        let promised = self.queues.get(&bid.robot).map_or(0, |queue| queue.promised);
+        bid.planned.as_ref().filter(|planned| planned.promised == promised)
+    }
+
+    /// Returns the estimated time until the robot has ended what comes before the role.
     fn start_of(&self, bid: &Bid) -> Seconds {
+        if let Some(planned) = self.plan_of(bid) {
+            return planned.start;
+        }
         let present = bid.present.as_ref().map_or(Seconds::ZERO, |present| present.time);
         present + self.queues.get(&bid.robot).map_or(Seconds::ZERO, |queue| queue.time)
     }

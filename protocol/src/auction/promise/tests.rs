@@ -1,5 +1,6 @@
 use super::super::bid::{AuctionId, BidLimits, CallForBids, PresentRole};
 use super::super::clearing::{AuctionContext, AuctionOutcome, clear_auction};
+use super::super::insertion::{RoleOfMission, RoleSpan, Timelines};
 use super::super::invitation::Invitation;
 use super::super::record::BidVerdict;
 use super::*;
@@ -33,6 +34,7 @@ fn bid(robot: &str, id: &str, busy_s: Option<f64>) -> BidResponse {
         age_ms: 0,
         parts: vec![],
         present: busy_s.map(|busy| PresentRole { mission, role: role("arm"), time: seconds(busy) }),
+        planned: None,
     };
     BidResponse { robot: bid.robot.clone(), auction: auction(), replies: vec![RoleReply::Bid(bid)] }
 }
@@ -63,6 +65,7 @@ fn clear(case: &Case<'_>, responses: &[BidResponse]) -> AuctionOutcome {
         roles,
         eligible: BTreeMap::new(),
         spread: BTreeSet::new(),
+        timelines: Timelines::default(),
     };
     let queues: BTreeMap<RobotId, RobotQueue> =
         case.queues.iter().map(|(robot, queue)| (robot.parse().unwrap(), queue.clone())).collect();
@@ -82,7 +85,7 @@ fn clear(case: &Case<'_>, responses: &[BidResponse]) -> AuctionOutcome {
             unavailable,
             startable: &startable,
             is_under_way,
-            promises_max: 3,
+            terms: PromiseTerms { promises_max: 3, ..PromiseTerms::default() },
         }),
         window_ms: 200,
         at_ms: 0,
@@ -160,4 +163,46 @@ fn a_long_queue_is_full() {
     let no_arm = Some("no viable bid for arm".to_owned());
     assert_eq!(full(queue(true, 2)), None);
     assert_eq!(full(queue(true, 3)), no_arm, "at most three promises");
+}
+
+/// Returns the bid of a robot that would insert the role before the second of two promised roles.
+fn inserting_bid(robot: &str, id: &str) -> BidResponse {
+    let next = RoleOfMission { mission: "bring-0".parse().unwrap(), role: role("arm") };
+    let span = RoleSpan { from: None, to: None, time: seconds(10.0), energy: Energy::of_share(0.1) };
+    let planned = PlannedRole {
+        before: Some(next),
+        delay: seconds(10.0),
+        delayed: 1,
+        promised: 2,
+        energy: Energy::of_share(0.2),
+        ..PlannedRole::alone(span, seconds(50.0))
+    };
+    let mut response = bid(robot, id, Some(30.0));
+    let Some(RoleReply::Bid(bid)) = response.replies.first_mut() else { panic!("a bid") };
+    bid.planned = Some(planned);
+    response
+}
+
+#[test]
+fn a_role_is_inserted_where_its_bid_states() {
+    let responses = [inserting_bid("arm-1", "arm"), bid("ada", "cart", None)];
+    let promise_after = |promised| {
+        let queues = [("arm-1", queue(true, promised))];
+        let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way: false }, &responses);
+        let PlannedRole { before, delay_max, .. } = outcome.record.planned[&role("arm")].clone();
+        let start = outcome.record.promised[&role("arm")];
+        (start.get(), before.map(|next| next.mission.to_string()), delay_max.get())
+    };
+    assert_eq!(promise_after(2), (50.0, Some("bring-0".to_owned()), 600.0));
+    // The robot has promised less since.
+    assert_eq!(promise_after(1), (50.0, None, 0.0), "30 s for its role, 20 s for the promise");
+}
+
+#[test]
+fn a_bid_that_delays_others_costs_more() {
+    let responses = [inserting_bid("arm-1", "arm"), bid("arm-2", "arm", Some(55.0)), bid("ada", "cart", None)];
+    let queues = [("arm-1", queue(true, 2)), ("arm-2", queue(true, 0))];
+    let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way: false }, &responses);
+    let winner = outcome.holders.as_ref().unwrap()[&role("arm")].as_str();
+    assert_eq!(winner, "arm-2", "it ends after 65 s; the other after 60 s, which delays a promise by 10 s");
 }

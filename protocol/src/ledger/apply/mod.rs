@@ -15,7 +15,7 @@ use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId, Sche
 use crate::lease::Epoch;
 use crate::mission::{RoleKind, TaskOutcomes};
 use crate::plan::StepIndex;
-use crate::units::Energy;
+use crate::units::{Energy, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -321,14 +321,23 @@ impl Ledger {
         if self.would_wait_circularly(mission, &holders, &auction.promised) {
             return Err(CommandError::CircularWait { mission: mission.clone() });
         }
+        let is_promised = |role: &RoleId| auction.promised.contains_key(role);
+        let mut positions: BTreeMap<RoleId, u32> = BTreeMap::new();
+        for (role, robot) in holders.iter().filter(|(role, _)| is_promised(role)) {
+            positions.insert(role.clone(), self.insert_promise(mission, robot, auction.planned.get(role)));
+        }
         let entry = self.active_mission(mission)?;
         entry.former_holders.clear();
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
                 let (energy, time) = (auction.energy_of(&id, &robot), auction.time_of(&id, &robot));
-                role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None, energy, time });
-                let is_promised = auction.promised.contains_key(&id);
-                role.phase = if is_promised { RolePhase::Promised } else { RolePhase::Awarded };
+                let span = auction.planned.get(&id).map(|planned| planned.span.clone());
+                let (incarnation, delayed) = (None, Seconds::ZERO);
+                let position = positions.get(&id).copied().unwrap_or_default();
+                let assignment =
+                    RoleAssignment { robot, epoch: at, incarnation, energy, time, span, position, delayed };
+                role.holder = Some(assignment);
+                role.phase = if is_promised(&id) { RolePhase::Promised } else { RolePhase::Awarded };
                 role.ended.clear();
             }
         }

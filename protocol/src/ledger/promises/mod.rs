@@ -4,6 +4,10 @@
 //! start meanwhile. The coordinator awards a promised role once its robot holds no other role and a step
 //! of its plan is possible. So a robot holds a role while its tasks run, and not while it would wait for others.
 //!
+//! The promises of a robot have an order: by the priority of their missions, and then by their positions. An auction may
+//! insert a promise before others, as long as it delays none of them beyond a bound. The order says which of the roles that
+//! can start comes first: a robot does not wait for a role that cannot.
+//!
 //! A robot that only waits in a role returns it for a promised role that can start, and the returned role
 //! becomes a promise (it is *postponed*).
 //!
@@ -14,12 +18,21 @@
 use super::apply::Ledger;
 use super::command::{CommandError, CommandOutcome};
 use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase};
+use crate::auction::{PlannedRole, PromisedRole, RoleOfMission};
+use crate::codec;
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
 use crate::plan::{LocalPlan, Signal, Step, StepAction, StepIndex};
 use crate::units::Seconds;
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
+
+/// Maximum size of the promised roles in a call for bids, in bytes, encoded: a call contains plans, too.
+const PROMISED_BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 4;
+
+/// Excess of a delay over its bound that counts as rounding, in seconds.
+const TOLERANCE_S: f64 = 1e-6;
 
 /// Waits between missions.
 struct Waits<'a> {
@@ -141,6 +154,84 @@ fn passed_steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>, passes: impl Fn(&
 }
 
 impl Ledger {
+    /// Returns the promised roles of active missions, those of each robot in their order.
+    pub fn promises_in_order(&self) -> Vec<(&MissionEntry, &RoleId, &RoleAssignment)> {
+        let active = self.missions().filter(|entry| !entry.state.is_final());
+        let promises =
+            active.flat_map(|entry| entry.promised_roles().map(move |(role, promise)| (entry, role, promise)));
+        let mut promises: Vec<_> = promises.collect();
+        promises.sort_by_key(|(entry, _, promise)| {
+            let (priority, number) = entry.rank();
+            (priority, promise.position, number)
+        });
+        promises
+    }
+
+    /// Returns the promised roles for a call for bids of a mission. It contains all promises of a robot or none: those
+    /// of a robot are left out if the estimate of one is unknown, or if there is no room. A promise may be delayed up to
+    /// `delay_max` in all; by a mission of higher priority without a bound, and by one of lower priority not at all.
+    pub fn promised_roles(&self, mission: &MissionId, delay_max: Seconds) -> Vec<PromisedRole> {
+        let Some(called) = self.mission(mission) else { return vec![] };
+        let mut queues: BTreeMap<&RobotId, Vec<Option<PromisedRole>>> = BTreeMap::new();
+        for (entry, role, promise) in self.promises_in_order() {
+            let slack = match entry.submission.priority.cmp(&called.submission.priority) {
+                Ordering::Less => None,
+                Ordering::Equal => Some(delay_max.get() - promise.delayed.get()),
+                Ordering::Greater => Some(0.0),
+            };
+            let promised = promise.span.clone().map(|span| PromisedRole {
+                robot: promise.robot.clone(),
+                role: RoleOfMission { mission: entry.id.clone(), role: role.clone() },
+                span,
+                slack: slack.map(|slack_s| Seconds::new(slack_s.max(0.0)).unwrap_or(Seconds::ZERO)),
+            });
+            queues.entry(&promise.robot).or_default().push(promised);
+        }
+        let mut room = PROMISED_BYTES_MAX;
+        let known = queues.into_values().filter_map(|queue| queue.into_iter().collect::<Option<Vec<_>>>());
+        let fits = known.filter(|queue| {
+            let left = room.checked_sub(codec::encoded_size(queue));
+            room = left.unwrap_or(room);
+            left.is_some()
+        });
+        fits.flatten().collect()
+    }
+
+    /// Returns the position of a promise that is about to be added for a robot. Promises that follow it move back. It
+    /// comes last if the promise that should follow is gone, or if a promise would be delayed beyond the bound.
+    pub(super) fn insert_promise(
+        &mut self,
+        mission: &MissionId,
+        robot: &RobotId,
+        planned: Option<&PlannedRole>,
+    ) -> u32 {
+        let priority = self.mission(mission).map(|entry| entry.submission.priority).unwrap_or_default();
+        let mut promises = self.promises_in_order();
+        promises.retain(|(.., promise)| promise.robot == *robot);
+        let follows = |planned: &PlannedRole| {
+            let next = planned.before.as_ref()?;
+            let next = promises.iter().position(|(entry, role, _)| entry.id == next.mission && **role == next.role)?;
+            let (delay_s, max_s) = (planned.delay.get(), planned.delay_max.get() + TOLERANCE_S);
+            let is_late = |(entry, _, promise): &(&MissionEntry, &RoleId, &RoleAssignment)| {
+                entry.submission.priority >= priority && promise.delayed.get() + delay_s > max_s
+            };
+            (!promises[next..].iter().any(is_late)).then_some((next, planned.delay))
+        };
+        let (next, delay) = planned.and_then(follows).unwrap_or((promises.len(), Seconds::ZERO));
+        let order: Vec<(MissionId, RoleId)> =
+            promises.iter().map(|(entry, role, _)| (entry.id.clone(), RoleId::clone(role))).collect();
+        let inserted = u32::try_from(next).unwrap_or(u32::MAX);
+        for (index, (mission, role)) in (0..).zip(&order) {
+            let role = self.missions.get_mut(mission).and_then(|entry| entry.roles.get_mut(role));
+            if let Some(promise) = role.and_then(|role| role.holder.as_mut()) {
+                let follows = index >= inserted;
+                promise.position = index + u32::from(follows);
+                promise.delayed += if follows { delay } else { Seconds::ZERO };
+            }
+        }
+        inserted
+    }
+
     /// Checks whether a mission with these robots would wait for itself.
     pub fn would_wait_circularly(
         &self,

@@ -2,11 +2,11 @@ use super::super::branch::Branch;
 use super::super::command::Command;
 use super::super::submission::Submission;
 use super::*;
-use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidPart, BidVerdict};
+use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidPart, BidVerdict, RoleSpan};
 use crate::mission::test_data::domain;
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::divide_and_check;
-use crate::units::Seconds;
+use crate::units::Energy;
 use proptest::prelude::*;
 
 /// The cart brings something, and the arm takes it.
@@ -58,6 +58,29 @@ impl Log {
         let promised = promised.iter().map(|id| (role(id), Seconds::ZERO)).collect();
         let auction = AuctionRecord { promised, ..record(mission, robots) };
         self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction })
+    }
+
+    /// Promises the arm of a mission before that of another, which it delays by this number of seconds; 60 s are permitted.
+    fn insert(&mut self, mission: &MissionId, robot: &str, before: &MissionId, delay_s: f64) {
+        let next = RoleOfMission { mission: before.clone(), role: role("arm") };
+        let time = Seconds::new(delay_s).unwrap();
+        let span = RoleSpan { from: None, to: None, time, energy: Energy::ZERO };
+        let delay_max = Seconds::new(60.0).unwrap();
+        let planned =
+            PlannedRole { before: Some(next), delay: time, delay_max, ..PlannedRole::alone(span, Seconds::ZERO) };
+        let promised = BTreeMap::from([(role("arm"), Seconds::ZERO)]);
+        let planned = BTreeMap::from([(role("arm"), planned)]);
+        let robots = [("arm", robot), ("cart", mission.as_str())];
+        let holders = robots.iter().map(|(id, name)| (role(id), self::robot(name))).collect();
+        let auction = AuctionRecord { promised, planned, ..record(mission, &robots) };
+        let outcome = self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
+        assert!(matches!(outcome, CommandOutcome::Awarded { .. }), "{outcome:?}");
+    }
+
+    /// Returns the missions of the promises of a robot in their order, with the delay of each.
+    fn promises_of(&self, robot: &str) -> Vec<(MissionId, f64)> {
+        let promises = self.0.promises_in_order().into_iter().filter(|(.., promise)| promise.robot.as_str() == robot);
+        promises.map(|(entry, _, promise)| (entry.id.clone(), promise.delayed.get())).collect()
     }
 
     fn epoch(&self, mission: &MissionId, id: &str) -> Epoch {
@@ -135,6 +158,39 @@ fn a_promised_role_is_awarded_once_its_robot_is_free() {
     assert_eq!(log.0.held_by(&robot("arm")).unwrap().0.id, *second);
     let again = log.award_promised(second, "arm");
     assert!(matches!(again, CommandOutcome::Refused(CommandError::NotPromised { .. })), "{again:?}");
+}
+
+#[test]
+fn a_promise_is_inserted_before_another_within_its_bound() {
+    let (mut log, missions) = Log::with_missions(5);
+    let [held, first, second, third, fourth] = &missions[..] else { panic!() };
+    log.award(held, &[("arm", "arm"), ("cart", "ada")], &[]);
+    log.award(first, &[("arm", "arm"), ("cart", "bob")], &["arm"]);
+    log.award(second, &[("arm", "arm"), ("cart", "cyd")], &["arm"]);
+    let of = |promises: &[(&MissionId, f64)]| -> Vec<(MissionId, f64)> {
+        promises.iter().map(|(mission, delayed)| (MissionId::clone(mission), *delayed)).collect()
+    };
+    assert_eq!(log.promises_of("arm"), of(&[(first, 0.0), (second, 0.0)]));
+    log.insert(third, "arm", second, 40.0);
+    assert_eq!(log.promises_of("arm"), of(&[(first, 0.0), (third, 0.0), (second, 40.0)]));
+    let sent = log.0.promised_roles(fourth, Seconds::new(60.0).unwrap());
+    assert!(sent.is_empty(), "the estimates of two promises are unknown: {sent:?}");
+    // It would delay the second mission by 70 s in all.
+    log.insert(fourth, "arm", first, 30.0);
+    assert_eq!(log.promises_of("arm"), of(&[(first, 0.0), (third, 0.0), (second, 40.0), (fourth, 0.0)]));
+}
+
+#[test]
+fn a_call_for_bids_contains_the_promises_in_their_order() {
+    let (mut log, missions) = Log::with_missions(3);
+    let [first, second, third] = &missions[..] else { panic!() };
+    log.insert(first, "arm", third, 20.0);
+    log.insert(second, "arm", first, 40.0);
+    let sent = log.0.promised_roles(third, Seconds::new(60.0).unwrap());
+    let slack: Vec<_> = sent.iter().map(|promise| (&promise.role.mission, promise.slack.map(Seconds::get))).collect();
+    assert_eq!(slack, [(second, Some(60.0)), (first, Some(20.0))]);
+    assert!(sent.iter().all(|promise| promise.robot.as_str() == "arm"));
+    assert_eq!(sent[1].span.time.get(), 20.0);
 }
 
 /// The robot may know the epoch of its promise, which permits nothing.

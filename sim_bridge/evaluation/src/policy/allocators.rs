@@ -94,7 +94,7 @@ impl Allocator for OracleAllocator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::auction::{AuctionId, BidLimits, CallForBids};
+    use consort_protocol::auction::{AuctionId, BidLimits, CallForBids, Timelines};
     use consort_protocol::ids::{PlaceId, TaskId, TaskType};
     use consort_protocol::knowledge::Attributes;
     use consort_protocol::mission::TaskSpec;
@@ -128,6 +128,7 @@ mod tests {
             roles: [(role(), plan)].into(),
             eligible: BTreeMap::new(),
             spread: BTreeSet::new(),
+            timelines: Timelines::default(),
         }
     }
 
@@ -143,6 +144,7 @@ mod tests {
             age_ms: 0,
             parts: vec![],
             present: None,
+            planned: None,
         }
     }
 

@@ -38,6 +38,7 @@ mod tests {
             age_ms: 0,
             parts: vec![],
             present: None,
+            planned: None,
         }
     }
 

@@ -1,17 +1,20 @@
 //! Bids: a robot prices its own work.
 
-use super::charging::ChargerReserve;
+use super::charging::{ChargerReserve, drive_to};
 use super::energy_check::pricing_context;
 use consort_protocol::auction::{
-    Bid, BidLimits, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleReply, ViabilityError,
+    Bid, BidLimits, BidRefusal, BidResponse, CallForBids, PlannedRole, PresentRole, PromisedRole, RefusalReason,
+    RoleInsertion, RoleReply, RoleSpan, TimelineStart, ViabilityError, insert_role,
 };
 use consort_protocol::ensemble::{Eligibility, Ineligibility, Membership};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::Award;
-use consort_protocol::plan::LocalPlan;
+use consort_protocol::plan::{LocalPlan, Step, StepAction};
 use consort_protocol::scalar::Scalar;
-use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator, PriceError};
+use consort_protocol::timeline::Travel;
+use consort_protocol::units::{Energy, Seconds};
+use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator, PlanBudget, PriceError};
 use consort_skills::environment::RouteError;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -128,20 +131,28 @@ impl Bidder {
         }
         let from = present.map_or_else(|| worker.place.clone(), |present| present.ends_at.clone());
         let readings = readings.cloned();
-        let context = EstimateContext { place: from.clone(), readings, ..pricing_context(worker, closed_lanes) };
-        let budget = self.estimator.budget(plan, &context).map_err(|problem| {
-            // What people have closed may be open later. A problem that is left without their closures counts.
-            let open = EstimateContext { closed: found_closed.to_vec(), ..context.clone() };
-            match self.estimator.budget(plan, &open) {
-                Ok(_) => refusal_while_closed(&problem, closures),
-                Err(problem) => refusal_of(&problem),
-            }
-        })?;
+        let context = EstimateContext { place: from, readings, ..pricing_context(worker, closed_lanes) };
+        let budget_from = |context: &EstimateContext| {
+            self.estimator.budget(plan, context).map_err(|problem| {
+                // What people have closed may be open later. A problem that is left without their closures counts.
+                let open = EstimateContext { closed: found_closed.to_vec(), ..context.clone() };
+                match self.estimator.budget(plan, &open) {
+                    Ok(_) => refusal_while_closed(&problem, closures),
+                    Err(problem) => refusal_of(&problem),
+                }
+            })
+        };
+        let budget = budget_from(&context)?;
+        let free_after = present.map_or(Seconds::ZERO, |present| present.role.time);
+        let RoleInsertion { from, ends_at, planned } = self.insert(call, plan, &budget, free_after, &context);
+        let context = EstimateContext { place: from.clone(), ..context };
+        let budget = if planned.promised > 0 { budget_from(&context)? } else { budget };
         let (time, energy) = (budget.time(), budget.energy);
         let remaining = worker.battery.get() - present.map_or(0.0, |present| present.energy) - energy;
         if let Some(chargers) = &self.chargers {
-            let end = EstimateContext { place: budget.ends_at, ..context };
-            let checked = chargers.check(remaining, worker.useful_charge, &self.estimator, &end);
+            let left = remaining - planned.energy.get();
+            let end = EstimateContext { place: ends_at.unwrap_or(budget.ends_at), ..context };
+            let checked = chargers.check(left, worker.useful_charge, &self.estimator, &end);
             checked.map_err(|reason| without_charger(reason, closures))?;
         }
         Ok(Bid {
@@ -155,7 +166,62 @@ impl Bidder {
             age_ms: *age_ms,
             parts: budget.parts,
             present: present.map(|present| present.role.clone()),
+            planned: Some(planned),
         })
+    }
+
+    /// Inserts a role in the timeline of the robot. Without known promises, or without a way to all of them, the
+    /// role stands alone.
+    fn insert(
+        &self,
+        call: &CallForBids,
+        plan: &LocalPlan,
+        budget: &PlanBudget,
+        free_after: Seconds,
+        free: &EstimateContext,
+    ) -> RoleInsertion {
+        let span = role_span(plan, budget, &self.estimator, &free.place);
+        let own: Vec<&PromisedRole> =
+            call.timelines.promised.iter().filter(|promised| promised.robot == self.robot).collect();
+        let start = TimelineStart { place: &free.place, time: free_after, discharge: free.discharge };
+        let travel = EstimatedTravel { estimator: &self.estimator, context: free };
+        let insert = || insert_role(start, &own, span.clone(), call.timelines.objective, &travel);
+        (!own.is_empty()).then(insert).flatten().unwrap_or_else(|| RoleInsertion {
+            from: free.place.clone(),
+            ends_at: None,
+            planned: PlannedRole::alone(span, free_after),
+        })
+    }
+}
+
+/// Returns the places, the time and the energy of a plan without its first drive. The robot begins at `free`.
+fn role_span(plan: &LocalPlan, budget: &PlanBudget, estimator: &Estimator, free: &PlaceId) -> RoleSpan {
+    let destination = |step: &Step| match &step.action {
+        StepAction::Task { spec, .. } => estimator.destination(spec),
+        StepAction::Send(_) | StepAction::Wait(_) => None,
+    };
+    let drive = plan.steps.iter().zip(&budget.parts).find_map(|(step, part)| Some((destination(step)?, part)));
+    let (from, drive) = drive.unzip();
+    let (drive_time, drive_energy) = drive.map_or((0.0, 0.0), |part| (part.time.get(), part.energy));
+    let to = Some(budget.ends_at.clone()).filter(|end| from.is_some() || end != free);
+    let time = Seconds::new((budget.time().get() - drive_time).max(0.0)).unwrap_or(Seconds::ZERO);
+    RoleSpan { from, to, time, energy: Energy::of_share(budget.energy - drive_energy) }
+}
+
+/// Durations of drives by the estimator of a robot.
+struct EstimatedTravel<'a> {
+    estimator: &'a Estimator,
+    context: &'a EstimateContext,
+}
+
+impl Travel<PlaceId> for EstimatedTravel<'_> {
+    fn seconds(&self, from: &PlaceId, to: &PlaceId) -> f64 {
+        if from == to {
+            return 0.0;
+        }
+        let context = EstimateContext { place: from.clone(), pose: None, ..self.context.clone() };
+        let estimate = self.estimator.estimate(&drive_to(to), &context);
+        estimate.map_or(f64::INFINITY, |estimate| estimate.time.get())
     }
 }
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::robot::test_values::idle_robot;
-use consort_protocol::auction::AuctionId;
+use consort_protocol::auction::{AuctionId, Objective, RoleOfMission, Timelines};
 use consort_protocol::pose::Pose;
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::domain_file::DomainFile;
@@ -19,14 +19,26 @@ const WATERING: &str = r#"{
 
 /// Returns the reply of a robot that needs any of these chargers to a call for a task.
 fn reply(estimator: Estimator, chargers: Option<ChargerReserve>, spec: &Value, context: &BidContext<'_>) -> RoleReply {
+    reply_beside(Timelines::default(), estimator, chargers, spec, context)
+}
+
+/// Returns the reply to a call for a task in a fleet with these promised roles.
+fn reply_beside(
+    timelines: Timelines,
+    estimator: Estimator,
+    chargers: Option<ChargerReserve>,
+    spec: &Value,
+    context: &BidContext<'_>,
+) -> RoleReply {
     let step = json!({ "action": { "Task": { "id": "it", "spec": spec } }, "after": [] });
     let plan: LocalPlan = serde_json::from_value(json!({ "role": "r1", "steps": [step] })).unwrap();
     let call = CallForBids {
-        auction: AuctionId { mission: "m-1".parse().unwrap(), term: 1, round: 1 },
+        auction: AuctionId { mission: "m-9".parse().unwrap(), term: 1, round: 1 },
         ensembles: vec![],
         roles: BTreeMap::from([("r1".parse().unwrap(), plan)]),
         eligible: BTreeMap::new(),
         spread: BTreeSet::new(),
+        timelines,
     };
     let bidder = Bidder::new("ada".parse().unwrap(), Arc::new(estimator)).with_chargers(chargers);
     let response = bidder.respond(&call, context);
@@ -146,4 +158,57 @@ fn a_refusal_for_want_of_a_charger_names_the_closures() {
 fn a_missing_attribute_is_a_permanent_refusal() {
     let reason = refusal("lift", &json!({ "tank_l": 1 }));
     assert!(matches!(&reason, RefusalReason::NotFeasible { .. }), "{reason:?}");
+}
+
+/// Places in a row, 10 m apart.
+fn row_of_places() -> Estimator {
+    let names = ["A", "B", "C", "D"];
+    let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+    let lane = |ends: &[&str]| Edge { a: place(ends[0]), b: place(ends[1]), length_m: 10.0, one_way: false };
+    let map = TopologicalMap {
+        places: names.map(|name| (place(name), Pose::default())).into(),
+        edges: names.windows(2).map(lane).collect(),
+    };
+    let environment = Environment::new().with(Routes::new(&map).unwrap());
+    DescriptorRegistry::standard().resolve(environment).unwrap()
+}
+
+/// Returns the bid for a drive by a robot at A that has promised drives to these places, at 1 m/s.
+fn bid_beside(to: &str, promised: &[&str]) -> Bid {
+    let promise = |(number, place): (usize, &&str)| PromisedRole {
+        robot: "ada".parse().unwrap(),
+        role: RoleOfMission { mission: format!("m-{number}").parse().unwrap(), role: "r1".parse().unwrap() },
+        span: RoleSpan {
+            from: Some(place.parse().unwrap()),
+            to: Some(place.parse().unwrap()),
+            time: Seconds::ZERO,
+            energy: Energy::ZERO,
+        },
+        slack: None,
+    };
+    let promised = promised.iter().enumerate().map(promise).collect();
+    let timelines = Timelines { objective: Objective::EarliestEnd, promised };
+    let worker = RobotKnowledge { place: "A".parse().unwrap(), ..robot_with(&["navigation"]) };
+    let (readings, spec) =
+        (BTreeMap::new(), json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": to } }));
+    match reply_beside(timelines, row_of_places(), None, &spec, &context(&worker, &readings)) {
+        RoleReply::Bid(bid) => bid,
+        RoleReply::Refusal(refusal) => panic!("{refusal:?}"),
+    }
+}
+
+#[test]
+fn a_robot_bids_for_the_best_position_among_its_promised_roles() {
+    let position = |bid: &Bid| {
+        let planned = bid.planned.clone().unwrap();
+        let before = planned.before.map(|next| next.mission.to_string());
+        (bid.from.to_string(), bid.time.get(), planned.start.get(), before, planned.delay.get(), planned.promised)
+    };
+    let first = "m-0".to_owned();
+    let bid = bid_beside("B", &["D", "A"]);
+    assert_eq!(position(&bid), ("A".to_owned(), 10.0, 0.0, Some(first), 0.0, 2), "B is on the way to D");
+    let planned = bid.planned.unwrap();
+    assert!((planned.energy.get() - 0.05).abs() < 1e-9, "20 m to D and 30 m back: {planned:?}");
+    assert_eq!(position(&bid_beside("D", &["B"])), ("B".to_owned(), 20.0, 10.0, None, 0.0, 1));
+    assert_eq!(position(&bid_beside("C", &[])), ("A".to_owned(), 20.0, 0.0, None, 0.0, 0));
 }

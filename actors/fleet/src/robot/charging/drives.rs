@@ -37,7 +37,7 @@ pub(super) fn places(estimator: &Estimator) -> impl Iterator<Item = &PlaceId> {
 }
 
 /// Returns the task of driving to a place.
-pub(super) fn drive_to(place: &PlaceId) -> TaskSpec {
+pub(in crate::robot) fn drive_to(place: &PlaceId) -> TaskSpec {
     task("navigation", "to", place)
 }
 

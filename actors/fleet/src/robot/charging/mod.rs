@@ -34,6 +34,7 @@ mod reserve;
 mod tests;
 
 pub(super) use control::{ChargeControl, ChargingTask};
+pub(super) use drives::drive_to;
 pub use policy::ChargeThresholds;
 pub(super) use policy::{OtherRobot, Situation};
 pub use reserve::ChargerReserve;

@@ -1,0 +1,226 @@
+//! Insertion of a role in the timeline of a robot.
+//!
+//! A robot that has promised roles bids for another at the best position among them. Its timeline is a [`Timeline`]
+//! without earliest begins; the latest begin of a promised role is its begin without the new role, plus the time by
+//! which it may still be delayed. The marginal cost of a position is the increase of the sum of the ends of all roles,
+//! and of the energy:
+//!
+//! ```text
+//!   before:  held ─┤ a ├─┤ b ├                  cost after - cost before
+//!   after:   held ─┤ a ├─┤ new ├─┤ b ├            = end of new + delay of b
+//! ```
+
+use crate::bounds::{self, ELEMENTS_MAX};
+use crate::ids::{MissionId, PlaceId, RobotId, RoleId};
+use crate::timeline::{Job, Timeline, Travel, Window};
+use crate::units::{Energy, Seconds, SharePerSecond};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Seconds for which a full battery counts with [`Objective::LeastEnergy`]: time decides between equal energies only.
+const BATTERY_S: f64 = 1e6;
+
+/// Objective by which robots insert roles in their timelines, and by which the coordinator chooses among their bids.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Objective {
+    /// The least sum of the ends of all roles.
+    #[default]
+    EarliestEnd,
+    /// The least energy.
+    LeastEnergy,
+    /// The least sum of ends and energy.
+    Weighted {
+        /// Seconds for which a full battery counts.
+        battery_s: Seconds,
+    },
+}
+
+impl Objective {
+    /// Returns the cost in seconds of a time in seconds and an energy in full batteries.
+    pub fn cost(self, time_s: f64, energy: f64) -> f64 {
+        let battery_s = match self {
+            Objective::EarliestEnd => 0.0,
+            Objective::LeastEnergy => BATTERY_S,
+            Objective::Weighted { battery_s } => battery_s.get(),
+        };
+        time_s + energy * battery_s
+    }
+}
+
+/// Places, time and energy of the tasks of a role, without the first drive.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RoleSpan {
+    /// Destination of the first drive; `None` if the robot does not drive first.
+    pub from: Option<PlaceId>,
+    /// Place where the role ends; `None` if the robot does not drive.
+    pub to: Option<PlaceId>,
+    /// Estimated time.
+    pub time: Seconds,
+    /// Estimated energy.
+    pub energy: Energy,
+}
+
+/// Role of a mission.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RoleOfMission {
+    /// The mission.
+    pub mission: MissionId,
+    /// The role.
+    pub role: RoleId,
+}
+
+/// Role that a robot has promised.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PromisedRole {
+    /// The robot.
+    pub robot: RobotId,
+    /// The role.
+    pub role: RoleOfMission,
+    /// Its tasks.
+    pub span: RoleSpan,
+    /// Time by which the role may be delayed; `None` for any.
+    pub slack: Option<Seconds>,
+}
+
+/// Timelines of the robots of a fleet, as a call for bids contains them.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Timelines {
+    /// Objective of insertions.
+    pub objective: Objective,
+    /// Promised roles, those of each robot in their order. A robot that is not contained bids for the time after all
+    /// that it has promised.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+    pub promised: Vec<PromisedRole>,
+}
+
+/// Position of a role in the timeline of a robot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PlannedRole {
+    /// Its tasks.
+    pub span: RoleSpan,
+    /// Time until the robot is free for it.
+    pub start: Seconds,
+    /// The promised role that follows; `None` if it comes last.
+    pub before: Option<RoleOfMission>,
+    /// Time by which each promised role after it ends later.
+    pub delay: Seconds,
+    /// Number of those roles.
+    pub delayed: u32,
+    /// Time by which a promised role may be delayed, by all insertions before it. Set by the coordinator.
+    pub delay_max: Seconds,
+    /// Number of all promised roles of the timeline.
+    pub promised: u32,
+    /// Estimated energy of the promised roles, with the drives to them.
+    pub energy: Energy,
+    /// Additional energy of the drives to promised roles, as a share of a full battery; negative if they are shorter.
+    pub detour_energy: f64,
+}
+
+impl PlannedRole {
+    /// Returns the position of a role in a timeline without promised roles.
+    pub fn alone(span: RoleSpan, start: Seconds) -> PlannedRole {
+        PlannedRole {
+            span,
+            start,
+            before: None,
+            delay: Seconds::ZERO,
+            delayed: 0,
+            delay_max: Seconds::ZERO,
+            promised: 0,
+            energy: Energy::ZERO,
+            detour_energy: 0.0,
+        }
+    }
+
+    /// Returns the sum of the times by which promised roles end later, in seconds.
+    pub fn delay_sum_s(&self) -> f64 {
+        self.delay.get() * f64::from(self.delayed)
+    }
+}
+
+/// State in which the timeline of a robot begins.
+#[derive(Debug, Clone, Copy)]
+pub struct TimelineStart<'a> {
+    /// Place where the robot is free.
+    pub place: &'a PlaceId,
+    /// Time until then.
+    pub time: Seconds,
+    /// Discharge while it drives.
+    pub discharge: SharePerSecond,
+}
+
+/// Best insertion of a role.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RoleInsertion {
+    /// Place where the robot is free for the role.
+    pub from: PlaceId,
+    /// Place where the promised roles after it end; `None` if it comes last, or if they do not say.
+    pub ends_at: Option<PlaceId>,
+    /// Position of the role.
+    pub planned: PlannedRole,
+}
+
+/// Returns the insertion of a role with the least marginal cost; the last of those that are equal to a millisecond,
+/// which delays the fewest roles. Returns `None` without a position at which all roles can be reached.
+pub fn insert_role(
+    start: TimelineStart<'_>,
+    promised: &[&PromisedRole],
+    span: RoleSpan,
+    objective: Objective,
+    travel: &impl Travel<PlaceId>,
+) -> Option<RoleInsertion> {
+    let (travel, discharge) = (Drives(travel), start.discharge.get());
+    let empty = || Timeline::new(Some(start.place.clone()), start.time.get());
+    let jobs: Vec<Job<usize, Option<PlaceId>>> =
+        promised.iter().enumerate().map(|(index, promised)| job(index, &promised.span)).collect();
+    let planned = empty().with_jobs(jobs, &travel);
+    let promise = |((job, begin_s), promised): ((&Job<usize, Option<PlaceId>>, f64), &&PromisedRole)| {
+        let latest_s = promised.slack.map_or(f64::INFINITY, |slack| begin_s + slack.get());
+        Job { window: Window { latest_s, ..Window::ANY }, ..job.clone() }
+    };
+    let jobs: Vec<_> = planned.begins().zip(promised).map(promise).collect();
+    let timeline = empty().with_jobs(jobs, &travel);
+    let delayed = |position: usize| u32::try_from(promised.len() - position).unwrap_or(u32::MAX);
+    let found = timeline.cheapest_insertion(&job(promised.len(), &span), &travel, |found| {
+        let delays_s = found.delay_s * f64::from(delayed(found.position));
+        let energy = span.energy.get() + discharge * found.added_travel_s;
+        let cost = objective.cost(found.begin_s + span.time.get() + delays_s, energy);
+        ((cost * 1e3).round(), delayed(found.position))
+    })?;
+    let (before, after) = promised.split_at(found.position);
+    let ended = found.position.checked_sub(1).and_then(|last| timeline.begins().nth(last));
+    let free_s = ended.map_or(start.time.get(), |(job, begin_s)| begin_s + job.duration_s);
+    let to_promised_s = timeline.travel_s(&travel) + found.added_travel_s - (found.begin_s - free_s);
+    let energy_promised: f64 = promised.iter().map(|promised| promised.span.energy.get()).sum();
+    let planned = PlannedRole {
+        start: Seconds::new(free_s).ok()?,
+        before: promised.get(found.position).map(|next| next.role.clone()),
+        delay: Seconds::new(found.delay_s).ok()?,
+        delayed: delayed(found.position),
+        delay_max: Seconds::ZERO,
+        promised: delayed(0),
+        energy: Energy::of_share(energy_promised + discharge * to_promised_s),
+        detour_energy: discharge * (found.added_travel_s - (found.begin_s - free_s)),
+        span,
+    };
+    let end_of = |roles: &[&PromisedRole]| roles.iter().rev().find_map(|role| role.span.to.clone());
+    let from = end_of(before).unwrap_or_else(|| start.place.clone());
+    Some(RoleInsertion { from, ends_at: end_of(after), planned })
+}
+
+fn job(key: usize, span: &RoleSpan) -> Job<usize, Option<PlaceId>> {
+    let RoleSpan { from, to, time, .. } = span;
+    Job { to: to.clone(), duration_s: time.get(), ..Job::at(key, from.clone()) }
+}
+
+/// Drives between the places of roles. Without a place the robot does not drive.
+struct Drives<'a, T>(&'a T);
+
+impl<T: Travel<PlaceId>> Travel<Option<PlaceId>> for Drives<'_, T> {
+    fn seconds(&self, from: &Option<PlaceId>, to: &Option<PlaceId>) -> f64 {
+        from.as_ref().zip(to.as_ref()).map_or(0.0, |(from, to)| self.0.seconds(from, to))
+    }
+}
+
+#[cfg(test)]
+mod tests;
