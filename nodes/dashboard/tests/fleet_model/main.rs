@@ -265,7 +265,7 @@ fn a_free_robot_at_a_charger_is_shown_as_charging() {
     let nodes = [
         node("ada", json!({ "connected": claim })),
         node("bob", json!({ "bound": claim })),
-        node("cyd", json!("waiting")),
+        node("cyd", json!({ "waiting": { "chargers": ["Dock"] } })),
     ];
     model.apply_view(&Key::ViewFleet, &fleet(json!(nodes)), NOW);
     let shown = ["ada", "bob", "cyd"].map(|name| model.robots()[name].availability.as_str());
