@@ -91,11 +91,6 @@ impl StandingOrders {
         });
     }
 
-    /// Ends the hold of a node that is not the coordinator.
-    pub(super) fn end_unconfirmed(&mut self) {
-        self.unconfirmed_hold = None;
-    }
-
     /// Accepts any position from now on: the ledger of a new leader contains everything that was committed before, and
     /// a position that only the former leader stated counts no longer.
     pub(super) fn change_session(&mut self) {
@@ -216,9 +211,6 @@ mod tests {
         let hold = || order("held by Nia", None);
         orders.receive_unconfirmed(&notice(u64::MAX, hold()), at(0));
         assert!(orders.is_held(at(2_999)) && !orders.is_held(at(3_000)));
-        orders.receive_unconfirmed(&notice(u64::MAX, hold()), at(4_000));
-        orders.end_unconfirmed();
-        assert!(!orders.is_held(at(4_000)));
         orders.receive(notice(7, hold()), at(5_000));
         orders.receive_unconfirmed(&notice(u64::MAX, None), at(5_000));
         assert!(orders.is_held(at(60_000)));

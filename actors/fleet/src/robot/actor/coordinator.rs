@@ -36,10 +36,10 @@ impl RobotState {
         None
     }
 
-    /// Follows the orders in the reply of `recipient` to a report. A hold counts for a short time although the voters have
-    /// not confirmed this node: a robot that reaches few voters must not act against it.
-    pub(super) fn follow_renewed_orders(&mut self, recipient: &NodeId, orders: OrdersNotice, now: NodeTime) {
-        match self.leader_check.standing(recipient, orders.as_of, now) {
+    /// Follows the orders of a node with this standing. A hold counts for a short time although the voters have not
+    /// confirmed the node: a robot that reaches few voters must not act against it.
+    pub(super) fn follow_orders_of(&mut self, standing: Standing, orders: OrdersNotice, now: NodeTime) {
+        match standing {
             Standing::Confirmed => self.follow_orders(orders, now),
             Standing::Unconfirmed => self.hold_for_now(&orders, now),
             Standing::Refuted => {}
@@ -52,19 +52,26 @@ impl RobotState {
         self.poll_voters(now);
     }
 
-    /// Records the beacon of a node that claims to coordinate.
-    pub(super) fn hear_beacon(&mut self, beacon: &Beacon, author: &Author, now: NodeTime) {
+    /// Records the beacon of a node that claims to coordinate. Returns false if the robot must ignore it.
+    pub(super) fn hear_beacon(&mut self, beacon: &Beacon, author: &Author, now: NodeTime) -> bool {
         if node_of(author).is_none() {
-            return;
+            return true;
         }
-        self.leader_check.hear(beacon, now);
+        if !self.leader_check.hear(beacon, now) {
+            return false;
+        }
         if self.leader_check.has_moved(beacon, now) {
             self.poll_voters(now);
         }
+        true
     }
 
     fn poll_voters(&mut self, now: NodeTime) {
-        let Some(poll) = self.leader_check.begin_poll(now) else { return };
+        let RobotState { leader_check, settings, .. } = self;
+        let poll = settings.links.knowledge.read(|base| {
+            leader_check.begin_poll(now, |node| base.get(node).is_some_and(|known| known.record.knowledge.may_vote))
+        });
+        let Some(poll) = poll else { return };
         let (bus, keys) = (self.settings.links.bus.clone(), self.settings.links.keys.clone());
         let to = self.myself.clone();
         self.tasks.spawn(async move {
@@ -86,26 +93,20 @@ impl RobotState {
             self.lease.distrust(node, now);
         }
         for UnconfirmedNotice { author, notice, query } in std::mem::take(&mut self.unconfirmed_notices) {
-            let standing = self.leader_check.standing(&author, notice.position(), now);
-            let may_lead = standing == Standing::Unconfirmed && poll.is_unopposed(&author);
-            let may_act = may_lead && !matches!(notice, AwardNotice::Orders(_));
-            if standing == Standing::Confirmed || may_act {
-                self.perform_notice(query, notice).await?;
-                continue;
-            }
-            if let AwardNotice::Orders(orders) = &notice {
-                match may_lead {
-                    true => self.hold_for_now(orders, now),
-                    false => self.orders.end_unconfirmed(),
+            let standing = self.leader_check.standing_after(&poll, &author, notice.position(), now);
+            match notice {
+                AwardNotice::Orders(orders) if standing != Standing::Confirmed => {
+                    self.follow_orders_of(standing, orders, now);
+                    self.refuse_notice(query);
                 }
+                notice if standing != Standing::Refuted => self.perform_notice(query, notice).await?,
+                _ => self.refuse_notice(query),
             }
-            self.refuse_notice(query);
         }
         self.perform_actions(vec![]).await?;
-        match self.unconfirmed_reply.take() {
-            Some(report) => self.end_report(report).await,
-            None => Ok(()),
-        }
+        let Some(report) = self.unconfirmed_reply.take() else { return Ok(()) };
+        let standing = self.leader_check.standing_after(&poll, &report.recipient, report.position(), now);
+        self.end_report(report, standing).await
     }
 
     /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.

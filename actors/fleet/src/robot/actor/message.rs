@@ -5,6 +5,7 @@ use crate::robot::signals::ReceivedSignals;
 use crate::robot::skill_runner::SkillOutcome;
 use consort_bus::{Query, Sample};
 use consort_protocol::ids::NodeId;
+use consort_protocol::lease::Epoch;
 use consort_protocol::message::ReportReply;
 use consort_protocol::units::NodeTime;
 use ractor::RpcReplyPort;
@@ -60,4 +61,19 @@ pub(crate) struct EndedReport {
     pub(super) sent: NodeTime,
     /// Reply of the coordinator; `None` without a reply.
     pub(super) reply: Option<ReportReply>,
+}
+
+impl EndedReport {
+    /// Returns the position in the ledger that the reply states; the default if it states none.
+    pub(super) fn position(&self) -> Epoch {
+        match &self.reply {
+            Some(ReportReply::Renewed { orders, .. }) => orders.as_of,
+            Some(ReportReply::Ended { .. } | ReportReply::NotCoordinator { .. }) | None => Epoch::default(),
+        }
+    }
+
+    /// Checks whether the reply can change the lease or the role.
+    pub(super) fn has_effect(&self) -> bool {
+        matches!(self.reply, Some(ReportReply::Renewed { .. } | ReportReply::Ended { .. }))
+    }
 }

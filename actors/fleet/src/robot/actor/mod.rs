@@ -197,7 +197,9 @@ impl RobotState {
         };
         let node = beacon.node.clone();
         let now = self.now();
-        self.hear_beacon(&beacon, &sample.author, now);
+        if !self.hear_beacon(&beacon, &sample.author, now) {
+            return;
+        }
         let Some(change) = self.lease.follow(beacon, now) else { return };
         if change.other_cluster {
             info!(robot = %self.settings.robot, %node, "follows the coordinator of another cluster");

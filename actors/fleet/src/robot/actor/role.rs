@@ -82,25 +82,28 @@ impl RobotState {
     /// Handles the end of a report. A reply counts only once the voters have had the time to confirm its author.
     pub(super) async fn handle_report_reply(&mut self, report: EndedReport) -> Result<(), ActorProcessingErr> {
         let now = self.now();
-        let has_effect = matches!(report.reply, Some(ReportReply::Renewed { .. } | ReportReply::Ended { .. }));
-        let standing = self.leader_check.standing(&report.recipient, Epoch::default(), now);
-        if has_effect && standing == Standing::Unconfirmed {
+        let standing = self.leader_check.standing(&report.recipient, report.position(), now);
+        if report.has_effect() && standing == Standing::Unconfirmed {
             self.await_poll_for_reply(report, now);
             return Ok(());
         }
-        self.end_report(report).await
+        self.end_report(report, standing).await
     }
 
-    /// Ends a report: renews the lease, or ends the role.
-    pub(super) async fn end_report(&mut self, report: EndedReport) -> Result<(), ActorProcessingErr> {
+    /// Ends a report: renews the lease, or ends the role. The reply of a refuted node is dropped.
+    pub(super) async fn end_report(
+        &mut self,
+        report: EndedReport,
+        standing: Standing,
+    ) -> Result<(), ActorProcessingErr> {
         let now = self.now();
         let EndedReport { recipient, sent, reply } = report;
-        let reply = reply.filter(|_| !self.leader_check.is_refuted(&recipient, now));
+        let reply = reply.filter(|_| standing != Standing::Refuted);
         let answered = !matches!(reply, None | Some(ReportReply::NotCoordinator { .. }));
         self.lease.end_report(&recipient, answered, now);
         let actions = match reply {
             Some(ReportReply::Renewed { epoch, ended, holders, signals, outcomes, answer, orders }) => {
-                self.follow_renewed_orders(&recipient, *orders, now);
+                self.follow_orders_of(standing, *orders, now);
                 answer.into_iter().for_each(|answer| self.driver.question().receive(epoch, answer));
                 self.update_plan(epoch, &ended, &holders, &signals, outcomes);
                 self.lease.renew(Renewal { epoch, sent, ended, holders }, now)

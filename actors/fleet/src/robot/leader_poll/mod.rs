@@ -5,16 +5,18 @@
 //! So the robot queries the voters of all beacons that it receives for the leader that each of them follows:
 //!
 //! ```text
-//!  notice ──▶ is its author confirmed? ── yes ──▶ perform it
+//!  notice ──▶ is its author confirmed, and claims no other node a later term? ── yes ──▶ perform it
 //!                │ no
 //!                ▼ wire/leader/{voter}, to each voter of the recent beacons
 //!              poll ─┬─ the author leads ──▶ perform it, and later notices of this author
-//!                    ├─ another node leads, or voters follow another ──▶ refuse it
-//!                    └─ too few replies ──▶ perform it; of orders only a hold counts, for some seconds
+//!                    ├─ another node leads, or claims to ──▶ refuse it
+//!                    └─ too few replies, no other claim ──▶ perform it; of orders only a hold counts, for some seconds
 //! ```
 //!
 //! A node leads if a majority of the voters in its beacon follow it in the same term, and if fewer voters follow any
-//! other node or are late and may follow it. A voter states only its own leader, so a single key loses against a coordinator with two followers.
+//! other node or are late and may follow it. A voter states only its own leader, so a single key loses against a
+//! coordinator with two followers. A beacon may name any voters, so only nodes that may vote by their own records count
+//! as late.
 
 use bytes::Bytes;
 use consort_bus::SharedBus;
@@ -68,9 +70,9 @@ struct ConfirmedLeader {
 pub(super) enum Standing {
     /// A poll has confirmed it, or the fleet has no certificates.
     Confirmed,
-    /// Only a poll can tell.
+    /// Only a poll can tell; after a poll: it may lead, and no other node claims to.
     Unconfirmed,
-    /// It sends no beacons, or a recent poll confirmed another node.
+    /// It sends no beacons, a recent poll confirmed another node, or a poll has not decided against another node.
     Refuted,
 }
 
@@ -89,13 +91,16 @@ impl LeaderCheck {
         self.has_certificates = true;
     }
 
-    /// Records a beacon with a verified author. A beacon with more voters than a fleet has is ignored.
-    pub(super) fn hear(&mut self, beacon: &Beacon, now: NodeTime) {
+    /// Records a beacon with a verified author. Returns false if the robot must ignore it: it names more voters than a
+    /// fleet has.
+    pub(super) fn hear(&mut self, beacon: &Beacon, now: NodeTime) -> bool {
         self.require_polls();
         self.beacons.retain(|_, (_, at)| now.since(*at) <= BEACON_AGE_MAX);
-        if beacon.voters.len() <= VOTERS_MAX {
+        let is_plausible = beacon.voters.len() <= VOTERS_MAX;
+        if is_plausible {
             self.beacons.insert(beacon.node.clone(), (beacon.clone(), now));
         }
+        is_plausible
     }
 
     /// Checks whether the fleet has certificates: only a poll shows the coordinator.
@@ -103,11 +108,9 @@ impl LeaderCheck {
         self.has_certificates
     }
 
-    /// Returns the standing of a node that sends a notice as of this position in the ledger. The ledger of a leader has no
-    /// position of a later term.
+    /// Returns the standing of a node that sends a message as of this position in the ledger.
     pub(super) fn standing(&self, node: &NodeId, as_of: Epoch, now: NodeTime) -> Standing {
-        let leads = |FollowedLeader { node: leader, term }: &FollowedLeader| leader == node && as_of.term <= *term;
-        if !self.has_certificates || self.confirmed.as_ref().is_some_and(|confirmed| leads(&confirmed.leader)) {
+        if !self.has_certificates || self.is_confirmed(node, as_of) && !self.is_contested(now) {
             return Standing::Confirmed;
         }
         match self.is_refuted(node, now) || !self.beacons.contains_key(node) {
@@ -116,8 +119,36 @@ impl LeaderCheck {
         }
     }
 
+    /// Returns the standing of a node right after a poll. If the poll has not decided, the leader confirmed before stays
+    /// confirmed while another voter follows it; any other node must be unopposed.
+    pub(super) fn standing_after(&self, poll: &LeaderPoll, node: &NodeId, as_of: Epoch, now: NodeTime) -> Standing {
+        match self.standing(node, as_of, now) {
+            Standing::Unconfirmed if self.is_confirmed(node, as_of) && poll.is_upheld(node) => Standing::Confirmed,
+            Standing::Unconfirmed if !poll.is_unopposed(node) => Standing::Refuted,
+            standing => standing,
+        }
+    }
+
+    /// Checks whether a poll has confirmed the node. The ledger of a leader has no position of a later term.
+    fn is_confirmed(&self, node: &NodeId, as_of: Epoch) -> bool {
+        let leads = |leader: &FollowedLeader| leader.node == *node && as_of.term <= leader.term;
+        self.confirmed.as_ref().is_some_and(|confirmed| leads(&confirmed.leader))
+    }
+
+    /// Checks whether another node states a later term than the confirmed leader, and no recent poll refutes it: the
+    /// leader may have been replaced, and its key may be stolen.
+    fn is_contested(&self, now: NodeTime) -> bool {
+        let Some(ConfirmedLeader { leader, cluster }) = &self.confirmed else { return false };
+        self.beacons.values().any(|(beacon, at)| {
+            let is_later = beacon.node != leader.node && beacon.term > leader.term;
+            let is_same_cluster = cluster.zip(beacon.cluster).is_none_or(|(own, other)| own == other);
+            let is_recent = now.since(*at) <= BEACON_AGE_MAX;
+            is_later && is_same_cluster && is_recent && !self.is_refuted(&beacon.node, now)
+        })
+    }
+
     /// Checks whether a recent poll confirmed another node.
-    pub(super) fn is_refuted(&self, node: &NodeId, now: NodeTime) -> bool {
+    fn is_refuted(&self, node: &NodeId, now: NodeTime) -> bool {
         self.refuted.get(node).is_some_and(|at| now.since(*at) < REFUTED_FOR)
     }
 
@@ -129,16 +160,21 @@ impl LeaderCheck {
         is_other && !self.is_refuted(&beacon.node, now)
     }
 
-    /// Begins a poll. Returns `None` while a poll is under way.
-    pub(super) fn begin_poll(&mut self, now: NodeTime) -> Option<LeaderPoll> {
+    /// Begins a poll. Returns `None` while a poll is under way. `may_vote` checks the record of a node.
+    pub(super) fn begin_poll(&mut self, now: NodeTime, may_vote: impl Fn(&NodeId) -> bool) -> Option<LeaderPoll> {
         // A poll ends with the timeout of the voters; twice as long shows that its task was lost.
         if self.polling_since.is_some_and(|since| now.since(since) < 2 * STATEMENT_TIMEOUT) {
             return None;
         }
         self.polling_since = Some(now);
-        let candidates = self.beacons.values().map(|(beacon, _)| (beacon.node.clone(), beacon.clone())).collect();
+        let candidates: BTreeMap<NodeId, Beacon> =
+            self.beacons.values().map(|(beacon, _)| (beacon.node.clone(), beacon.clone())).collect();
+        let named = candidates.values().flat_map(|beacon| &beacon.voters);
+        // Only a voter sends beacons.
+        let is_voter = |node: &&NodeId| candidates.contains_key(*node) || may_vote(node);
+        let known_voters = named.filter(is_voter).cloned().collect();
         let confirmed = self.confirmed.as_ref().map(|confirmed| confirmed.leader.node.clone());
-        Some(LeaderPoll { candidates, confirmed, statements: BTreeMap::new() })
+        Some(LeaderPoll { candidates, known_voters, confirmed, statements: BTreeMap::new() })
     }
 
     /// Ends a poll.
@@ -164,6 +200,8 @@ impl LeaderCheck {
 pub(crate) struct LeaderPoll {
     /// Nodes that claim to coordinate, with their beacons.
     candidates: BTreeMap<NodeId, Beacon>,
+    /// Voters in these beacons that may vote by their own records, too.
+    known_voters: BTreeSet<NodeId>,
     /// The node confirmed before: it wins a tie.
     confirmed: Option<NodeId>,
     /// Leader that each voter states; `None` for a voter that follows none or is absent. A late voter has no entry.
@@ -213,15 +251,16 @@ impl LeaderPoll {
         (wins && 2 * followers > beacon.voters.len()).then(|| leader.clone())
     }
 
-    /// Returns the largest number of voters that follow another node, or may: voters without a statement may follow a
-    /// candidate that names them.
+    /// Returns the largest number of voters that follow another node, or may: known voters without a statement may follow
+    /// a candidate that names them.
     fn rival_followers(&self, node: &NodeId) -> usize {
         let others = self.stated().filter(|(_, followed)| followed.node != *node);
         let stated = largest(others).map_or(0, |(_, followers)| followers);
         let rivals = self.candidates.values().filter(|rival| rival.node != *node);
         let possible = rivals.map(|rival| {
             let own = self.stated().filter(|(_, followed)| followed.node == rival.node);
-            let open = rival.voters.iter().filter(|voter| !self.statements.contains_key(*voter)).count();
+            let is_open = |voter: &&NodeId| self.known_voters.contains(*voter) && !self.statements.contains_key(*voter);
+            let open = rival.voters.iter().filter(is_open).count();
             largest(own).map_or(0, |(_, followers)| followers) + open
         });
         possible.max().unwrap_or(0).max(stated)
@@ -229,11 +268,17 @@ impl LeaderPoll {
 
     /// Checks whether voters follow the node, none follows another, and no other node claims to coordinate without
     /// following it. The voters of a rival may be late.
-    pub(super) fn is_unopposed(&self, node: &NodeId) -> bool {
+    fn is_unopposed(&self, node: &NodeId) -> bool {
         let follows = |voter: &NodeId| self.stated().any(|(stated, _)| stated == voter);
         self.stated().next().is_some()
             && self.stated().all(|(_, followed)| followed.node == *node)
             && self.candidates.keys().all(|candidate| candidate == node || follows(candidate))
+    }
+
+    /// Checks whether another voter follows the node, and of other nodes none has a follower but itself.
+    fn is_upheld(&self, node: &NodeId) -> bool {
+        self.stated().any(|(voter, followed)| voter != node && followed.node == *node)
+            && self.stated().all(|(voter, followed)| followed.node == *node || followed.node == *voter)
     }
 
     /// Checks whether another node leads, and only the node itself states that it does.
@@ -272,130 +317,4 @@ async fn query_leader(bus: &SharedBus, key: &str, voter: &NodeId) -> Option<Opti
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::test_values::at;
-    use super::*;
-
-    const CLUSTER: Option<ClusterId> = Some(ClusterId(1));
-
-    fn node(name: &str) -> NodeId {
-        name.parse().unwrap()
-    }
-
-    fn beacon(name: &str, term: u64, voters: &[&str]) -> Beacon {
-        let voters = voters.iter().map(|voter| node(voter)).collect();
-        Beacon { node: node(name), term, voters, since_ms: 0, cluster: CLUSTER, wire: None }
-    }
-
-    fn of_term(term: u64) -> Epoch {
-        Epoch { term, index: 1 }
-    }
-
-    /// Polls with these statements: voter, leader, term.
-    fn poll(check: &mut LeaderCheck, now: NodeTime, statements: &[(&str, &str, u64)]) -> (LeaderPoll, LeaderChange) {
-        let mut poll = check.begin_poll(now).unwrap();
-        for (voter, leader, term) in statements {
-            poll.statements.insert(node(voter), Some(FollowedLeader { node: node(leader), term: *term }));
-        }
-        let change = check.end_poll(&poll, now);
-        (poll, change)
-    }
-
-    /// Returns a check that has the beacons of a true and of a false coordinator.
-    fn contested() -> LeaderCheck {
-        let mut check = LeaderCheck::default();
-        check.hear(&beacon("aster", 3, &["aster", "basil", "clove"]), at(0));
-        check.hear(&beacon("dill", u64::MAX, &["dill"]), at(0));
-        check
-    }
-
-    const TRUE: [(&str, &str, u64); 3] = [("aster", "aster", 3), ("basil", "aster", 3), ("clove", "aster", 3)];
-
-    #[test]
-    fn without_certificates_no_poll_is_needed() {
-        assert_eq!(LeaderCheck::default().standing(&node("dill"), of_term(9), at(0)), Standing::Confirmed);
-    }
-
-    #[test]
-    fn a_node_that_only_itself_follows_is_refuted() {
-        let mut check = contested();
-        assert_eq!(check.standing(&node("dill"), of_term(9), at(0)), Standing::Unconfirmed);
-        assert_eq!(check.standing(&node("eve"), of_term(9), at(0)), Standing::Refuted, "it sends no beacons");
-        let lie = ("dill", "dill", u64::MAX);
-        let (result, change) = poll(&mut check, at(0), &[TRUE[0], TRUE[1], lie]);
-        assert_eq!(change, LeaderChange { new_session: true, other_cluster: false });
-        assert!(result.is_impostor(&node("dill")) && !result.is_impostor(&node("aster")));
-        assert!(!result.is_unopposed(&node("dill")) && !result.is_unopposed(&node("aster")));
-        assert_eq!(check.standing(&node("aster"), of_term(3), at(0)), Standing::Confirmed);
-        assert_eq!(check.standing(&node("aster"), of_term(4), at(0)), Standing::Unconfirmed, "a later term");
-        assert_eq!(check.standing(&node("dill"), of_term(9), at(1_999)), Standing::Refuted);
-        assert_eq!(check.standing(&node("dill"), of_term(9), at(2_000)), Standing::Unconfirmed);
-    }
-
-    #[test]
-    fn voters_that_a_false_coordinator_names_do_not_count_for_it() {
-        let mut check = contested();
-        check.hear(&beacon("dill", u64::MAX, &["basil", "clove", "dill"]), at(0));
-        let (_, change) = poll(&mut check, at(0), &[("dill", "dill", u64::MAX), ("basil", "aster", 3)]);
-        assert_eq!(change, LeaderChange::default(), "undecided");
-        assert_eq!(check.standing(&node("dill"), of_term(9), at(0)), Standing::Unconfirmed);
-    }
-
-    #[test]
-    fn the_confirmed_coordinator_of_a_single_voter_keeps_its_place() {
-        let mut check = LeaderCheck::default();
-        check.hear(&beacon("aster", 3, &["aster"]), at(0));
-        assert!(poll(&mut check, at(0), &TRUE[..1]).1.new_session);
-        check.hear(&beacon("dill", u64::MAX, &["dill"]), at(0));
-        let (_, change) = poll(&mut check, at(0), &[TRUE[0], ("dill", "dill", u64::MAX)]);
-        assert_eq!(change, LeaderChange::default());
-        assert_eq!(check.standing(&node("dill"), of_term(9), at(0)), Standing::Refuted);
-    }
-
-    #[test]
-    fn the_next_coordinator_is_confirmed_and_the_former_is_not() {
-        let mut check = contested();
-        poll(&mut check, at(0), &TRUE);
-        check.hear(&beacon("basil", 4, &["aster", "basil", "clove"]), at(3_000));
-        let (_, change) = poll(&mut check, at(3_000), &[("basil", "basil", 4), ("clove", "basil", 4), TRUE[0]]);
-        assert_eq!(change, LeaderChange { new_session: true, other_cluster: false });
-        assert_eq!(check.standing(&node("basil"), of_term(4), at(3_000)), Standing::Confirmed);
-        assert_eq!(check.standing(&node("aster"), of_term(3), at(3_000)), Standing::Refuted);
-    }
-
-    #[test]
-    fn a_node_that_only_itself_follows_does_not_lead_while_others_are_late() {
-        let mut check = contested();
-        let (result, change) = poll(&mut check, at(0), &[("dill", "dill", u64::MAX)]);
-        assert_eq!(change, LeaderChange::default());
-        assert!(!result.is_unopposed(&node("dill")) && !result.is_impostor(&node("dill")));
-        assert_eq!(check.standing(&node("dill"), of_term(9), at(0)), Standing::Unconfirmed);
-    }
-
-    #[test]
-    fn a_poll_is_decided_once_late_statements_change_nothing() {
-        let mut check = LeaderCheck::default();
-        check.hear(&beacon("aster", 3, &["aster", "basil", "clove"]), at(0));
-        let mut poll = check.begin_poll(at(0)).unwrap();
-        assert!(check.begin_poll(at(599)).is_none() && check.begin_poll(at(600)).is_some());
-        for (voter, leader, term) in &TRUE[..2] {
-            assert_eq!(poll.leader(), None);
-            poll.statements.insert(node(voter), Some(FollowedLeader { node: node(leader), term: *term }));
-        }
-        assert!(poll.leader().is_some() && poll.is_unopposed(&node("aster")));
-    }
-
-    #[test]
-    fn a_beacon_of_another_cluster_counts_once_its_voters_confirm_it() {
-        let mut check = contested();
-        poll(&mut check, at(0), &TRUE);
-        let moved = Beacon { cluster: Some(ClusterId(2)), ..beacon("eve", 1, &["eve"]) };
-        check.hear(&moved, at(1));
-        assert!(check.has_moved(&moved, at(1)) && !check.has_moved(&beacon("basil", 4, &[]), at(1)));
-        assert_eq!(poll(&mut check, at(1), &TRUE).1, LeaderChange::default());
-        assert!(!check.has_moved(&moved, at(1)), "refuted");
-        check.hear(&moved, at(11_000));
-        let (_, change) = poll(&mut check, at(11_000), &[("eve", "eve", 1)]);
-        assert_eq!(change, LeaderChange { new_session: true, other_cluster: true });
-    }
-}
+mod tests;
