@@ -1,10 +1,11 @@
 //! People close places and lanes, and open them.
 
-use crate::support::{longer_than_a_lease, released, request, task_began};
-use consort_fleet::node::NodeSettings;
-use consort_protocol::ids::{MissionId, RobotId};
+use crate::support::{
+    assert_completes_by, audited_changes, drive_to_room, longer_than_a_lease, released, request, slow_fleet,
+};
+use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
-use consort_tests::{Fleet, RobotSpec, for_each_seed};
+use consort_tests::{Fleet, for_each_seed};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -30,25 +31,14 @@ async fn open(fleet: &Fleet, places: &[&str]) {
     request(fleet, ApiCall::Open, &json!({ "places": places, "by": "Abe" })).await;
 }
 
-/// Starts two slow carriers, far from the room, and three stations; `aster` coordinates.
 async fn fleet(seed: u64) -> Fleet {
-    let robots = vec![
-        RobotSpec::carrier("fern", "Dock").with_speed(0.6),
-        RobotSpec::carrier("gorse", "PC Room 8").with_speed(0.7),
-    ];
-    let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.stall_timeout = Duration::from_secs(900));
-    let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM], adjust).await;
-    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
-    fleet
+    slow_fleet(seed, &[ROOM], Duration::from_secs(900)).await
 }
 
 /// Starts a mission. Returns the carrier that drives to the room.
 async fn under_way(seed: u64) -> (Fleet, MissionId, String) {
     let mut fleet = fleet(seed).await;
-    fleet.wait_for_audit_trail().await;
-    let mission = fleet.submit("a", ROOM).await;
-    fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
-    let carrier = fleet.holder(&mission, "r1").expect("held").to_string();
+    let (mission, carrier) = drive_to_room(&mut fleet, ROOM).await;
     (fleet, mission, carrier)
 }
 
@@ -78,15 +68,6 @@ async fn assert_waits(fleet: &mut Fleet, carrier: &str, during: Duration) {
     fleet.assert_never("an entry, a move or a release", during, broken).await;
 }
 
-/// Asserts that the mission completes under its first award.
-async fn assert_goes_on(fleet: &mut Fleet, mission: &MissionId, carrier: &str) {
-    fleet.assert_completes(mission).await;
-    fleet.assert_sample_delivered(ROOM);
-    fleet.assert_exclusive_roles();
-    assert_eq!(fleet.holder(mission, "r1").as_ref().map(RobotId::as_str), Some(carrier), "seed {}", fleet.seed);
-    assert_eq!(fleet.event_log.count(released), 0, "seed {}\n{}", fleet.seed, fleet.event_log_text());
-}
-
 #[test]
 fn a_robot_under_way_waits_before_a_closed_place_until_it_is_opened() {
     for_each_seed([1401, 1402, 1403], async |seed| {
@@ -96,11 +77,8 @@ fn a_robot_under_way_waits_before_a_closed_place_until_it_is_opened() {
         assert_eq!(reply["closures"][0]["order"]["by"], json!("Nia"), "seed {seed}: {reply}");
         assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
         open(&fleet, &[GATE]).await;
-        assert_goes_on(&mut fleet, &mission, &carrier).await;
-        let trail = request(&fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
-        // The simulated nurse answers, too.
-        let entries = trail["entries"].as_array().expect("entries").iter().filter(|entry| entry["action"] != "answer");
-        let changes: Vec<_> = entries.map(|entry| [&entry["by"], &entry["action"], &entry["subject"]]).collect();
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
+        let changes = audited_changes(&fleet).await;
         let expected = json!([["a client", "submit", mission], ["Nia", "close", GATE], ["Abe", "open", GATE]]);
         assert_eq!(json!(changes), expected, "seed {seed}");
     });
@@ -122,7 +100,7 @@ fn a_robot_that_drives_towards_a_place_stops_when_it_is_closed() {
         let has_gone_on = |fleet: &Fleet| distance(fleet.position(&carrier), place) > 1.0 || fleet.has_event(released);
         fleet.assert_never("more than a metre, or a release", longer_than_a_lease(), has_gone_on).await;
         open(&fleet, &["IC Corridor 2"]).await;
-        assert_goes_on(&mut fleet, &mission, &carrier).await;
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
     });
 }
 
@@ -132,7 +110,7 @@ fn a_closed_lane_is_not_driven_until_its_time_has_passed() {
         let (mut fleet, mission, carrier) = under_way(seed).await;
         close(&fleet, json!({ "lanes": [[GATE, BEFORE]] }), 150).await;
         assert_waits(&mut fleet, &carrier, Duration::from_secs(20)).await;
-        assert_goes_on(&mut fleet, &mission, &carrier).await;
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
         let closures = fleet.ledger(|ledger| ledger.closures().count());
         assert_eq!(closures, Some(0), "seed {seed}: the ledger has forgotten the closure");
     });
@@ -147,7 +125,7 @@ fn the_next_coordinator_keeps_a_place_closed() {
         fleet.wait_for_coordinator().await;
         assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
         open(&fleet, &[GATE]).await;
-        assert_goes_on(&mut fleet, &mission, &carrier).await;
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
     });
 }
 

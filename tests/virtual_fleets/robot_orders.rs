@@ -1,13 +1,14 @@
 //! People hold robots and take them out of service.
 
-use crate::support::{longer_than_a_lease, released, request, task_began};
-use consort_fleet::node::NodeSettings;
+use crate::support::{
+    assert_completes_by, audited_changes, drive_to_room, longer_than_a_lease, released, request, slow_fleet,
+};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::Availability;
 use consort_protocol::ledger::RobotOrders;
-use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use consort_tests::{Fleet, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -31,26 +32,14 @@ async fn maintenance(fleet: &Fleet, payload: Value) {
 /// Longer than any step of these robots.
 const STALL_AFTER: Duration = Duration::from_secs(60);
 
-/// Starts two slow carriers, far from the rooms, and three stations; `aster` coordinates.
 async fn fleet(seed: u64) -> Fleet {
-    let robots = vec![
-        RobotSpec::carrier("fern", "Dock").with_speed(0.6),
-        RobotSpec::carrier("gorse", "PC Room 8").with_speed(0.7),
-    ];
-    let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.stall_timeout = STALL_AFTER);
-    let stations = ["aster", "basil", "clove"];
-    let mut fleet = Fleet::adjusted_hospital(seed, robots, &stations, &[ROOM, OTHER], adjust).await;
-    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
-    fleet
+    slow_fleet(seed, &[ROOM, OTHER], STALL_AFTER).await
 }
 
 /// Starts a mission. Returns the carrier that drives to the room.
 async fn under_way(seed: u64) -> (Fleet, MissionId, String) {
     let mut fleet = fleet(seed).await;
-    fleet.wait_for_audit_trail().await;
-    let mission = fleet.submit("a", ROOM).await;
-    fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
-    let carrier = fleet.holder(&mission, "r1").expect("held").to_string();
+    let (mission, carrier) = drive_to_room(&mut fleet, ROOM).await;
     let start = fleet.position(&carrier);
     fleet.wait_until("a move", SOON, |fleet| fleet.position(&carrier) != start).await;
     (fleet, mission, carrier)
@@ -69,11 +58,7 @@ async fn assert_held(fleet: &mut Fleet, robot: &str, during: Duration) {
 async fn assert_goes_on(fleet: &mut Fleet, mission: &MissionId, robot: &str, within: Duration) {
     let place = fleet.position(robot);
     fleet.wait_until("a move", within, |fleet| fleet.position(robot) != place).await;
-    fleet.assert_completes(mission).await;
-    fleet.assert_sample_delivered(ROOM);
-    fleet.assert_exclusive_roles();
-    assert_eq!(fleet.holder(mission, "r1").as_ref().map(RobotId::as_str), Some(robot), "seed {}", fleet.seed);
-    assert_eq!(fleet.event_log.count(released), 0, "seed {}\n{}", fleet.seed, fleet.event_log_text());
+    assert_completes_by(fleet, mission, ROOM, robot).await;
 }
 
 #[test]
@@ -107,11 +92,8 @@ fn the_next_coordinator_keeps_a_robot_held() {
         fleet.wait_for_coordinator().await;
         release(&fleet, json!([carrier])).await;
         assert_goes_on(&mut fleet, &mission, &carrier, Duration::from_secs(2)).await;
-        let trail = request(&fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
-        // The simulated nurse answers, too.
-        let entries = trail["entries"].as_array().expect("entries").iter().filter(|entry| entry["action"] != "answer");
-        let changes: Vec<_> = entries.map(|entry| [&entry["by"], &entry["action"]]).collect();
-        let expected = json!([["a client", "submit"], ["Nia", "hold"], ["Abe", "release"]]);
+        let changes = audited_changes(&fleet).await;
+        let expected = json!([["a client", "submit", mission], ["Nia", "hold", carrier], ["Abe", "release", carrier]]);
         assert_eq!(json!(changes), expected, "seed {seed}");
     });
 }

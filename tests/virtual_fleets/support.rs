@@ -3,7 +3,7 @@
 use consort_bus::clock::Clock;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{MissionId, NodeId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::view::PersonRequestView;
@@ -17,6 +17,45 @@ pub(crate) async fn fleet(seed: u64, room: &'static str) -> Fleet {
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[room]).await;
     assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the first coordinator");
     fleet
+}
+
+/// Starts two slow carriers, far from the rooms, and three stations; `aster` coordinates, and takes a role from a robot
+/// that ends no step for `stall_timeout`.
+pub(crate) async fn slow_fleet(seed: u64, rooms: &[&str], stall_timeout: Duration) -> Fleet {
+    let robots = vec![
+        RobotSpec::carrier("fern", "Dock").with_speed(0.6),
+        RobotSpec::carrier("gorse", "PC Room 8").with_speed(0.7),
+    ];
+    let adjust = Box::new(move |settings: &mut NodeSettings| settings.fleet.stall_timeout = stall_timeout);
+    let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster", "basil", "clove"], rooms, adjust).await;
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
+    fleet
+}
+
+/// Starts a mission in a fleet that keeps an audit trail. Returns it and the carrier that drives to the room.
+pub(crate) async fn drive_to_room(fleet: &mut Fleet, room: &str) -> (MissionId, String) {
+    let limit = Duration::from_secs(60);
+    fleet.wait_for_audit_trail().await;
+    let mission = fleet.submit("a", room).await;
+    fleet.wait_until("the way to the room", limit, |fleet| fleet.has_event(task_began("navto_room"))).await;
+    let carrier = fleet.holder(&mission, "r1").expect("held").to_string();
+    (mission, carrier)
+}
+
+/// Asserts that a mission of this room completes under its first award.
+pub(crate) async fn assert_completes_by(fleet: &mut Fleet, mission: &MissionId, room: &str, carrier: &str) {
+    fleet.assert_completes(mission).await;
+    fleet.assert_sample_delivered(room);
+    fleet.assert_exclusive_roles();
+    assert_eq!(fleet.holder(mission, "r1").as_ref().map(RobotId::as_str), Some(carrier), "seed {}", fleet.seed);
+    assert_eq!(fleet.event_log.count(released), 0, "seed {}\n{}", fleet.seed, fleet.event_log_text());
+}
+
+/// Returns the entries of the audit trail, each as person, action and subject, without the answers of simulated people.
+pub(crate) async fn audited_changes(fleet: &Fleet) -> Vec<[Value; 3]> {
+    let trail = request(fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
+    let entries = trail["entries"].as_array().expect("entries").iter().filter(|entry| entry["action"] != "answer");
+    entries.map(|entry| [&entry["by"], &entry["action"], &entry["subject"]].map(Value::clone)).collect()
 }
 
 /// Matches the start of a task.
