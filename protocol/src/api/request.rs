@@ -207,27 +207,91 @@ pub enum ScheduleAction {
     Remove,
 }
 
-/// Holds robots: they stand still at once, and keep their roles.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct HoldRequest {
-    /// The robots.
-    pub robots: RobotSelection,
-    /// Seconds after which the hold ends by itself; 600 if absent.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 1, max = HOLD_S_MAX))]
-    pub for_s: Option<u32>,
-    /// Reason, for display.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub reason: String,
-    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub by: Option<String>,
-    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
-    /// the signed request counts instead.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Option<String>")]
-    pub request: Option<RequestId>,
+/// Defines requests of people for orders and closures: each with fields of its own, and those of all.
+macro_rules! order_requests {
+    ($($(#[$doc:meta])* $name:ident { $($(#[$attribute:meta])* $field:ident: $type:ty,)* })*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct $name {
+            $($(#[$attribute])* pub $field: $type,)*
+            /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
+            #[serde(skip_serializing_if = "Option::is_none")]
+            pub by: Option<String>,
+            /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet
+            /// the id of the signed request counts instead.
+            #[serde(skip_serializing_if = "Option::is_none")]
+            #[schemars(with = "Option<String>")]
+            pub request: Option<RequestId>,
+        }
+    )*};
+}
+
+order_requests! {
+    /// Holds robots: they stand still at once, and keep their roles.
+    HoldRequest {
+        /// The robots.
+        robots: RobotSelection,
+        /// Seconds after which the hold ends by itself; 600 if absent.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(range(min = 1, max = HOLD_S_MAX))]
+        for_s: Option<u32>,
+        /// Reason, for display.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        reason: String,
+    }
+
+    /// Releases held robots.
+    ReleaseRequest {
+        /// The robots. Robots that are not held stay as they are.
+        robots: RobotSelection,
+    }
+
+    /// Takes robots out of service, or returns them to service.
+    MaintenanceRequest {
+        /// The robots.
+        robots: RobotSelection,
+        /// The change.
+        action: MaintenanceAction,
+        /// For `begin`: the time at which the maintenance ends by itself, in RFC 3339. Default: no end.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(extend("format" = "date-time"))]
+        until: Option<String>,
+        /// For `begin`: the reason, for display.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        reason: String,
+    }
+
+    /// Closes places or lanes: no robot enters them.
+    CloseRequest {
+        /// Places of the map. Every lane to them is closed, too.
+        #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+        places: BTreeSet<PlaceId>,
+        /// Lanes of the map, each by its two ends. They are closed in both directions.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        lanes: Vec<(PlaceId, PlaceId)>,
+        /// Seconds after which the closure ends by itself. Default: no end.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(range(min = 1, max = CLOSE_S_MAX))]
+        for_s: Option<u32>,
+        /// Instead of `for_s`: the time at which the closure ends by itself, in RFC 3339.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(extend("format" = "date-time"))]
+        until: Option<String>,
+        /// Reason, for display.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        reason: String,
+    }
+
+    /// Opens closed places or lanes.
+    OpenRequest {
+        /// Places. Places that are not closed stay as they are.
+        #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+        places: BTreeSet<PlaceId>,
+        /// Lanes, each by its two ends. A lane stays closed while a place at its end is closed.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        lanes: Vec<(PlaceId, PlaceId)>,
+    }
 }
 
 /// Seconds after which a hold ends by default.
@@ -235,47 +299,6 @@ pub const HOLD_S: u32 = 600;
 
 /// Maximum number of seconds of a hold: a day.
 pub const HOLD_S_MAX: u32 = 24 * 60 * 60;
-
-/// Releases held robots.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ReleaseRequest {
-    /// The robots. Robots that are not held stay as they are.
-    pub robots: RobotSelection,
-    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub by: Option<String>,
-    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
-    /// the signed request counts instead.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Option<String>")]
-    pub request: Option<RequestId>,
-}
-
-/// Takes robots out of service, or returns them to service.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct MaintenanceRequest {
-    /// The robots.
-    pub robots: RobotSelection,
-    /// The change.
-    pub action: MaintenanceAction,
-    /// For `begin`: the time at which the maintenance ends by itself, in RFC 3339. Default: no end.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("format" = "date-time"))]
-    pub until: Option<String>,
-    /// For `begin`: the reason, for display.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub reason: String,
-    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub by: Option<String>,
-    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
-    /// the signed request counts instead.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Option<String>")]
-    pub request: Option<RequestId>,
-}
 
 /// Change of the maintenance of robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -289,57 +312,6 @@ pub enum MaintenanceAction {
 
 /// Maximum number of seconds of a closure that is given as `for_s`: a year.
 pub const CLOSE_S_MAX: u32 = 366 * 24 * 60 * 60;
-
-/// Closes places or lanes: no robot enters them.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CloseRequest {
-    /// Places of the map. Every lane to them is closed, too.
-    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
-    pub places: BTreeSet<PlaceId>,
-    /// Lanes of the map, each by its two ends. They are closed in both directions.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub lanes: Vec<(PlaceId, PlaceId)>,
-    /// Seconds after which the closure ends by itself. Default: no end.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 1, max = CLOSE_S_MAX))]
-    pub for_s: Option<u32>,
-    /// Instead of `for_s`: the time at which the closure ends by itself, in RFC 3339.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("format" = "date-time"))]
-    pub until: Option<String>,
-    /// Reason, for display.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub reason: String,
-    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub by: Option<String>,
-    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
-    /// the signed request counts instead.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Option<String>")]
-    pub request: Option<RequestId>,
-}
-
-/// Opens closed places or lanes.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct OpenRequest {
-    /// Places. Places that are not closed stay as they are.
-    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
-    pub places: BTreeSet<PlaceId>,
-    /// Lanes, each by its two ends. A lane stays closed while a place at its end is closed.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub lanes: Vec<(PlaceId, PlaceId)>,
-    /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub by: Option<String>,
-    /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet the id of
-    /// the signed request counts instead.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Option<String>")]
-    pub request: Option<RequestId>,
-}
 
 /// The robots of a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
