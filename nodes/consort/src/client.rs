@@ -14,6 +14,7 @@ use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_dashboard::query::{QueryError, QueryTarget, RETRY_DELAY, query_once};
 use consort_protocol::access;
+use consort_protocol::api::ReadOptions;
 use consort_protocol::ids::{FleetId, NodeId, RequestId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::trust::Principal;
@@ -94,6 +95,21 @@ impl ClientFlags {
             client.close().await;
             done
         })
+    }
+}
+
+/// Flag of a read.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ReadFlags {
+    /// Show everything acknowledged before now, confirmed by a majority of the voters
+    #[arg(long)]
+    linearizable: bool,
+}
+
+impl ReadFlags {
+    /// Returns the options of the read.
+    pub(crate) fn options(&self) -> ReadOptions {
+        ReadOptions { linearizable: self.linearizable }
     }
 }
 

@@ -1,12 +1,11 @@
 //! `consort audit`: lists who requested which change, and when.
 
 use super::flag_values::parse_duration;
-use crate::client::{ClientFlags, read_answer};
+use crate::client::{ClientFlags, ReadFlags, read_answer};
 use crate::exit::Failure;
 use crate::output;
 use consort_bus::clock::Clock;
 use consort_fleet::recurrence::time_in_zone;
-use consort_protocol::api::ReadOptions;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::AuditEntry;
 use consort_protocol::view::AuditView;
@@ -30,9 +29,8 @@ pub(crate) struct Args {
     /// Only changes by persons whose name contains this text
     #[arg(long, value_name = "TEXT")]
     person: Option<String>,
-    /// Show everything acknowledged before now, confirmed by a majority of the voters
-    #[arg(long)]
-    linearizable: bool,
+    #[command(flatten)]
+    read: ReadFlags,
     /// Print a JSON object per line, with the fields of `view/audit`
     #[arg(long)]
     json: bool,
@@ -45,8 +43,8 @@ pub(crate) struct Args {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api).
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
-    let Args { since, person, linearizable, json, client } = args;
-    let answer = client.with_client(async |client| client.api(ApiCall::Audit, &ReadOptions { linearizable }).await)?;
+    let Args { since, person, read, json, client } = args;
+    let answer = client.with_client(async |client| client.api(ApiCall::Audit, &read.options()).await)?;
     let AuditView { mut entries } = read_answer(&answer)?;
     let from_ms = since.map_or(0, |since| {
         let since_ms = u64::try_from(since.as_millis()).unwrap_or(u64::MAX);

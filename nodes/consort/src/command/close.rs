@@ -1,8 +1,8 @@
 //! `consort close` and `consort open`: close places and lanes, and open them.
 
+use super::change_flags::{ChangeFlags, ReasonFlag};
 use super::flag_values::parse_duration;
 use super::hold::seconds;
-use crate::client::{QueryFlags, new_request_id};
 use crate::exit::Failure;
 use consort_fleet::recurrence::until_text;
 use consort_protocol::api::{CLOSE_S_MAX, CloseRequest, ClosuresReply, OpenRequest};
@@ -34,14 +34,10 @@ pub(crate) struct CloseArgs {
     /// The closure ends by itself at this date and time, as 2026-12-31T18:00:00+01:00
     #[arg(long, value_name = "TIME")]
     until: Option<String>,
-    /// Reason, for the record
-    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
-    reason: String,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
-    by: Option<String>,
     #[command(flatten)]
-    query: QueryFlags,
+    reason: ReasonFlag,
+    #[command(flatten)]
+    change: ChangeFlags,
 }
 
 /// Open closed places or lanes
@@ -55,11 +51,8 @@ Examples:
 pub(crate) struct OpenArgs {
     #[command(flatten)]
     parts: PartFlags,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
-    by: Option<String>,
     #[command(flatten)]
-    query: QueryFlags,
+    change: ChangeFlags,
 }
 
 /// Flags for the places and lanes.
@@ -86,11 +79,11 @@ impl PartFlags {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api); [`Failure::Usage`] if the time is too long.
 pub(crate) fn run(args: CloseArgs) -> Result<(), Failure> {
-    let CloseArgs { parts, length, until, reason, by, query } = args;
+    let CloseArgs { parts, length, until, reason: ReasonFlag { reason }, change } = args;
     let (places, lanes) = parts.parts();
     let for_s = length.map(|length| seconds(length, CLOSE_S_MAX)).transpose()?;
-    let request = CloseRequest { places, lanes, for_s, until, reason, by, request: Some(new_request_id()) };
-    query.print(async |client| client.api(ApiCall::Close, &request).await, reply_text)
+    let request = |by, request| CloseRequest { places, lanes, for_s, until, reason, by, request };
+    change.send(ApiCall::Close, request, reply_text)
 }
 
 /// Runs `consort open`.
@@ -98,10 +91,9 @@ pub(crate) fn run(args: CloseArgs) -> Result<(), Failure> {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api).
 pub(crate) fn open(args: OpenArgs) -> Result<(), Failure> {
-    let OpenArgs { parts, by, query } = args;
+    let OpenArgs { parts, change } = args;
     let (places, lanes) = parts.parts();
-    let request = OpenRequest { places, lanes, by, request: Some(new_request_id()) };
-    query.print(async |client| client.api(ApiCall::Open, &request).await, reply_text)
+    change.send(ApiCall::Open, |by, request| OpenRequest { places, lanes, by, request }, reply_text)
 }
 
 fn reply_text(ClosuresReply { closures }: &ClosuresReply) -> String {

@@ -1,8 +1,8 @@
 //! `consort hold` and `consort release`: hold robots, and release them.
 
+use super::change_flags::{ChangeFlags, ReasonFlag};
 use super::flag_values::parse_duration;
 use super::robot_selection::{RobotFlags, orders_text};
-use crate::client::{QueryFlags, new_request_id};
 use crate::exit::Failure;
 use consort_protocol::api::{HOLD_S_MAX, HoldRequest, ReleaseRequest};
 use consort_protocol::keys::ApiCall;
@@ -29,14 +29,10 @@ pub(crate) struct HoldArgs {
     /// The hold ends by itself after this time, at most 1d
     #[arg(long = "for", value_name = "TIME", default_value = "10m", value_parser = parse_duration)]
     length: Duration,
-    /// Reason, for the record
-    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
-    reason: String,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
-    by: Option<String>,
     #[command(flatten)]
-    query: QueryFlags,
+    reason: ReasonFlag,
+    #[command(flatten)]
+    change: ChangeFlags,
 }
 
 /// Release held robots: they continue their roles
@@ -51,11 +47,8 @@ Examples:
 pub(crate) struct ReleaseArgs {
     #[command(flatten)]
     robots: RobotFlags,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
-    by: Option<String>,
     #[command(flatten)]
-    query: QueryFlags,
+    change: ChangeFlags,
 }
 
 /// Runs `consort hold`.
@@ -63,10 +56,9 @@ pub(crate) struct ReleaseArgs {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api); [`Failure::Usage`] if the time is too long.
 pub(crate) fn run(args: HoldArgs) -> Result<(), Failure> {
-    let HoldArgs { robots, length, reason, by, query } = args;
+    let HoldArgs { robots, length, reason: ReasonFlag { reason }, change } = args;
     let (robots, for_s) = (robots.selection()?, Some(seconds(length, HOLD_S_MAX)?));
-    let request = HoldRequest { robots, for_s, reason, by, request: Some(new_request_id()) };
-    query.print(async |client| client.api(ApiCall::Hold, &request).await, orders_text)
+    change.send(ApiCall::Hold, |by, request| HoldRequest { robots, for_s, reason, by, request }, orders_text)
 }
 
 /// Runs `consort release`.
@@ -74,9 +66,9 @@ pub(crate) fn run(args: HoldArgs) -> Result<(), Failure> {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api).
 pub(crate) fn release(args: ReleaseArgs) -> Result<(), Failure> {
-    let ReleaseArgs { robots, by, query } = args;
-    let request = ReleaseRequest { robots: robots.selection()?, by, request: Some(new_request_id()) };
-    query.print(async |client| client.api(ApiCall::Release, &request).await, orders_text)
+    let ReleaseArgs { robots, change } = args;
+    let robots = robots.selection()?;
+    change.send(ApiCall::Release, |by, request| ReleaseRequest { robots, by, request }, orders_text)
 }
 
 /// Returns the whole seconds of `--for`, at most `max`; a part of a second counts as a second.

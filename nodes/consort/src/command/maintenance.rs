@@ -1,7 +1,7 @@
 //! `consort maintenance`: takes robots out of service, and returns them to service.
 
+use super::change_flags::ChangeFlags;
 use super::robot_selection::{RobotFlags, orders_text};
-use crate::client::{QueryFlags, new_request_id};
 use crate::exit::Failure;
 use consort_protocol::api::{MaintenanceAction, MaintenanceRequest};
 use consort_protocol::keys::ApiCall;
@@ -29,11 +29,8 @@ pub(crate) struct Args {
     /// Return the robots to service
     #[arg(long)]
     end: bool,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
-    by: Option<String>,
     #[command(flatten)]
-    query: QueryFlags,
+    change: ChangeFlags,
 }
 
 /// Runs the command.
@@ -41,9 +38,9 @@ pub(crate) struct Args {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api).
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
-    let Args { robots, reason, until, end, by, query } = args;
+    let Args { robots, reason, until, end, change } = args;
     let action = if end { MaintenanceAction::End } else { MaintenanceAction::Begin };
     let (robots, reason) = (robots.selection()?, reason.unwrap_or_default());
-    let request = MaintenanceRequest { robots, action, until, reason, by, request: Some(new_request_id()) };
-    query.print(async |client| client.api(ApiCall::Maintenance, &request).await, orders_text)
+    let request = |by, request| MaintenanceRequest { robots, action, until, reason, by, request };
+    change.send(ApiCall::Maintenance, request, orders_text)
 }

@@ -5,6 +5,7 @@ pub(crate) mod audit;
 pub(crate) mod backup;
 pub mod cancel;
 pub(crate) mod cert;
+mod change_flags;
 pub mod check;
 pub(crate) mod close;
 pub(crate) mod completions;

@@ -1,9 +1,8 @@
 //! `consort requests`: lists the requests to people.
 
-use crate::client::{ClientFlags, read_answer};
+use crate::client::{ClientFlags, ReadFlags, read_answer};
 use crate::exit::Failure;
 use crate::output;
-use consort_protocol::api::ReadOptions;
 use consort_protocol::ids::RoleId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::ValueKind;
@@ -27,9 +26,8 @@ pub(crate) struct Args {
     /// Also closed requests, with their answers
     #[arg(long)]
     all: bool,
-    /// Show everything acknowledged before now, confirmed by a majority of the voters
-    #[arg(long)]
-    linearizable: bool,
+    #[command(flatten)]
+    read: ReadFlags,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -42,9 +40,8 @@ pub(crate) struct Args {
 /// # Errors
 /// See [`Client::api`](crate::client::Client::api).
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
-    let Args { role, all, linearizable, json, client } = args;
-    let answer =
-        client.with_client(async |client| client.api(ApiCall::Requests, &ReadOptions { linearizable }).await)?;
+    let Args { role, all, read, json, client } = args;
+    let answer = client.with_client(async |client| client.api(ApiCall::Requests, &read.options()).await)?;
     let mut view: RequestsView = read_answer(&answer)?;
     view.requests
         .retain(|request| (all || request.phase.is_open()) && role.as_ref().is_none_or(|role| request.is_for(role)));

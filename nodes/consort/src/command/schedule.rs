@@ -1,11 +1,12 @@
 //! `consort schedule`: missions that are submitted at certain times.
 
+use super::change_flags::ChangeFlags;
 use super::flags::MissionFlags;
-use crate::client::QueryFlags;
+use crate::client::{QueryFlags, ReadFlags};
 use crate::exit::Failure;
 use crate::output;
 use consort_fleet::recurrence::{Recurrence, time_in_zone};
-use consort_protocol::api::{ReadOptions, ScheduleAction, ScheduleReply, ScheduleRequest};
+use consort_protocol::api::{ScheduleAction, ScheduleReply, ScheduleRequest};
 use consort_protocol::ids::ScheduleId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{MissedOccurrences, ScheduleRule};
@@ -68,18 +69,14 @@ struct AddArgs {
     missed: String,
     #[command(flatten)]
     mission: MissionFlags,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
-    by: Option<String>,
     #[command(flatten)]
-    query: QueryFlags,
+    change: ChangeFlags,
 }
 
 #[derive(Debug, clap::Args)]
 struct ListArgs {
-    /// Show everything acknowledged before now, confirmed by a majority of the voters
-    #[arg(long)]
-    linearizable: bool,
+    #[command(flatten)]
+    read: ReadFlags,
     #[command(flatten)]
     query: QueryFlags,
 }
@@ -88,11 +85,8 @@ struct ListArgs {
 struct ChangeArgs {
     /// The schedule, as named by `consort schedule list`
     schedule: ScheduleId,
-    /// Name of the responsible person, for the record
-    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
-    by: Option<String>,
     #[command(flatten)]
-    query: QueryFlags,
+    change: ChangeFlags,
 }
 
 /// Runs the command.
@@ -110,7 +104,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
 }
 
 fn add(args: AddArgs) -> Result<(), Failure> {
-    let AddArgs { schedule, cron, zone, until, missed, mission, by, query } = args;
+    let AddArgs { schedule, cron, zone, until, missed, mission, change: ChangeFlags { by, query } } = args;
     let missed = match missed.as_str() {
         "last" => MissedOccurrences::Last,
         "all" => MissedOccurrences::All,
@@ -126,7 +120,7 @@ fn add(args: AddArgs) -> Result<(), Failure> {
 }
 
 fn change(args: ChangeArgs, action: ScheduleAction) -> Result<(), Failure> {
-    let ChangeArgs { schedule, by, query } = args;
+    let ChangeArgs { schedule, change: ChangeFlags { by, query } } = args;
     let (cron, zone, until, missed, submit) = (None, None, None, None, None);
     send(&query, &ScheduleRequest { schedule, action, cron, zone, until, missed, submit, by })
 }
@@ -142,9 +136,9 @@ fn send(query: &QueryFlags, request: &ScheduleRequest) -> Result<(), Failure> {
 }
 
 fn list(args: ListArgs) -> Result<(), Failure> {
-    let ListArgs { linearizable, query } = args;
+    let ListArgs { read, query } = args;
     query.print(
-        async |client| client.api(ApiCall::Schedules, &ReadOptions { linearizable }).await,
+        async |client| client.api(ApiCall::Schedules, &read.options()).await,
         |SchedulesView { schedules }: &SchedulesView| {
             if schedules.is_empty() {
                 return "no schedules".to_owned();
