@@ -57,6 +57,8 @@ mod schedule;
 mod schedules;
 mod spread;
 mod submission;
+#[cfg(test)]
+mod test_values;
 
 pub use apply::Ledger;
 pub use audit_trail::{AuditAction, AuditEntry};

@@ -1,9 +1,8 @@
 use super::*;
 use crate::lease::Epoch;
 use crate::ledger::history::HISTORY_SINCE;
+use crate::ledger::test_values::rounds;
 use crate::ledger::{MissedOccurrences, Schedule, ScheduleRule, Submission};
-use crate::mission::{Mission, Role, RoleKind};
-use crate::plan::Division;
 use std::collections::BTreeSet;
 
 fn ledger() -> Ledger {
@@ -18,16 +17,7 @@ fn apply(ledger: &mut Ledger, command: Command) -> CommandOutcome {
 }
 
 fn submission() -> Submission {
-    let mission = Mission {
-        name: "rounds".parse().unwrap(),
-        roles: BTreeMap::from([("r1".parse().unwrap(), Role::of(RoleKind::Managed))]),
-        ensembles: vec![],
-        energy_max: None,
-        tasks: vec![],
-        results: BTreeMap::new(),
-    };
-    let submission = Submission::of("one".parse().unwrap(), mission, Division { plans: BTreeMap::new() });
-    Submission { by: "Nia".to_owned(), at_ms: 100, ..submission }
+    Submission { by: "Nia".to_owned(), at_ms: 100, ..rounds("one") }
 }
 
 fn cancel(by: &str, at_ms: u64) -> Command {

@@ -2,10 +2,9 @@ use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::{MissionId, PlaceId, RoleId};
 use crate::ledger::order_book::ORDER_REQUESTS_BYTES_MAX;
-use crate::ledger::{Branch, Command, OrderChange, RobotOrder, Submission};
+use crate::ledger::test_values::rounds;
+use crate::ledger::{Branch, Command, OrderChange, RobotOrder};
 use crate::message::OrdersNotice;
-use crate::mission::{Mission, Role, RoleKind};
-use crate::plan::{Division, LocalPlan};
 use std::collections::BTreeMap;
 
 fn robot(name: &str) -> RobotId {
@@ -70,20 +69,6 @@ fn hold(until_ms: u64) -> OrderChange {
 
 fn maintain(until_ms: Option<u64>) -> OrderChange {
     OrderChange::Maintain { until_ms, reason: "new tyres".to_owned() }
-}
-
-fn submission() -> Box<Submission> {
-    let role: RoleId = "r1".parse().unwrap();
-    let mission = Mission {
-        name: "rounds".parse().unwrap(),
-        roles: BTreeMap::from([(role.clone(), Role::of(RoleKind::Managed))]),
-        ensembles: vec![],
-        energy_max: None,
-        tasks: vec![],
-        results: BTreeMap::new(),
-    };
-    let plans = BTreeMap::from([(role.clone(), LocalPlan::of(role, vec![]))]);
-    Box::new(Submission::of("request".parse().unwrap(), mission, Division { plans }))
 }
 
 #[test]
@@ -187,7 +172,9 @@ fn a_robot_under_orders_gets_no_role() {
         (maintain(None), OrderChange::EndMaintenance, "in maintenance by Nia: new tyres"),
     ] {
         let mut log = Log::new();
-        let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(submission())) else { panic!() };
+        let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(Box::new(rounds("request")))) else {
+            panic!()
+        };
         log.order(&["ada"], change, 100);
         let (ada, problem) = (robot("ada"), problem.to_owned());
         let refused = CommandOutcome::Refused(CommandError::UnderOrders { robot: ada, problem });
@@ -200,7 +187,9 @@ fn a_robot_under_orders_gets_no_role() {
 #[test]
 fn the_holder_of_a_role_keeps_it_when_it_is_held() {
     let mut log = Log::new();
-    let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(submission())) else { panic!() };
+    let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(Box::new(rounds("request")))) else {
+        panic!()
+    };
     assert!(matches!(log.award(&mission, "ada"), CommandOutcome::Awarded { .. }));
     log.order(&["ada"], hold(500), 100);
     assert!(log.0.held_by(&robot("ada")).is_some());

@@ -1,8 +1,6 @@
 use super::*;
 use crate::lease::Epoch;
-use crate::ledger::{Command, MissedOccurrences, MissionState, ScheduleRule, Submission};
-use crate::mission::{Mission, Role, RoleKind};
-use crate::plan::Division;
+use crate::ledger::{Command, MissedOccurrences, MissionState, ScheduleRule, Submission, test_values};
 use std::collections::BTreeMap;
 
 fn id(name: &str) -> ScheduleId {
@@ -10,15 +8,7 @@ fn id(name: &str) -> ScheduleId {
 }
 
 fn rounds() -> Schedule {
-    let mission = Mission {
-        name: "rounds".parse().unwrap(),
-        roles: BTreeMap::from([("r1".parse().unwrap(), Role::of(RoleKind::Managed))]),
-        ensembles: vec![],
-        energy_max: None,
-        tasks: vec![],
-        results: BTreeMap::new(),
-    };
-    let submission = Submission::of("template".parse().unwrap(), mission, Division { plans: BTreeMap::new() });
+    let submission = test_values::rounds("template");
     let rule = ScheduleRule {
         cron: "0 8 * * *".to_owned(),
         zone: "Europe/Berlin".to_owned(),
