@@ -1,7 +1,7 @@
 //! Fleets whose nodes have certificates and sign their messages, and the effect of an attacker with
 //! the key of a robot.
 
-use crate::support::{audited_changes, released};
+use crate::support::{audited_changes, released, request};
 use bytes::Bytes;
 use consort_bus::Bus as _;
 use consort_bus::{Delivery, Encoding, ServiceSelection, SharedBus};
@@ -325,6 +325,25 @@ fn a_signed_hold_stops_a_robot_and_names_the_signer() {
         let expected = json!([["client", "submit", mission], [signer, "hold", "gorse"], [signer, "release", "gorse"]]);
         assert_eq!(json!(audited_changes(&fleet).await), expected, "seed {seed}");
         assert_eq!(refused(&fleet), BTreeSet::new(), "seed {seed}: friends are taken for foes");
+    });
+}
+
+/// A client that repeats a request, for lack of a reply, signs it again.
+#[test]
+fn a_hold_that_is_signed_twice_is_executed_once() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock")).await;
+        fleet.wait_for_audit_trail().await;
+        let is_known = |fleet: &Fleet| fleet.knowledge_of("aster", &slug("gorse")).is_some();
+        fleet.wait_until("the record of the robot", SOON, is_known).await;
+        let hold = json!({ "robots": ["gorse"], "by": "Nia", "request": "order-7" });
+        let first = request(&fleet, ApiCall::Hold, &hold).await;
+        let from = fleet.elapsed();
+        let is_later = |fleet: &Fleet| fleet.elapsed() >= from + Duration::from_secs(2);
+        fleet.wait_until("another time of the request", SOON, is_later).await;
+        assert_eq!(request(&fleet, ApiCall::Hold, &hold).await, first, "seed {seed}: its end is the same");
+        let expected = json!([["Nia, according to client", "hold", "gorse"]]);
+        assert_eq!(json!(audited_changes(&fleet).await), expected, "seed {seed}");
     });
 }
 

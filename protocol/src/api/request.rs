@@ -218,8 +218,7 @@ macro_rules! order_requests {
             /// Name of the responsible person, for display. In a closed fleet the signer is named, too.
             #[serde(skip_serializing_if = "Option::is_none")]
             pub by: Option<String>,
-            /// The client's id for this request. A repeated request with the same id changes nothing. In a closed fleet
-            /// the id of the signed request counts instead.
+            /// The client's id for this request. A repeated request with the same id changes nothing.
             #[serde(skip_serializing_if = "Option::is_none")]
             #[schemars(with = "Option<String>")]
             pub request: Option<RequestId>,

@@ -16,8 +16,8 @@ pub struct OrderRequest<Change = OrderChange> {
     pub by: String,
     /// Time of the request in milliseconds since 1970.
     pub at_ms: u64,
-    /// Id of the request, if it has one: a copy of it changes nothing, even if other orders followed. In a closed fleet it
-    /// is that of the signed request.
+    /// Id of the request, if it has one: a copy of it changes nothing, even if other orders followed. In a closed fleet a
+    /// request without an id has that of its signature.
     pub request: Option<RequestId>,
 }
 

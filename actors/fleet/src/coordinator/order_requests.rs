@@ -86,7 +86,8 @@ impl ApiHandler {
         }))
     }
 
-    /// Returns the request of a person for a change of orders. The id of a signed request prevails over the given one.
+    /// Returns the request of a person for a change of orders. Without a given id it has that of its signature: a client
+    /// that repeats its request signs it again, and a copy by an attacker has the given id, too.
     pub(super) fn order_request<Change>(
         &self,
         change: Change,
@@ -94,7 +95,7 @@ impl ApiHandler {
         request: Option<RequestId>,
     ) -> Result<OrderRequest<Change>, ApiError> {
         let signed = self.requester.as_ref().map(|requester| RequestId::new(requester.request.clone())).transpose();
-        let request = signed.map_err(|problem| problem.to_string())?.or(request);
+        let request = request.or(signed.map_err(|problem| problem.to_string())?);
         Ok(OrderRequest { change, by: self.responsible(by), at_ms: self.time_ms()?, request })
     }
 

@@ -79,7 +79,7 @@ impl Ledger {
         })
     }
 
-    /// Changes the orders on a request. A copy of a signed request changes nothing.
+    /// Changes the orders on a request. A request with the id of a recent one changes nothing.
     fn change_orders(
         &mut self,
         request: Option<&RequestId>,
