@@ -38,7 +38,7 @@ pub enum ClosureChange {
 pub struct Closure {
     /// The place or lane.
     pub part: ClosedPart,
-    /// Who closed it, why, and until when.
+    /// Order that closed it: the person, the reason, and the times of its start and of its end.
     pub order: RobotOrder,
 }
 
