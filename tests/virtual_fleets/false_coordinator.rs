@@ -34,6 +34,8 @@ struct FalseCoordinator {
     bus: SharedBus,
     keys: Keys,
     node: NodeId,
+    /// Term of its first beacon. Each later beacon states the next, up to the last.
+    term: u64,
     /// Voters and cluster that its beacons state.
     voters: BTreeSet<NodeId>,
     cluster: Option<ClusterId>,
@@ -45,13 +47,14 @@ struct FalseCoordinator {
 }
 
 impl FalseCoordinator {
-    /// Takes the key of `name`, and names itself as the only voter of the fleet's cluster.
+    /// Takes the key of `name`, and names itself as the only voter of the fleet's cluster, in the last term.
     async fn of(fleet: &Fleet, name: &str) -> FalseCoordinator {
         let bus = stolen(fleet, name, NodeRole::Voter).await.in_cluster(fleet);
         let (node, keys, cluster) = (slug(name), fleet.keys().clone(), cluster_of(fleet));
         let as_of = Epoch { term: u64::MAX, index: u64::MAX };
         let (refused, reports) = (AtomicU64::new(0), AtomicU64::new(0));
-        FalseCoordinator { bus, keys, voters: [slug(name)].into(), node, cluster, as_of, refused, reports }
+        let (term, voters) = (u64::MAX, [slug(name)].into());
+        FalseCoordinator { bus, keys, node, term, voters, cluster, as_of, refused, reports }
     }
 
     /// Names voters that do not exist, too.
@@ -67,10 +70,11 @@ impl FalseCoordinator {
     }
 
     async fn publish_beacons(self: Arc<Self>) {
-        let (key, cluster) = (self.keys.write(&Key::Beacon), self.cluster);
+        let (key, cluster, mut term) = (self.keys.write(&Key::Beacon), self.cluster, self.term);
         loop {
             let (node, voters) = (self.node.clone(), self.voters.clone());
-            let beacon = Beacon { node, term: u64::MAX, voters, since_ms: 0, cluster, wire: None };
+            let beacon = Beacon { node, term, voters, since_ms: 0, cluster, wire: None };
+            term = term.saturating_add(1);
             let sent = self.bus.publish(&key, wire(&beacon), Encoding::Wire, Delivery::Block).await;
             sent.expect("its key permits beacons");
             tokio::time::sleep(Duration::from_millis(300)).await; // virtual time
@@ -316,6 +320,22 @@ fn a_false_coordinator_with_too_many_voters_ends_no_role() {
         let mut fleet = closed_without_fern(seed).await;
         let attacker = Arc::new(FalseCoordinator::of(&fleet, NAME).await.with_invented_voters(30));
         assert_ends_no_role(&mut fleet, &attacker).await;
+    });
+}
+
+/// It never replies to the reports of robots, which follow it at first.
+#[test]
+fn a_false_coordinator_of_rising_terms_takes_no_role() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed_without_fern(seed).await;
+        let attacker = Arc::new(FalseCoordinator { term: 1_000, ..FalseCoordinator::of(&fleet, NAME).await });
+        let mut claims = JoinSet::new();
+        attacker.claim(&mut claims);
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.assert_completes(&mission).await;
+        fleet.assert_sample_delivered(ROOM);
+        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
+        claims.shutdown().await;
     });
 }
 

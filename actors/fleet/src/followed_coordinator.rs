@@ -78,7 +78,8 @@ impl FollowedCoordinator {
             new_session: beacon.is_other_leader_session(known),
             other_cluster: known.is_some_and(|known| beacon.is_other_cluster(known)),
         };
-        if change.new_session {
+        // Not at each new session: a node may claim a later term in each beacon.
+        if known.is_none_or(|known| known.node != beacon.node) {
             self.failures = 0;
         }
         self.latest = Some((beacon, now));
@@ -179,6 +180,18 @@ mod tests {
         assert_eq!(followed.receive(beacon("eve", u64::MAX), at(4)), None);
         assert_eq!(followed.receive(beacon("one", 2), at(30)), change(false, false));
         assert_eq!(followed.receive(beacon("eve", u64::MAX), at(33)), change(true, false), "once more, later");
+    }
+
+    #[test]
+    fn a_later_term_does_not_excuse_a_node_that_does_not_answer() {
+        let mut followed = FollowedCoordinator::default();
+        followed.receive(beacon("one", 2), at(0));
+        for second in 0..2 {
+            assert_eq!(followed.receive(beacon("eve", 10 + second), at(second)), change(true, false));
+            followed.not_answered(&"eve".parse().unwrap(), at(second));
+        }
+        assert_eq!(followed.receive(beacon("one", 2), at(2)), change(true, false));
+        assert_eq!(followed.receive(beacon("eve", 12), at(2)), None);
     }
 
     #[test]
