@@ -2,16 +2,16 @@
 
 use crate::{jobs, once};
 use consort_skills::workload::Workload;
-use consort_tests::chaos::{ChaosFleet, FIRST_SEED_WITH_ORDERS, FaultKind, RunConfig, SeedSweep, generate};
+use consort_tests::chaos::{ChaosFleet, FIRST_SEED_WITH_CLOSURES, FaultKind, RunConfig, SeedSweep, generate};
 use std::ops::RangeInclusive;
 
 /// Seeds of open fleets. More seeds find more, and make the check in CI longer; sweeps of thousands of seeds are run
 /// with `consort-lab chaos`.
 const OPEN_SEEDS: RangeInclusive<u64> = 1..=20;
 
-/// Seeds of closed fleets with all faults. Some have schedules, orders of people to robots, and chargers, which begin
-/// at [`FIRST_SEED_WITH_ORDERS`].
-const CLOSED_SEEDS: RangeInclusive<u64> = FIRST_SEED_WITH_ORDERS - 40..=FIRST_SEED_WITH_ORDERS + 19;
+/// Seeds of closed fleets with all faults. All have schedules; the last 40 have orders of people to robots and
+/// chargers, and the last 10 of them closures.
+const CLOSED_SEEDS: RangeInclusive<u64> = FIRST_SEED_WITH_CLOSURES - 50..=FIRST_SEED_WITH_CLOSURES + 9;
 
 /// Seeds with missions that cannot be completed as the only faults.
 const POISON_SEEDS: RangeInclusive<u64> = 1..=20;

@@ -1,27 +1,29 @@
 //! Executes the actions of a schedule on a fleet.
 
 use super::chaos_fleet::{ChaosFleet, DATE_MS, WORLD};
+use super::closures;
 use super::fault_injector::FaultInjector;
 use super::hostile::{HOSTILE, HostileNode};
 use super::orders;
 use super::recurring;
 use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
-use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, DiskAfterCrash, OrderAction};
+use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, ClosureAction, DiskAfterCrash, OrderAction, Schedule};
 use crate::disk::DiskFault;
 use crate::history::{Acknowledged, History, Reader, RecordingClient};
 use crate::{EventLog, Fleet, Observation, slug};
 use consort_bus::LinkModel;
 use consort_protocol::api::SubmitRequest;
 use consort_protocol::ids::{MissionId, NodeId};
-use consort_protocol::ledger::Ledger;
+use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::{ClosedPart, Ledger};
 use consort_protocol::units::BatteryShare;
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::RobotBackend as _;
 use consort_skills::workload::Workload;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -38,6 +40,9 @@ const BASE_WATCHDOG: Duration = Duration::from_millis(500);
 /// each repetition.
 const REPEATED: f64 = 0.5;
 const REPEATED_AFTER_S: RangeInclusive<u64> = 10..=120;
+
+/// Request of a person for a change of orders or closures.
+type PersonRequest = (ApiCall, Value);
 
 /// Executor of actions, with the active faults and the state that ends each of them.
 pub(super) struct ActionExecutor {
@@ -136,11 +141,8 @@ impl ActionExecutor {
                 let (client, request) = (self.client(fleet), recurring::request(*change, *missed));
                 tokio::spawn(async move { client.change_schedule(&request).await });
             }
-            ChaosAction::Order { robot, change } => {
-                let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
-                let (person, robot, change) = (format!("person {number}"), robot.clone(), *change);
-                tokio::spawn(async move { order(&client, &event_log, &person, &robot, change).await });
-            }
+            ChaosAction::Order { robot, change } => self.order(fleet, number, orders::request(robot, *change)),
+            ChaosAction::Closure { part, change } => self.order(fleet, number, closures::request(part, *change)),
             ChaosAction::Crash { node, disk, .. } => {
                 let node = if node == "coordinator" {
                     let Some(coordinator) = fleet.coordinating() else { return };
@@ -480,19 +482,40 @@ impl ActionExecutor {
         });
     }
 
-    /// Starts a person who ends all orders to robots, again and again: a request of the schedule that was delayed may
-    /// give an order later.
-    pub(super) fn spawn_order_ender(&self, fleet: &Fleet) {
+    /// Starts people who end all orders to robots and all closures of the schedule, if it has any, again and again: a
+    /// request of the schedule that was delayed may give an order later.
+    pub(super) fn spawn_order_enders(&self, fleet: &Fleet, schedule: &Schedule) {
+        if schedule.has_orders() {
+            let ends = [("release", OrderAction::Release), ("end", OrderAction::EndMaintenance)];
+            let end = |(what, change): (&str, _)| (what.to_owned(), orders::request(ALL_ROBOTS, change));
+            self.spawn_order_ender(fleet, ends.map(end).into());
+        }
+        let open = |part: ClosedPart| {
+            let request = closures::request(&part, ClosureAction::Open);
+            (format!("opening of {part}"), request)
+        };
+        let ends: Vec<(String, PersonRequest)> = schedule.closed_parts().into_iter().map(open).collect();
+        if !ends.is_empty() {
+            self.spawn_order_ender(fleet, ends);
+        }
+    }
+
+    fn spawn_order_ender(&self, fleet: &Fleet, ends: Vec<(String, PersonRequest)>) {
         let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
         tokio::spawn(async move {
             for number in 1.. {
-                for (change, what) in [(OrderAction::Release, "release"), (OrderAction::EndMaintenance, "end")] {
-                    let person = format!("final {what} {number}");
-                    order(&client, &event_log, &person, ALL_ROBOTS, change).await;
+                for (what, request) in &ends {
+                    give_order(&client, &event_log, &format!("final {what} {number}"), request.clone()).await;
                 }
                 tokio::time::sleep(RESOLVE_INTERVAL).await;
             }
         });
+    }
+
+    /// Lets a person, named by the number of the action, give an order.
+    fn order(&self, fleet: &Fleet, number: usize, request: PersonRequest) {
+        let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
+        tokio::spawn(async move { give_order(&client, &event_log, &format!("person {number}"), request).await });
     }
 
     fn submit(&self, fleet: &Fleet, request: &str, body: &SubmitRequest) {
@@ -532,10 +555,9 @@ impl ActionExecutor {
     }
 }
 
-/// Changes the orders to robots, and records the acknowledgement.
-async fn order(client: &RecordingClient, event_log: &EventLog, person: &str, robot: &str, change: OrderAction) {
-    let (call, request) = orders::request(robot, change);
-    if let Some(by) = client.order_robots(call, request, person).await {
+/// Changes the orders to robots or the closures, and records the acknowledgement.
+async fn give_order(client: &RecordingClient, event_log: &EventLog, person: &str, (call, request): PersonRequest) {
+    if let Some(by) = client.order(call, request, person).await {
         event_log.add(Observation::OrderAcknowledged { node: slug("client"), by });
     }
 }

@@ -2,6 +2,7 @@
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::chargers::charger_count;
+use super::closures::add_closures;
 use super::control_flow::replace_missions;
 use super::fault_kind::FaultKind;
 use super::orders::add_orders;
@@ -124,6 +125,7 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     replace_poison(seed, kinds, &mut draw.steps);
     add_schedule(seed, kinds, draw.end_ms, &mut draw.steps);
     add_orders(seed, kinds, composition, FIRST_MS..draw.end_ms, &mut draw.steps);
+    add_closures(seed, kinds, FIRST_MS..draw.end_ms, &mut draw.steps);
     let chargers = charger_count(seed, kinds, &draw.steps);
     let schedule = Schedule::of(draw.steps).in_order();
     Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, chargers, ..schedule }

@@ -12,6 +12,7 @@
 
 pub mod chaos_fleet;
 mod chargers;
+mod closures;
 mod control_flow;
 mod executor;
 mod fault_injector;
@@ -37,11 +38,12 @@ pub mod seed_sweep;
 pub mod shrink;
 
 pub use chaos_fleet::{ChaosFleet, UserParticipants, user_missions};
+pub use closures::FIRST_SEED as FIRST_SEED_WITH_CLOSURES;
 pub use fault_kind::{FaultKind, UnknownFaultKind};
 pub use generate::generate;
 pub use orders::FIRST_SEED as FIRST_SEED_WITH_ORDERS;
 pub use run::{RunConfig, RunOutcome, Violation, run};
-pub use schedule::{ChaosAction, OrderAction, Schedule, ScheduledAction};
+pub use schedule::{ChaosAction, ClosureAction, OrderAction, Schedule, ScheduledAction};
 pub use schedule_check::{ScheduleError, ScheduleProblem};
 pub use seed_sweep::SeedSweep;
 pub use shrink::shrink;

@@ -1,6 +1,7 @@
 //! The checks: one injected bug at a time, which chaos must find under the usual generated faults.
 
 use super::chaos_fleet::ChaosFleet;
+use super::closures::FIRST_SEED as FIRST_SEED_WITH_CLOSURES;
 use super::control_flow::FIRST_SEED;
 use super::fault_kind::FaultKind;
 use super::generate::generate;
@@ -36,8 +37,17 @@ impl MutantCheck {
 
     /// Creates a check over `seeds` seeds whose runs may have orders of people and chargers, without faults.
     const fn with_orders(mutant: Mutant, seeds: u64) -> MutantCheck {
-        let last_seed = FIRST_SEED_WITH_ORDERS + seeds - 1;
-        MutantCheck { first_seed: FIRST_SEED_WITH_ORDERS, ..MutantCheck::under(mutant, &[FaultKind::None], last_seed) }
+        MutantCheck::without_faults(FIRST_SEED_WITH_ORDERS, mutant, seeds)
+    }
+
+    /// Creates a check over `seeds` seeds whose runs may also have closures, without faults.
+    const fn with_closures(mutant: Mutant, seeds: u64) -> MutantCheck {
+        MutantCheck::without_faults(FIRST_SEED_WITH_CLOSURES, mutant, seeds)
+    }
+
+    /// Creates a check over `seeds` seeds from the first on, without faults.
+    const fn without_faults(first_seed: u64, mutant: Mutant, seeds: u64) -> MutantCheck {
+        MutantCheck { first_seed, ..MutantCheck::under(mutant, &[FaultKind::None], first_seed + seeds - 1) }
     }
 
     /// Creates a check over `seeds` seeds whose runs may have a schedule and missions with control flow.
@@ -55,7 +65,7 @@ pub(crate) const NODES: usize = 7;
 /// All injected bugs with the seeds within which chaos must find each: about three times
 /// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
 /// repeats the request under the same name. Half of the runs with schedules have none, and the numbers for bugs that
-/// need orders of people or chargers are guesses.
+/// need orders of people, chargers or closures are guesses.
 pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::new(Mutant::SkipFsync, 20),
     MutantCheck::new(Mutant::DoubleVote, 20),
@@ -89,6 +99,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::with_orders(Mutant::HoldIgnored, 12),
     MutantCheck::with_orders(Mutant::OrderForgotten, 6),
     MutantCheck::with_orders(Mutant::ClaimsHidden, 20),
+    MutantCheck::with_closures(Mutant::ClosureIgnored, 15),
 ];
 
 /// Result of a mutation check.
@@ -156,12 +167,13 @@ mod tests {
     #[test]
     fn only_some_checks_have_schedules_and_missions_with_control_flow_or_orders() {
         for check in MUTANT_CHECKS {
-            let with_orders = check.first_seed == FIRST_SEED_WITH_ORDERS && check.last_seed >= FIRST_SEED_WITH_ORDERS;
-            let with_schedules = check.first_seed == FIRST_SEED && check.last_seed >= FIRST_SEED;
+            let is_from = |first| check.first_seed == first && check.last_seed >= first;
+            let (with_orders, with_schedules) = (is_from(FIRST_SEED_WITH_ORDERS), is_from(FIRST_SEED));
             let without = check.first_seed == 1 && (1..FIRST_SEED).contains(&check.last_seed);
             let is_expected = match check.mutant {
                 Mutant::OccurrenceRepeated => with_schedules,
                 Mutant::HoldIgnored | Mutant::OrderForgotten | Mutant::ClaimsHidden => with_orders,
+                Mutant::ClosureIgnored => is_from(FIRST_SEED_WITH_CLOSURES),
                 _ => without,
             };
             assert!(is_expected, "{check:?}");

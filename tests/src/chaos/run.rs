@@ -188,9 +188,7 @@ impl Run {
         self.executor.end_all_faults(&mut self.fleet).await;
         self.fleet.heal();
         self.executor.spawn_resolver(&self.fleet);
-        if schedule.has_orders() {
-            self.executor.spawn_order_ender(&self.fleet);
-        }
+        self.executor.spawn_order_enders(&self.fleet, schedule);
         let since = self.fleet.elapsed();
         let is_upgraded = self.executor.upgrade_check();
         let has_settled = |fleet: &Fleet| has_converged(fleet) && is_upgraded(fleet);

@@ -3,9 +3,10 @@
 use super::chaos_fleet::{MISSIONS, ROOMS_WITHOUT_NURSE};
 use crate::disk::{CrashEffect, DiskFault};
 use consort_protocol::api::ScheduleAction;
-use consort_protocol::ledger::MissedOccurrences;
+use consort_protocol::ledger::{ClosedPart, MissedOccurrences};
 use consort_protocol::trust::NodeRole;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// All actions on a fleet, ordered by time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -135,6 +136,13 @@ pub enum ChaosAction {
         robot: String,
         /// The change.
         change: OrderAction,
+    },
+    /// A person closes or opens a place or a lane, and repeats this until it receives a reply.
+    Closure {
+        /// The place or lane.
+        part: ClosedPart,
+        /// The change.
+        change: ClosureAction,
     },
     /// A node is killed and restarted later.
     Crash {
@@ -324,6 +332,20 @@ pub enum OrderAction {
     EndMaintenance,
 }
 
+/// Change of a closure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClosureAction {
+    /// No robot enters the place, or drives the lane.
+    Close {
+        /// Seconds after which the closure ends by itself; no end if absent.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        for_s: Option<u32>,
+    },
+    /// The closure ends.
+    Open,
+}
+
 /// State of a disk after a crash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -382,6 +404,7 @@ impl ChaosAction {
             | ChaosAction::Cancel { .. }
             | ChaosAction::ChangeSchedule { .. }
             | ChaosAction::Order { .. }
+            | ChaosAction::Closure { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -456,6 +479,7 @@ impl ChaosAction {
             | ChaosAction::Cancel { .. }
             | ChaosAction::ChangeSchedule { .. }
             | ChaosAction::Order { .. }
+            | ChaosAction::Closure { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -476,6 +500,7 @@ impl Schedule {
                     | ChaosAction::Cancel { .. }
                     | ChaosAction::ChangeSchedule { .. }
                     | ChaosAction::Order { .. }
+                    | ChaosAction::Closure { .. }
                     | ChaosAction::Hostile { .. }
             )
         })
@@ -491,6 +516,15 @@ impl Schedule {
     /// Checks whether people give orders to robots.
     pub(super) fn has_orders(&self) -> bool {
         self.steps.iter().any(|step| matches!(step.action, ChaosAction::Order { .. }))
+    }
+
+    /// Returns the places and lanes that a person closes.
+    pub(super) fn closed_parts(&self) -> BTreeSet<ClosedPart> {
+        let of = |step: &ScheduledAction| match &step.action {
+            ChaosAction::Closure { part, change: ClosureAction::Close { .. } } => Some(part.clone()),
+            _ => None,
+        };
+        self.steps.iter().filter_map(of).collect()
     }
 
     /// Sorts the actions by time; actions of the same instant keep their order.

@@ -1,6 +1,7 @@
 //! Check of a schedule against its fleet.
 
 use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE};
+use super::closures::parts_of_map;
 use super::control_flow::CONTROL_FLOW_MISSIONS;
 use super::poison::POISON_MISSIONS;
 use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
@@ -62,6 +63,11 @@ impl Schedule {
                     if !(0.5..=2.0).contains(rate) {
                         return Err(step.invalid(ScheduleProblem::ClockRate));
                     }
+                }
+                ChaosAction::Closure { part, .. } => {
+                    let known: Vec<String> = parts_of_map().iter().map(ToString::to_string).collect();
+                    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+                    check_known(step, &part.to_string(), &known, &[])?;
                 }
                 ChaosAction::Order { robot, .. } => check_known(step, robot, &robots, &[ALL_ROBOTS])?,
                 ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {

@@ -1,6 +1,8 @@
 //! Text of schedules, with a line for each action.
 
-use super::schedule::{ALL_ROBOTS, ChaosAction, DiskAfterCrash, OrderAction, Schedule, ScheduledAction, SkillFault};
+use super::schedule::{
+    ALL_ROBOTS, ChaosAction, ClosureAction, DiskAfterCrash, OrderAction, Schedule, ScheduledAction, SkillFault,
+};
 use crate::disk::DiskFault;
 use consort_protocol::api::ScheduleAction;
 use consort_protocol::trust::NodeRole;
@@ -62,6 +64,11 @@ impl Display for ChaosAction {
                     OrderAction::EndMaintenance => write!(f, "the maintenance of {robot} ends"),
                 }
             }
+            ChaosAction::Closure { part, change } => match change {
+                ClosureAction::Close { for_s: None } => write!(f, "{part} is closed"),
+                ClosureAction::Close { for_s: Some(for_s) } => write!(f, "{part} is closed for {for_s} s"),
+                ClosureAction::Open => write!(f, "{part} is opened"),
+            },
             ChaosAction::Crash { node, disk, for_ms } => {
                 write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms))
             }

@@ -110,16 +110,16 @@ impl RecordingClient {
         }
     }
 
-    /// Changes the orders to robots, again and again until there is a definite reply. Each attempt names another person,
-    /// so the audit trail shows which were executed. Returns the person of the acknowledged attempt; `None` if the
-    /// order is refused.
-    pub async fn order_robots(&self, call: ApiCall, mut request: Value, person: &str) -> Option<String> {
+    /// Changes the orders to robots, or the closures, again and again until there is a definite reply. Each attempt names
+    /// another person, so the audit trail shows which were executed. Returns the person of the acknowledged attempt; `None`
+    /// if the order is refused.
+    pub async fn order(&self, call: ApiCall, mut request: Value, person: &str) -> Option<String> {
         for attempt in 1.. {
             let by = format!("{person}, attempt {attempt}");
             request["by"] = json!(by);
             let (mut is_acknowledged, mut is_definite) = (false, false);
             let each = |reply: Value| {
-                is_acknowledged |= reply.get("robots").is_some();
+                is_acknowledged |= ["robots", "closures"].iter().any(|member| reply.get(member).is_some());
                 is_definite |= reply.get("retry_after_ms").is_none();
             };
             self.query_each(&Key::Api(call), &request, ServiceSelection::All, CALL_TIMEOUT, each).await;

@@ -1,4 +1,4 @@
-//! Every order of a person to robots is in the audit trail exactly once.
+//! Every order of a person, to robots or as a closure, is in the audit trail exactly once.
 //!
 //! An acknowledged order is in the log, no order is executed twice, and at the end the trail of the coordinator has an
 //! entry for each order that has changed anything. Each order is given by another person.
@@ -14,7 +14,7 @@ use std::time::Duration;
 #[derive(Default)]
 pub(super) struct Audited {
     reference: ReferenceLedger,
-    /// How often the order of each person has changed the orders to robots.
+    /// How often the order of each person has changed the orders to robots, or the closures.
     changes: BTreeMap<String, usize>,
 }
 
@@ -31,21 +31,26 @@ impl Audited {
         for command in commands {
             let before = self.changed();
             self.reference.apply_command(at, command);
-            let Command::OrderRobots { order, .. } = command else { continue };
+            let by = match command {
+                Command::OrderRobots { order, .. } => &order.by,
+                Command::ChangeClosures { order, .. } => &order.by,
+                _ => continue,
+            };
             let has_changed = self.changed() != before;
-            let changes = self.changes.entry(person(&order.by).to_owned()).or_default();
+            let changes = self.changes.entry(person(by).to_owned()).or_default();
             *changes += usize::from(has_changed);
             if *changes > 1 {
-                return Err(format!("the order of {} was executed twice", order.by).into());
+                return Err(format!("the order of {by} was executed twice").into());
             }
         }
         self.reference.index = at.index;
         Ok(())
     }
 
-    /// Returns the orders to all robots, as text.
+    /// Returns the orders to all robots and the closures, as text.
     fn changed(&self) -> String {
-        format!("{:?}", self.reference.ledger.robot_orders().collect::<Vec<_>>())
+        let ledger = &self.reference.ledger;
+        format!("{:?}", (ledger.robot_orders().collect::<Vec<_>>(), ledger.closures().collect::<Vec<_>>()))
     }
 
     fn acknowledge(&self, by: &str) -> Result<(), InvariantViolation> {
@@ -76,7 +81,12 @@ impl Audited {
 fn is_order(action: AuditAction) -> bool {
     matches!(
         action,
-        AuditAction::Hold | AuditAction::Release | AuditAction::BeginMaintenance | AuditAction::EndMaintenance
+        AuditAction::Hold
+            | AuditAction::Release
+            | AuditAction::BeginMaintenance
+            | AuditAction::EndMaintenance
+            | AuditAction::Close
+            | AuditAction::Open
     )
 }
 
@@ -102,7 +112,7 @@ impl Invariant for Audited {
 mod tests {
     use super::*;
     use crate::slug;
-    use consort_protocol::ledger::{OrderChange, OrderRequest};
+    use consort_protocol::ledger::{ClosedPart, ClosureChange, OrderChange, OrderRequest};
     use std::collections::BTreeSet;
 
     fn order(by: &str, at_ms: u64, change: OrderChange) -> Command {
@@ -112,6 +122,12 @@ mod tests {
 
     fn hold(by: &str, at_ms: u64) -> Command {
         order(by, at_ms, OrderChange::Hold { until_ms: at_ms + 60_000, reason: String::new() })
+    }
+
+    fn close(by: &str, at_ms: u64) -> Command {
+        let change = ClosureChange::Close { until_ms: None, reason: String::new() };
+        let order = OrderRequest { change, by: by.to_owned(), at_ms, request: None };
+        Command::ChangeClosures { parts: BTreeSet::from([ClosedPart::of_place(slug("Ward"))]), order }
     }
 
     fn applied(commands: Vec<Command>) -> Result<Audited, InvariantViolation> {
@@ -127,8 +143,9 @@ mod tests {
     fn an_order_that_is_lost_or_executed_twice_is_found() {
         let release = order("Abe, according to the dashboard", 3, OrderChange::Release);
         let useless = order("Eve", 4, OrderChange::Release);
-        let state = applied(vec![hold("Nia", 1), release, useless]).unwrap_or_else(|found| panic!("{found:?}"));
-        for by in ["Nia", "Abe", "Eve"] {
+        let state = applied(vec![hold("Nia", 1), release, useless, close("Bea", 5)]);
+        let state = state.unwrap_or_else(|found| panic!("{found:?}"));
+        for by in ["Nia", "Abe", "Eve", "Bea"] {
             assert_eq!(state.acknowledge(by), Ok(()), "{by}");
         }
         let violation = state.acknowledge("Ida").unwrap_err().0;
@@ -138,5 +155,7 @@ mod tests {
         assert_eq!(violation, "the audit trail has 0 entries for the order of Abe, not 1");
         let violation = applied(vec![hold("Nia", 1), hold("Nia", 2)]).map(|_| ()).unwrap_err().0;
         assert_eq!(violation, "the order of Nia was executed twice");
+        let violation = applied(vec![close("Bea", 1), close("Bea", 2)]).map(|_| ()).unwrap_err().0;
+        assert_eq!(violation, "the order of Bea was executed twice");
     }
 }

@@ -1,8 +1,9 @@
 //! No free robot strands while a charger that it could reach is free.
 //!
 //! A robot in a role may strand: faults prolong its tasks beyond their estimates. So may a robot whose battery was
-//! drained by a fault.
+//! drained by a fault, and a robot whose way people have closed.
 
+use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId};
@@ -26,6 +27,7 @@ const USED_UP: f64 = 0.045;
 pub(super) struct Charged {
     /// Robots that are free while a charger is free, and since when.
     may_charge: BTreeMap<RobotId, Duration>,
+    reference: ReferenceLedger,
     /// Time of the next examination.
     due: Duration,
 }
@@ -77,7 +79,8 @@ impl Invariant for Charged {
         "charged"
     }
 
-    fn observe(&mut self, _: Duration, _: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
+        self.reference.observe(entry);
         Ok(())
     }
 
@@ -90,7 +93,9 @@ impl Invariant for Charged {
     fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if at >= self.due && fleet.chargers().next().is_some() {
             self.due = at + INTERVAL;
-            self.follow(at, &robots_that_may_charge(fleet));
+            let is_closed = self.reference.ledger.closures().next().is_some();
+            let may_charge = if is_closed { BTreeSet::new() } else { robots_that_may_charge(fleet) };
+            self.follow(at, &may_charge);
         }
         Ok(())
     }

@@ -4,22 +4,22 @@
 //! renewal contains the hold. A robot without a role, which charges by itself, stands still after it has received
 //! the hold; its own record then states it. Around the end of a hold the robot may move, since clocks drift.
 
+use super::active_goals::ActiveGoals;
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
-use crate::chaos::chaos_fleet::{DATE_MS, WORLD};
+use crate::chaos::chaos_fleet::DATE_MS;
 use crate::{Fleet, Observation};
 use consort_fleet::robot_driver::CLIENT_TIMEOUT;
-use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::Availability;
 use consort_protocol::lease::LEASE_REACTION;
 use consort_protocol::ledger::RobotOrder;
-use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
-use std::collections::{BTreeMap, BTreeSet};
+use consort_world::world::LoggedEvent;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Time for messages on their way, and for a former coordinator that renews leases until it steps down.
-const DELIVERY: Duration = Duration::from_secs(2);
+pub(super) const DELIVERY: Duration = Duration::from_secs(2);
 
 pub(super) struct Held {
     lease: Duration,
@@ -28,11 +28,7 @@ pub(super) struct Held {
     holds: BTreeMap<RobotId, (RobotOrder, Duration)>,
     /// Held robots without a role that state the hold in their record, and since when.
     informed: BTreeMap<RobotId, Duration>,
-    roles: BTreeSet<(NodeId, MissionId, RoleId)>,
-    /// Active goals in the world; true for those that were begun in a role.
-    goals: BTreeMap<(RobotId, u64), bool>,
-    /// Time of the latest start or end of the driver server, which then permits all goals for a while.
-    server_changed: Duration,
+    active: ActiveGoals,
 }
 
 impl Held {
@@ -42,15 +38,13 @@ impl Held {
             reference: ReferenceLedger::default(),
             holds: BTreeMap::new(),
             informed: BTreeMap::new(),
-            roles: BTreeSet::new(),
-            goals: BTreeMap::new(),
-            server_changed: Duration::ZERO,
+            active: ActiveGoals::default(),
         }
     }
 
-    /// Returns the longest time from a hold until the robot is at rest. Clocks differ by up to 10 %.
+    /// Returns the longest time from a hold until the robot is at rest.
     fn stops_within(&self) -> Duration {
-        (self.lease + self.lease / 10).max(CLIENT_TIMEOUT) + LEASE_REACTION + DELIVERY
+        drifting(self.lease).max(CLIENT_TIMEOUT) + LEASE_REACTION + DELIVERY
     }
 
     /// Adopts the holds of the ledger.
@@ -64,33 +58,6 @@ impl Held {
         }
     }
 
-    /// Follows the roles in which the robots act, by their own events.
-    fn follow_role(&mut self, entry: &Observation) {
-        let node = entry.node();
-        if let Observation::TestAction { action: "killed" | "ended" | "left", .. } = entry {
-            self.roles.retain(|(robot, ..)| robot != node);
-        }
-        match entry.event_kind() {
-            Some(EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role }) => {
-                self.roles.insert((node.clone(), mission.clone(), role.clone()));
-            }
-            Some(
-                EventKind::Suspended { mission, role }
-                | EventKind::GaveUp { mission, role, .. }
-                | EventKind::TaskFailed { mission, role, .. }
-                | EventKind::Halted { mission, role, .. },
-            ) => {
-                self.roles.remove(&(node.clone(), mission.clone(), role.clone()));
-            }
-            _ => {}
-        }
-    }
-
-    fn begins_goal(&mut self, robot: &RobotId, goal: u64) {
-        let in_role = self.roles.iter().any(|(node, ..)| node.as_str() == robot.as_str());
-        self.goals.insert((robot.clone(), goal), in_role);
-    }
-
     /// Records which held robots without a role state the hold; `states_hold` reads the record of a robot.
     fn inform(&mut self, at: Duration, states_hold: impl Fn(&RobotId) -> bool) {
         let informed: Vec<RobotId> = self.holds.keys().filter(|robot| states_hold(robot)).cloned().collect();
@@ -102,19 +69,18 @@ impl Held {
 
     fn check(&self, at: Duration) -> Result<(), InvariantViolation> {
         for (robot, (order, since)) in &self.holds {
-            if at > ends_after(order).saturating_sub(tolerance(at)) {
+            if may_be_over(order, at) {
                 continue;
             }
-            let is_over = |since: &Duration| at > (*since).max(self.server_changed) + self.stops_within();
-            for ((_, goal), in_role) in self.goals.iter().filter(|((other, _), _)| other == robot) {
-                let must_stand = match in_role {
+            let is_over = |since: &Duration| at > self.active.stopped_from(*since) + self.stops_within();
+            for ((_, id), goal) in self.active.goals.iter().filter(|((other, _), _)| other == robot) {
+                let must_stand = match goal.in_role {
                     true => is_over(since),
                     false => self.informed.get(robot).is_some_and(is_over),
                 };
                 if must_stand {
                     let held_s = at.saturating_sub(*since).as_secs_f64();
-                    let reason =
-                        format!("{robot} pursues goal {goal}, {held_s:.1} s after it was {}", order.hold_text());
+                    let reason = format!("{robot} pursues goal {id}, {held_s:.1} s after it was {}", order.hold_text());
                     return Err(reason.into());
                 }
             }
@@ -123,15 +89,25 @@ impl Held {
     }
 }
 
-/// Returns the end of a hold since the start of the fleet.
+/// Returns the longest duration of a period that lasts `time` by the clock of a robot: clocks differ by up to 10 %.
+pub(super) fn drifting(time: Duration) -> Duration {
+    time + time / 10
+}
+
+/// Returns the end of an order since the start of the fleet.
 fn ends_after(order: &RobotOrder) -> Duration {
     order.until_ms.map_or(Duration::MAX, |until_ms| Duration::from_millis(until_ms.saturating_sub(DATE_MS)))
 }
 
-/// Returns the largest time by which a robot may end a hold too early: the dates of two coordinators and the clock of the
-/// robot drift by up to 5 %, and dates are read every 5 s.
+/// Returns the largest time by which a robot may end an order too early: the dates of two coordinators and the clock of
+/// the robot drift by up to 5 %, and dates are read every 5 s.
 fn tolerance(at: Duration) -> Duration {
     at / 10 + Duration::from_secs(5)
+}
+
+/// Checks whether the time of an order may have passed for a robot.
+pub(super) fn may_be_over(order: &RobotOrder, at: Duration) -> bool {
+    at > ends_after(order).saturating_sub(tolerance(at))
 }
 
 impl Invariant for Held {
@@ -140,27 +116,16 @@ impl Invariant for Held {
     }
 
     fn observe(&mut self, at: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
-        match entry {
-            Observation::EntryApplied { .. } => {
-                self.reference.observe(entry);
-                self.update(at);
-            }
-            Observation::TestAction { node, .. } if node.as_str() == WORLD => self.server_changed = at,
-            _ => {}
+        if matches!(entry, Observation::EntryApplied { .. }) {
+            self.reference.observe(entry);
+            self.update(at);
         }
-        self.follow_role(entry);
+        self.active.observe(at, entry);
         Ok(())
     }
 
     fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
-        match &entry.event {
-            InWorld::GoalStarted { robot, id, .. } => self.begins_goal(robot, id.0),
-            InWorld::GoalEnded { robot, id, .. } => {
-                self.goals.remove(&(robot.clone(), id.0));
-            }
-            InWorld::Stranded { robot } => self.goals.retain(|(other, _), _| other != robot),
-            _ => {}
-        }
+        self.active.observe_world(entry);
         Ok(())
     }
 
@@ -186,6 +151,8 @@ mod tests {
     use crate::slug;
     use consort_protocol::lease::Epoch;
     use consort_protocol::ledger::{Command, OrderChange, OrderRequest};
+    use consort_skills::actions::Dock;
+    use std::collections::BTreeSet;
 
     fn secs(seconds: u64) -> Duration {
         Duration::from_secs(seconds)
@@ -199,9 +166,9 @@ mod tests {
         let hold = Command::OrderRobots { robots: BTreeSet::from([slug("garnet")]), order };
         state.reference.apply(Epoch { term: 1, index: 1 }, &[Command::first_wire_version(3), hold]);
         if in_role {
-            state.roles.insert((slug("garnet"), "lab-samples-1".parse().unwrap(), slug("r1")));
+            state.active.roles.insert((slug("garnet"), "lab-samples-1".parse().unwrap(), slug("r1")));
         }
-        state.begins_goal(&slug("garnet"), 7);
+        state.active.begin(&slug("garnet"), 7, &Dock { charger: None }.into());
         state.update(secs(100));
         state
     }
@@ -213,10 +180,10 @@ mod tests {
         let violation = state.check(secs(108)).unwrap_err().0;
         assert_eq!(violation, "garnet pursues goal 7, 8.0 s after it was held by Nia");
         assert_eq!(state.check(secs(159)), Ok(()), "the hold may be over");
-        state.server_changed = secs(105);
+        state.active.server_changed = secs(105);
         assert_eq!(state.check(secs(108)), Ok(()), "the driver server permits it");
-        state.server_changed = Duration::ZERO;
-        state.goals.clear();
+        state.active.server_changed = Duration::ZERO;
+        state.active.goals.clear();
         assert_eq!(state.check(secs(108)), Ok(()));
     }
 

@@ -4,11 +4,13 @@
 //! that instant. It stores only the state that it needs to check the next step.
 
 mod acknowledged;
+mod active_goals;
 mod alive;
 mod audited;
 mod authority;
 mod bounded;
 mod charged;
+mod closed;
 mod committed;
 mod custody;
 mod deadlines;
@@ -98,6 +100,7 @@ pub(crate) fn all(ended_missions_max: usize, lease: Duration) -> Vec<Box<dyn Inv
         Box::<single_voter_change::SingleVoterChange>::default(),
         Box::<occurrences::Occurrences>::default(),
         Box::new(held::Held::new(lease)),
+        Box::new(closed::Closed::new(lease)),
         Box::<under_orders::UnderOrders>::default(),
         Box::<audited::Audited>::default(),
         Box::<one_per_charger::OnePerCharger>::default(),

@@ -166,7 +166,7 @@ impl FaultyBus {
             (Mutant::AuthorsUnchecked, _) => Query { author: Author::UNKNOWN, ..query },
             (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
             (Mutant::CircularWaitKept, Some(Key::Award(_))) => without_giving_way(query),
-            (Mutant::HoldIgnored, Some(Key::Award(_))) => without_hold(query),
+            (Mutant::HoldIgnored | Mutant::ClosureIgnored, Some(Key::Award(_))) => without_ignored(mutant, query),
             (Mutant::ClaimsHidden, Some(Key::Gossip(_))) => {
                 Query { payload: exchange_without_claims(query.payload), ..query }
             }
@@ -204,19 +204,29 @@ fn without_giving_way(query: Query) -> Query {
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
 }
 
-/// Removes the hold from a notice about the orders of people.
-fn without_hold(query: Query) -> Query {
+/// Removes the orders that the robots ignore.
+fn remove_ignored(mutant: Mutant, orders: &mut OrdersNotice) {
+    match mutant {
+        Mutant::HoldIgnored => orders.hold = None,
+        Mutant::ClosureIgnored => orders.closures.clear(),
+        _ => {}
+    }
+}
+
+/// Removes the ignored orders from a notice about the orders of people.
+fn without_ignored(mutant: Mutant, query: Query) -> Query {
     let Ok(ClusterEnvelope { cluster, payload }) = codec::decode(&query.payload) else { return query };
-    let Ok(AwardNotice::Orders(orders)) = codec::decode(&payload) else { return query };
-    let payload = encoded(&AwardNotice::Orders(OrdersNotice { hold: None, ..orders })).to_vec();
+    let Ok(AwardNotice::Orders(mut orders)) = codec::decode(&payload) else { return query };
+    remove_ignored(mutant, &mut orders);
+    let payload = encoded(&AwardNotice::Orders(orders)).to_vec();
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
 }
 
-/// Removes the hold from the renewal of a lease.
-fn renewed_without_hold(reply: Reply) -> Reply {
+/// Removes the ignored orders from the renewal of a lease.
+fn renewed_without_ignored(mutant: Mutant, reply: Reply) -> Reply {
     let Some(mut renewed) = decode_reply(&reply) else { return reply };
     if let ReportReply::Renewed { orders, .. } = &mut renewed {
-        orders.hold = None;
+        remove_ignored(mutant, orders);
     }
     Reply { payload: Ok(encoded(&renewed)), ..reply }
 }
@@ -330,7 +340,9 @@ impl Bus for FaultyBus {
                 .await?
                 .map(|reply| Reply { payload: reply.payload.map(exchange_without_claims), ..reply })),
             (Mutant::WaitSkipped, Some(Key::Report(_))) => self.receive_all_signals(query).await,
-            (Mutant::HoldIgnored, Some(Key::Report(_))) => Ok(self.send(query).await?.map(renewed_without_hold)),
+            (mutant @ (Mutant::HoldIgnored | Mutant::ClosureIgnored), Some(Key::Report(_))) => {
+                Ok(self.send(query).await?.map(move |reply| renewed_without_ignored(mutant, reply)))
+            }
             (Mutant::ReleasedInMotion, Some(Key::Driver(_, DriverCall::Command))) => {
                 self.canceled.observe(&query.payload);
                 let (replies, canceled) = (self.send(query).await?, self.canceled.clone());

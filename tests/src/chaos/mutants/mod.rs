@@ -97,11 +97,13 @@ pub enum Mutant {
     OrderForgotten,
     /// Robots do not receive at which chargers other robots are.
     ClaimsHidden,
+    /// Robots ignore closures, in notices and in renewals of leases.
+    ClosureIgnored,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 32] = [
+    pub const ALL: [Mutant; 33] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -134,6 +136,7 @@ impl Mutant {
         Mutant::HoldIgnored,
         Mutant::OrderForgotten,
         Mutant::ClaimsHidden,
+        Mutant::ClosureIgnored,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -179,6 +182,7 @@ impl Mutant {
             Mutant::HoldIgnored => "hold-ignored",
             Mutant::OrderForgotten => "order-forgotten",
             Mutant::ClaimsHidden => "claims-hidden",
+            Mutant::ClosureIgnored => "closure-ignored",
         }
     }
 }

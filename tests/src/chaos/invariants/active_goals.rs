@@ -1,0 +1,85 @@
+//! Goals that the robots of the world pursue, and whether each was begun in a role.
+
+use crate::Observation;
+use crate::chaos::chaos_fleet::WORLD;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId};
+use consort_skills::actions::{Goal, NavigateToPose};
+use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// Goals in progress.
+#[derive(Default)]
+pub(super) struct ActiveGoals {
+    /// Roles in which the robots act, by their own events.
+    pub(super) roles: BTreeSet<(NodeId, MissionId, RoleId)>,
+    pub(super) goals: BTreeMap<(RobotId, u64), ActiveGoal>,
+    /// Time of the latest start or end of the driver server, which then permits all goals for a while.
+    pub(super) server_changed: Duration,
+}
+
+/// A goal in progress.
+pub(super) struct ActiveGoal {
+    /// The robot had a role when the goal began.
+    pub(super) in_role: bool,
+    /// The place at the end of a drive; `None` for other goals.
+    pub(super) drives_to: Option<PlaceId>,
+}
+
+impl ActiveGoals {
+    /// Follows the events of nodes. Returns the robot that acted in a role until now, if it no longer does.
+    pub(super) fn observe(&mut self, at: Duration, entry: &Observation) -> Option<RobotId> {
+        let (node, before) = (entry.node(), self.roles.len());
+        match entry {
+            Observation::TestAction { action, .. } => {
+                if matches!(*action, "killed" | "ended" | "left") {
+                    self.roles.retain(|(robot, ..)| robot != node);
+                }
+                if node.as_str() == WORLD {
+                    self.server_changed = at;
+                }
+            }
+            _ => self.follow_role(node, entry.event_kind()?),
+        }
+        (self.roles.len() < before).then(|| RobotId::from(node.clone()))
+    }
+
+    fn follow_role(&mut self, node: &NodeId, event: &EventKind) {
+        match event {
+            EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role } => {
+                self.roles.insert((node.clone(), mission.clone(), role.clone()));
+            }
+            EventKind::Suspended { mission, role }
+            | EventKind::GaveUp { mission, role, .. }
+            | EventKind::TaskFailed { mission, role, .. }
+            | EventKind::Halted { mission, role, .. } => {
+                self.roles.remove(&(node.clone(), mission.clone(), role.clone()));
+            }
+            _ => {}
+        }
+    }
+
+    /// Follows the goals in the world.
+    pub(super) fn observe_world(&mut self, entry: &LoggedEvent) {
+        match &entry.event {
+            InWorld::GoalStarted { robot, id, goal } => self.begin(robot, id.0, goal),
+            InWorld::GoalEnded { robot, id, .. } => {
+                self.goals.remove(&(robot.clone(), id.0));
+            }
+            InWorld::Stranded { robot } => self.goals.retain(|(other, _), _| other != robot),
+            _ => {}
+        }
+    }
+
+    pub(super) fn begin(&mut self, robot: &RobotId, id: u64, goal: &Goal) {
+        let in_role = self.roles.iter().any(|(node, ..)| node.as_str() == robot.as_str());
+        let drives_to = goal.read::<NavigateToPose>().and_then(Result::ok).and_then(|drive| drive.place);
+        self.goals.insert((robot.clone(), id), ActiveGoal { in_role, drives_to });
+    }
+
+    /// Returns the time from which the driver server stops a robot that must stop since `since`.
+    pub(super) fn stopped_from(&self, since: Duration) -> Duration {
+        since.max(self.server_changed)
+    }
+}
