@@ -9,6 +9,7 @@ use crate::{Fleet, Observation};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId};
 use consort_protocol::knowledge::Availability;
 use consort_skills::actions::RobotBackend as _;
+use consort_skills::environment::Routes;
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -51,9 +52,12 @@ impl Charged {
     }
 }
 
-/// Returns the robots that are free while a charger is free: no other robot stands there or claims it.
-fn robots_that_may_charge(fleet: &Fleet) -> BTreeSet<RobotId> {
+/// Returns the robots that are free while a charger is free: no other robot stands there or claims it, and people have
+/// closed neither it nor the way.
+fn robots_that_may_charge(fleet: &Fleet, closed: &[(PlaceId, PlaceId)]) -> BTreeSet<RobotId> {
     let robots = fleet.world.robots();
+    let routes = fleet.world.with(|world| Routes::new(&world.map().topology()).expect("the shipped map is sound"));
+    let routes = routes.without_closed(closed);
     let record = |robot: &RobotId| fleet.knowledge_of(robot.as_str(), &NodeId::from(robot.clone()));
     let mut taken = BTreeMap::new();
     for robot in &robots {
@@ -63,13 +67,14 @@ fn robots_that_may_charge(fleet: &Fleet) -> BTreeSet<RobotId> {
         taken.insert(robot.clone(), [place, claim]);
     }
     let may_charge = |robot: &RobotId| {
-        let is_free =
-            record(robot).is_some_and(|record| record.speed.is_some() && record.availability == Availability::Free);
+        let Some(record) = record(robot) else { return false };
+        let is_free = record.speed.is_some() && record.availability == Availability::Free;
         let is_left = |charger: &PlaceId| {
             let mut others = taken.iter().filter(|(other, _)| *other != robot).flat_map(|(_, places)| places);
             others.all(|place| place.as_ref() != Some(charger))
         };
-        is_free && fleet.chargers().any(is_left)
+        let is_reachable = |charger: &PlaceId| routes.distance(&record.place, charger).is_ok();
+        is_free && fleet.chargers().any(|charger| is_left(charger) && is_reachable(charger))
     };
     robots.iter().filter(|robot| may_charge(robot)).cloned().collect()
 }
@@ -93,9 +98,8 @@ impl Invariant for Charged {
     fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if at >= self.due && fleet.chargers().next().is_some() {
             self.due = at + INTERVAL;
-            let is_closed = self.reference.ledger.closures().next().is_some();
-            let may_charge = if is_closed { BTreeSet::new() } else { robots_that_may_charge(fleet) };
-            self.follow(at, &may_charge);
+            let closed: Vec<_> = self.reference.ledger.closures().map(|closure| closure.part.ends()).collect();
+            self.follow(at, &robots_that_may_charge(fleet, &closed));
         }
         Ok(())
     }

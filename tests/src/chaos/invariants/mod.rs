@@ -20,6 +20,7 @@ mod occurrences;
 mod one_holder;
 mod one_leader;
 mod one_per_charger;
+mod promised;
 mod reference_ledger;
 mod replayed;
 mod settled;
@@ -105,6 +106,7 @@ pub(crate) fn all(ended_missions_max: usize, lease: Duration) -> Vec<Box<dyn Inv
         Box::<audited::Audited>::default(),
         Box::<one_per_charger::OnePerCharger>::default(),
         Box::<charged::Charged>::default(),
+        Box::<promised::Promised>::default(),
         Box::<replayed::Replayed>::default(),
     ]
 }

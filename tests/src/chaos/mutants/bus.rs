@@ -2,7 +2,7 @@
 
 use super::Mutant;
 use super::driver::{CanceledGoals, without_time_limit};
-use super::gossip::{exchange_without_claims, retain_records_of, update_without_claim};
+use super::gossip::{exchange_with, record_bug, retain_records_of, update_with};
 use super::known_ledger::KnownLedger;
 use super::message::{decode_report, encoded};
 use super::refusals::{RefusalPassage, merged};
@@ -158,7 +158,7 @@ impl FaultyBus {
 
     fn change_incoming(&self, queries: Stream<Query>) -> Stream<Query> {
         let (mutant, keys, ledger) = (self.mutant, self.keys.clone(), self.ledger.clone());
-        let report_bug = ReportBug::of(mutant);
+        let (report_bug, record_bug) = (ReportBug::of(mutant), record_bug(mutant));
         let mut forgotten = 0;
         queries.map(move |query| match (mutant, keys.read(&query.key)) {
             (Mutant::StaleRead, Some(Key::Api(ApiCall::Get | ApiCall::List))) => without_confirmation(query),
@@ -167,9 +167,6 @@ impl FaultyBus {
             (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
             (Mutant::CircularWaitKept, Some(Key::Award(_))) => without_giving_way(query),
             (Mutant::HoldIgnored | Mutant::ClosureIgnored, Some(Key::Award(_))) => without_ignored(mutant, query),
-            (Mutant::ClaimsHidden, Some(Key::Gossip(_))) => {
-                Query { payload: exchange_without_claims(query.payload), ..query }
-            }
             (Mutant::OrderForgotten, Some(Key::Api(ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance))) => {
                 let reply = json!({ "robots": {} }).to_string();
                 // The coordinator rejects a request without content.
@@ -180,6 +177,10 @@ impl FaultyBus {
             }
             (_, Some(Key::Report(_))) => match report_bug {
                 Some(bug) => bug.apply(query, &ledger),
+                None => query,
+            },
+            (_, Some(Key::Gossip(_))) => match record_bug {
+                Some(bug) => Query { payload: exchange_with(bug, query.payload), ..query },
                 None => query,
             },
             _ => query,
@@ -313,12 +314,14 @@ impl Bus for FaultyBus {
                 Some(Key::Driver(_, DriverCall::State)) => Sample { payload: canceled.end(sample.payload), ..sample },
                 _ => sample,
             }),
-            Mutant::ClaimsHidden => samples.map(move |sample| match keys.read(&sample.key) {
-                Some(Key::Knowledge(_)) => Sample { payload: update_without_claim(sample.payload), ..sample },
-                _ => sample,
-            }),
             Mutant::AuthorsUnchecked => samples.map(|sample| Sample { author: Author::UNKNOWN, ..sample }),
-            _ => samples,
+            mutant => match record_bug(mutant) {
+                Some(bug) => samples.map(move |sample| match keys.read(&sample.key) {
+                    Some(Key::Knowledge(_)) => Sample { payload: update_with(bug, sample.payload), ..sample },
+                    _ => sample,
+                }),
+                None => samples,
+            },
         })
     }
 
@@ -335,10 +338,6 @@ impl Bus for FaultyBus {
             (Mutant::NoCheckQuorum, Some(Key::Raft(_, RaftCall::Heartbeat))) => self.acknowledge_heartbeat(query).await,
             (Mutant::LeaseNotChecked, Some(Key::Report(_))) => self.renew_without_reply(query).await,
             (Mutant::LostRelay, Some(Key::Gossip(peer))) => self.exchange_own_records(peer, query).await,
-            (Mutant::ClaimsHidden, Some(Key::Gossip(_))) => Ok(self
-                .send(query)
-                .await?
-                .map(|reply| Reply { payload: reply.payload.map(exchange_without_claims), ..reply })),
             (Mutant::WaitSkipped, Some(Key::Report(_))) => self.receive_all_signals(query).await,
             (mutant @ (Mutant::HoldIgnored | Mutant::ClosureIgnored), Some(Key::Report(_))) => {
                 Ok(self.send(query).await?.map(move |reply| renewed_without_ignored(mutant, reply)))
@@ -356,6 +355,12 @@ impl Bus for FaultyBus {
                 let (replies, clock) = (self.send(query).await?, self.clock);
                 let own = move |_| encoded(&clock.wall_ms());
                 Ok(replies.map(move |reply| Reply { payload: reply.payload.map(own), ..reply }))
+            }
+            (mutant, Some(Key::Gossip(_))) => {
+                let replies = self.send(query).await?;
+                let Some(bug) = record_bug(mutant) else { return Ok(replies) };
+                let changed = move |payload| exchange_with(bug, payload);
+                Ok(replies.map(move |reply| Reply { payload: reply.payload.map(changed), ..reply }))
             }
             _ => self.send(query).await,
         }

@@ -1,11 +1,24 @@
 //! Bugs in the records that a node exchanges with others.
 
+use super::Mutant;
 use crate::slug;
 use bytes::Bytes;
 use consort_protocol::codec::{self, VersionedMessage};
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::Record;
+use consort_protocol::knowledge::{Availability, Record};
 use consort_protocol::message::{Exchange, RecordUpdate};
+
+/// Change of each record that a node receives.
+pub(super) type RecordBug = fn(&mut Record);
+
+/// Returns the change of records of a mutant, if the mutant concerns them.
+pub(super) fn record_bug(mutant: Mutant) -> Option<RecordBug> {
+    match mutant {
+        Mutant::ClaimsHidden => Some(hide_claim),
+        Mutant::HoldersUnfit => Some(hide_fitness),
+        _ => None,
+    }
+}
 
 /// Changes a message, and encodes it in its version.
 fn changed<T: VersionedMessage>(payload: Bytes, change: impl FnOnce(&mut T)) -> Bytes {
@@ -20,23 +33,33 @@ pub(super) fn retain_records_of(owner: &NodeId, payload: Bytes) -> Bytes {
     changed(payload, |exchange: &mut Exchange| exchange.records.retain(|record| record.owner == *owner))
 }
 
-/// Hides at which chargers robots are, in an exchange of gossip.
-pub(super) fn exchange_without_claims(payload: Bytes) -> Bytes {
-    changed(payload, |exchange: &mut Exchange| exchange.records.iter_mut().for_each(hide_claim))
+/// Changes the records in an exchange of gossip.
+pub(super) fn exchange_with(bug: RecordBug, payload: Bytes) -> Bytes {
+    changed(payload, |exchange: &mut Exchange| exchange.records.iter_mut().for_each(bug))
 }
 
-/// Hides at which charger a robot is, in a published record.
-pub(super) fn update_without_claim(payload: Bytes) -> Bytes {
+/// Changes a published record.
+pub(super) fn update_with(bug: RecordBug, payload: Bytes) -> Bytes {
     changed(payload, |update: &mut RecordUpdate| {
         if let RecordUpdate::Record(record) = update {
-            hide_claim(record);
+            bug(record);
         }
     })
 }
 
+/// Hides at which charger a robot is.
 fn hide_claim(record: &mut Record) {
     if let Some(robot) = &mut record.knowledge.robot {
         // A place without a charger.
         (robot.place, robot.charging) = (slug("Laboratory"), None);
+    }
+}
+
+/// Lets a robot with a role appear to be out of service.
+fn hide_fitness(record: &mut Record) {
+    if let Some(robot) = &mut record.knowledge.robot
+        && matches!(robot.availability, Availability::Holding { .. })
+    {
+        robot.availability = Availability::OutOfService { problem: "it has a role".to_owned() };
     }
 }

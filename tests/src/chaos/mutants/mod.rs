@@ -99,11 +99,13 @@ pub enum Mutant {
     ClaimsHidden,
     /// Robots ignore closures, in notices and in renewals of leases.
     ClosureIgnored,
+    /// Nodes count robots that hold a role as out of service, so the coordinator releases their promises.
+    HoldersUnfit,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 33] = [
+    pub const ALL: [Mutant; 34] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -137,6 +139,7 @@ impl Mutant {
         Mutant::OrderForgotten,
         Mutant::ClaimsHidden,
         Mutant::ClosureIgnored,
+        Mutant::HoldersUnfit,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -183,6 +186,7 @@ impl Mutant {
             Mutant::OrderForgotten => "order-forgotten",
             Mutant::ClaimsHidden => "claims-hidden",
             Mutant::ClosureIgnored => "closure-ignored",
+            Mutant::HoldersUnfit => "holders-unfit",
         }
     }
 }
