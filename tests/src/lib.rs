@@ -2,6 +2,7 @@
 
 pub mod allocation;
 pub mod behavior;
+pub mod body_log;
 pub mod chaos;
 mod checks;
 mod client;
@@ -15,6 +16,7 @@ mod fleet;
 pub mod history;
 pub mod host_network;
 mod inspection;
+mod order_bounds;
 pub mod percentiles;
 mod robot_spec;
 pub mod scale;

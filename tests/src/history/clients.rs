@@ -93,18 +93,22 @@ impl RecordingClient {
         self.query_each(&Key::Leave(node.clone()), &json!({}), ServiceSelection::All, LEAVE_TIMEOUT, drop).await;
     }
 
-    /// Changes a schedule, again and again until there is a definite reply. The reply is not recorded, and a schedule
-    /// counts as a request that may create missions at any time.
-    pub async fn change_schedule(&self, request: &Value) {
+    /// Changes a schedule, again and again until there is a definite reply, and returns it. The reply is not recorded, and
+    /// a schedule counts as a request that may create missions at any time.
+    pub async fn change_schedule(&self, request: &Value) -> Value {
         if request["action"] == "add" {
             self.history.record_unknown(ClientCall::Submit { request: None }, self.history.invoke());
         }
         loop {
-            let mut is_definite = false;
-            let each = |reply: Value| is_definite |= reply.get("retry_after_ms").is_none();
+            let mut definite = None;
+            let each = |reply: Value| {
+                if definite.is_none() && reply.get("retry_after_ms").is_none() {
+                    definite = Some(reply);
+                }
+            };
             self.query_each(&Key::Api(ApiCall::Schedule), request, ServiceSelection::All, CALL_TIMEOUT, each).await;
-            if is_definite {
-                return;
+            if let Some(reply) = definite {
+                return reply;
             }
             tokio::time::sleep(RETRY_INTERVAL).await;
         }

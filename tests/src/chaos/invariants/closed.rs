@@ -6,14 +6,13 @@
 //! may leave it through neighbouring closed places. Around the end of a closure nothing is checked, since clocks drift.
 
 use super::active_goals::{ActiveGoal, ActiveGoals};
-use super::held::{DELIVERY, drifting, may_be_over};
+use super::held::may_be_over;
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
+use crate::order_bounds::{heeds_closures_within, received_within};
 use crate::{Fleet, Observation};
-use consort_fleet::robot_driver::CLIENT_TIMEOUT;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{PlaceId, RobotId};
-use consort_protocol::lease::LEASE_REACTION;
 use consort_protocol::ledger::{ClosedPart, RobotOrder};
 use consort_skills::actions::RobotBackend as _;
 use consort_world::world::LoggedEvent;
@@ -47,16 +46,6 @@ impl Closed {
         }
     }
 
-    /// Returns the longest time from a change of the closures until each robot that has a lease has received it.
-    fn received_within(&self) -> Duration {
-        drifting(self.lease) + DELIVERY
-    }
-
-    /// Returns the longest time from a closure until a robot that has a lease heeds it.
-    fn heeded_within(&self) -> Duration {
-        self.received_within() + drifting(CLIENT_TIMEOUT) + LEASE_REACTION
-    }
-
     /// Adopts the closures of the ledger.
     fn update(&mut self, at: Duration) {
         let closures = self.reference.ledger.closures();
@@ -77,14 +66,14 @@ impl Closed {
         if let Observation::TestAction { node, action: "killed" | "ended" | "left" } = entry {
             self.informed.remove(&RobotId::from(node.clone()));
         } else if let Some(robot) = was_in_role {
-            self.informed.insert(robot, at.saturating_sub(self.received_within()));
+            self.informed.insert(robot, at.saturating_sub(received_within(self.lease)));
         }
     }
 
     /// Checks whether a robot with this goal must heed a change of the closures at `since`.
     fn must_heed(&self, at: Duration, robot: &RobotId, goal: &ActiveGoal, since: Duration) -> bool {
         let has_received = goal.in_role || self.informed.get(robot).is_some_and(|informed| since <= *informed);
-        has_received && at > self.active.stopped_from(since) + self.heeded_within()
+        has_received && at > self.active.stopped_from(since) + heeds_closures_within(self.lease)
     }
 
     /// Checks all drives; `place_of` returns the last place that a robot has passed.

@@ -8,18 +8,14 @@ use super::active_goals::ActiveGoals;
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::chaos::chaos_fleet::DATE_MS;
+use crate::order_bounds::stops_within;
 use crate::{Fleet, Observation};
-use consort_fleet::robot_driver::CLIENT_TIMEOUT;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::Availability;
-use consort_protocol::lease::LEASE_REACTION;
 use consort_protocol::ledger::RobotOrder;
 use consort_world::world::LoggedEvent;
 use std::collections::BTreeMap;
 use std::time::Duration;
-
-/// Time for messages on their way, and for a former coordinator that renews leases until it steps down.
-pub(super) const DELIVERY: Duration = Duration::from_secs(2);
 
 pub(super) struct Held {
     lease: Duration,
@@ -40,11 +36,6 @@ impl Held {
             informed: BTreeMap::new(),
             active: ActiveGoals::default(),
         }
-    }
-
-    /// Returns the longest time from a hold until the robot is at rest.
-    fn stops_within(&self) -> Duration {
-        drifting(self.lease).max(CLIENT_TIMEOUT) + LEASE_REACTION + DELIVERY
     }
 
     /// Adopts the holds of the ledger.
@@ -72,7 +63,7 @@ impl Held {
             if may_be_over(order, at) {
                 continue;
             }
-            let is_over = |since: &Duration| at > self.active.stopped_from(*since) + self.stops_within();
+            let is_over = |since: &Duration| at > self.active.stopped_from(*since) + stops_within(self.lease);
             for ((_, id), goal) in self.active.goals.iter().filter(|((other, _), _)| other == robot) {
                 let must_stand = match goal.in_role {
                     true => is_over(since),
@@ -87,11 +78,6 @@ impl Held {
         }
         Ok(())
     }
-}
-
-/// Returns the longest duration of a period that lasts `time` by the clock of a robot: clocks differ by up to 10 %.
-pub(super) fn drifting(time: Duration) -> Duration {
-    time + time / 10
 }
 
 /// Returns the end of an order since the start of the fleet.

@@ -25,8 +25,11 @@ const FLEET: &str = "soak";
 /// The voters of the ledger.
 pub(super) const STATIONS: [&str; 3] = ["s1", "s2", "s3"];
 
+/// The robots that drive.
+pub(super) const CARRIERS: [&str; 2] = ["ada", "bob"];
+
 /// The robots.
-pub(super) const ROBOTS: [&str; 3] = ["ada", "bob", "lab-arm"];
+pub(super) const ROBOTS: [&str; 3] = [CARRIERS[0], CARRIERS[1], "lab-arm"];
 
 /// Host of the simulated world. No fault kills it: the state of its world is only in its memory.
 pub(super) const WORLD: &str = "world";

@@ -2,6 +2,8 @@
 
 mod faults;
 mod fleet;
+mod occurrences;
+mod orders;
 mod verdict;
 mod workload;
 
@@ -29,15 +31,17 @@ const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
 /// Each node is a process of `consort` in a network namespace of its own: three stations that store
 /// the ledger on disk, two carriers, an arm and the host of the simulated world. For the given time
 /// nodes are killed, stopped and restarted, cables are cut, packets are lost and the network is
-/// partitioned. Meanwhile clients submit, cancel and read missions over Zenoh. Then all faults end,
-/// and every mission must end.
+/// partitioned. Meanwhile clients submit, cancel and read missions over Zenoh, a schedule submits one
+/// each minute, and a person holds robots and closes places. Then all faults end, and every mission must
+/// end.
 ///
 /// With `--mission` about half of the submitted missions are those of the user. The carriers have the skills
 /// for them, and there is a person on call for each role of people.
 ///
 /// The verdict depends only on what is visible from outside: all calls of the clients must be
-/// linearizable, no acknowledged mission may be lost or executed as two missions, no term may have
-/// two coordinators, and no process may end by itself.
+/// linearizable, no acknowledged mission may be lost or executed as two missions, each occurrence of the
+/// schedule must be one mission, held robots must stand still, no robot may enter a closed place, no term
+/// may have two coordinators, and no process may end by itself.
 ///
 /// It needs Linux with unprivileged user namespaces, or root, and the programs ip (iproute2) and nft
 /// (nftables). Nothing is sent outside of its own namespaces. The program `consort` must be beside

@@ -2,7 +2,8 @@
 
 use super::faults::FaultCounts;
 use super::fleet::ProcessFleet;
-use super::workload::{OWN_REQUEST, Workload};
+use super::occurrences::is_occurrence;
+use super::workload::{OWN_REQUEST, Observed, Workload};
 use consort_protocol::view::MissionsView;
 use consort_tests::history::History;
 use consort_text::count;
@@ -29,6 +30,12 @@ pub(super) struct Verdict {
     pub(super) states: BTreeMap<&'static str, usize>,
     /// Calls of clients with a definite reply.
     pub(super) replies: usize,
+    /// Acknowledged orders to robots: holds and closures.
+    pub(super) orders: usize,
+    /// States of robots that follow them.
+    pub(super) order_states: usize,
+    /// Submitted occurrences of the schedule.
+    pub(super) occurrences: u64,
     /// Number of terms with a coordinator.
     pub(super) terms: usize,
     /// Nodes that ended after a panic in Zenoh, and were started again.
@@ -70,11 +77,15 @@ pub(super) async fn reach(
         }
         sleep(LOOK_INTERVAL).await;
     }
-    let terms = workload.end().await;
-    let known: BTreeSet<String> = missions.missions.iter().map(|mission| mission.brief.mission.to_string()).collect();
+    let Observed { elected: terms, orders, occurrences } = workload.end().await;
+    let requested = missions.missions.iter().filter(|mission| !is_occurrence(mission));
+    let known: BTreeSet<String> = requested.map(|mission| mission.brief.mission.to_string()).collect();
     violations.extend(acknowledged.difference(&known).map(|mission| format!("{mission} was acknowledged and is lost")));
     violations
         .extend(known.difference(&acknowledged).map(|mission| format!("{mission} is a second mission of a request")));
+    let submitted = occurrences.as_ref().map_or(0, |occurrences| occurrences.submitted);
+    violations.extend(occurrences.and_then(|occurrences| occurrences.check(&missions)).err());
+    violations.extend(orders.iter().filter_map(|order| order.clone().err()));
     for (term, nodes) in terms.iter().filter(|(_, nodes)| nodes.len() > 1) {
         let names: Vec<&str> = nodes.iter().map(|node| node.as_str()).collect();
         violations.push(format!("term {term} had several coordinators: {}", names.join(", ")));
@@ -91,6 +102,9 @@ pub(super) async fn reach(
         own,
         states,
         replies: history.replies(),
+        orders: orders.len(),
+        order_states: orders.iter().flatten().sum(),
+        occurrences: submitted,
         terms,
         failures_of_zenoh: fleet.failures_of_zenoh,
         faults,
@@ -125,10 +139,13 @@ impl fmt::Display for Verdict {
         let held = if self.violations.is_empty() { "held" } else { "violated" };
         write!(
             f,
-            "{held}: {missions} acknowledged ({}), {} checked, {}, {}; {} ({kills} kills, {stops} stops, \
-             {cuts} cuts, {losses} losses, {partitions} partitions)",
+            "{held}: {missions} acknowledged ({}), {} checked, {}, {} followed in {}, {}, {}; {} ({kills} kills, \
+             {stops} stops, {cuts} cuts, {losses} losses, {partitions} partitions)",
             states.join(", "),
             count(self.replies, "reply", "replies"),
+            count(self.occurrences as usize, "occurrence", "occurrences"),
+            count(self.orders, "order", "orders"),
+            count(self.order_states, "state of a robot", "states of robots"),
             count(self.terms, "term", "terms"),
             count(self.failures_of_zenoh as usize, "failure of Zenoh", "failures of Zenoh"),
             count(self.faults.total() as usize, "fault", "faults"),

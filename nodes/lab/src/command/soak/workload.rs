@@ -1,6 +1,8 @@
 //! The clients of the fleet.
 
 use super::fleet::{ProcessFleet, ROOMS, STATIONS};
+use super::occurrences::{self, Occurrences};
+use super::orders::Supervisor;
 use consort_bus::{SharedBus, Stream};
 use consort_nodes::exit::Failure;
 use consort_protocol::ids::NodeId;
@@ -38,14 +40,29 @@ pub(super) struct Workload {
     submitter: JoinHandle<JoinSet<()>>,
     end_submitter: tokio::sync::watch::Sender<bool>,
     readers: JoinSet<()>,
+    supervisor: Supervisor,
+    /// Time of the first occurrence of the schedule, in milliseconds since 1970.
+    first_occurrence_ms: u64,
+    /// The occurrences, once the schedule is paused.
+    occurrences: Result<Occurrences, String>,
+}
+
+/// What the clients have seen besides the replies in their history.
+pub(super) struct Observed {
+    /// Nodes that were elected, by term.
+    pub(super) elected: BTreeMap<u64, Vec<NodeId>>,
+    /// For each order to robots: the number of states of robots that follow it, or what a robot did instead.
+    pub(super) orders: Vec<Result<usize, String>>,
+    /// The occurrences of the schedule.
+    pub(super) occurrences: Result<Occurrences, String>,
 }
 
 impl Workload {
-    /// Starts the clients: one that submits and cancels, a reader of each kind at its own station, and
-    /// a person who resolves missions.
+    /// Starts the clients: one that submits and cancels, a reader of each kind at its own station, a person who
+    /// resolves missions, one who holds robots and closes places, and a schedule.
     ///
     /// # Errors
-    /// [`Failure::Unsuccessful`] if a client cannot be opened.
+    /// [`Failure::Unsuccessful`] if a client cannot be opened, or the schedule is refused.
     pub(super) async fn start(
         fleet: &ProcessFleet,
         history: &History,
@@ -72,24 +89,40 @@ impl Workload {
         let events = events.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
         let (end_elected, end) = tokio::sync::oneshot::channel();
         let elected = tokio::spawn(record_elected(events, end));
+        let first_occurrence_ms = occurrences::add(&client, &own).await.map_err(Failure::Unsuccessful)?;
         let (end_submitter, end) = tokio::sync::watch::channel(false);
+        let supervisor = Supervisor::start(fleet, client.clone(), seed, end.clone()).await?;
         let submitter = tokio::spawn(submit(client.clone(), acknowledged.clone(), own, seed, end));
-        Ok(Workload { acknowledged, client, elected, end_elected, submitter, end_submitter, readers })
+        Ok(Workload {
+            acknowledged,
+            client,
+            elected,
+            end_elected,
+            submitter,
+            end_submitter,
+            readers,
+            supervisor,
+            first_occurrence_ms,
+            occurrences: Err("the schedule was not paused".to_owned()),
+        })
     }
 
-    /// Submits nothing more, and waits until everything is acknowledged.
+    /// Submits nothing more, ends all orders and the schedule, and waits until everything is acknowledged.
     pub(super) async fn end_submissions(&mut self) {
         self.end_submitter.send_replace(true);
         if let Ok(open) = (&mut self.submitter).await {
             open.join_all().await;
         }
+        self.supervisor.finish().await;
+        self.occurrences = occurrences::pause(&self.client, self.first_occurrence_ms).await;
     }
 
-    /// Ends all clients, and returns the nodes that were elected, by term.
-    pub(super) async fn end(mut self) -> BTreeMap<u64, Vec<NodeId>> {
+    /// Ends all clients, and returns what they have seen.
+    pub(super) async fn end(mut self) -> Observed {
         self.readers.shutdown().await;
         let _ = self.end_elected.send(());
-        self.elected.await.unwrap_or_default()
+        let elected = self.elected.await.unwrap_or_default();
+        Observed { elected, orders: self.supervisor.end().await, occurrences: self.occurrences }
     }
 }
 
