@@ -7,7 +7,7 @@ use bytes::Bytes;
 use consort_bus::{Delivery, Encoding, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::knowledge::Availability;
 use consort_protocol::lease::{EndReason, Epoch};
@@ -26,6 +26,10 @@ const ROBOTS: [&str; 2] = ["gorse", "lab-arm"];
 
 /// Longer than a robot keeps the orders of a former cluster.
 const LONG: Duration = Duration::from_secs(15);
+
+/// A place on the only way to the room, and its position.
+const GATE: &str = "IC Corridor 6";
+const GATE_Y_M: f64 = 31.0;
 
 /// Limit for an order to show in the record of its robot.
 const ORDER_SHOWN: Duration = Duration::from_secs(5);
@@ -339,23 +343,44 @@ fn a_false_coordinator_of_rising_terms_takes_no_role() {
     });
 }
 
+/// Lets `gorse` drive to the room while no voter states its leader.
+async fn under_way_without_statements(seed: u64) -> (Fleet, MissionId) {
+    let mut fleet = closed_without_fern(seed).await;
+    for node in ["basil", "clove", "gorse", "lab-arm"] {
+        fleet.network.block_queries(slug(node), &fleet.keys().write(&Key::Leader(slug(node))));
+    }
+    fleet.wait_for_audit_trail().await;
+    let mission = fleet.submit("a", ROOM).await;
+    let start = fleet.position("gorse");
+    fleet.wait_until("a move", SOON, |fleet| fleet.position("gorse") != start).await;
+    (fleet, mission)
+}
+
 /// A hold that the voters can neither confirm nor contradict still stops the robot.
 #[test]
 fn a_robot_that_reaches_no_voter_but_the_coordinator_is_held() {
     for_each_seed(SEEDS, async |seed| {
-        let mut fleet = closed_without_fern(seed).await;
-        for node in ["basil", "clove", "gorse", "lab-arm"] {
-            fleet.network.block_queries(slug(node), &fleet.keys().write(&Key::Leader(slug(node))));
-        }
-        fleet.wait_for_audit_trail().await;
-        let mission = fleet.submit("a", ROOM).await;
-        let start = fleet.position("gorse");
-        fleet.wait_until("a move", SOON, |fleet| fleet.position("gorse") != start).await;
+        let (mut fleet, mission) = under_way_without_statements(seed).await;
         request(&fleet, ApiCall::Hold, &json!({ "robots": ["gorse"], "for_s": 600, "by": "Nia" })).await;
         fleet.wait_for_rest("gorse").await;
         let place = fleet.position("gorse");
         fleet.assert_never("a move", LONG, |fleet| fleet.position("gorse") != place).await;
         request(&fleet, ApiCall::Release, &json!({ "robots": ["gorse"], "by": "Nia" })).await;
+        fleet.assert_completes(&mission).await;
+        fleet.assert_sample_delivered(ROOM);
+        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());
+    });
+}
+
+/// So does a closure keep it out.
+#[test]
+fn a_robot_that_reaches_no_voter_but_the_coordinator_heeds_a_closure() {
+    for_each_seed(SEEDS, async |seed| {
+        let (mut fleet, mission) = under_way_without_statements(seed).await;
+        request(&fleet, ApiCall::Close, &json!({ "places": [GATE], "by": "Nia" })).await;
+        let has_entered = |fleet: &Fleet| fleet.position("gorse").1 > GATE_Y_M - 0.3;
+        fleet.assert_never("an entry", LONG, has_entered).await;
+        request(&fleet, ApiCall::Open, &json!({ "places": [GATE], "by": "Nia" })).await;
         fleet.assert_completes(&mission).await;
         fleet.assert_sample_delivered(ROOM);
         assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: no role is released\n{}", fleet.event_log_text());

@@ -14,8 +14,8 @@ use std::time::Duration;
 /// notice.
 const FIRST_NOTICE_WAIT: Duration = Duration::from_secs(10);
 
-/// Time for which a robot stands still because of a hold that is not confirmed. The coordinator repeats it more often.
-const UNCONFIRMED_HOLD: Duration = Duration::from_secs(3);
+/// Time for which a robot follows a hold or a closure that is not confirmed. The coordinator repeats it more often.
+const UNCONFIRMED_ORDER: Duration = Duration::from_secs(3);
 
 /// Orders of people to this robot.
 #[derive(Debug, Default)]
@@ -27,6 +27,8 @@ pub(super) struct StandingOrders {
     unconfirmed_hold: Option<StandingOrder>,
     maintenance: Option<StandingOrder>,
     closures: Vec<StandingClosure>,
+    /// Other closures by such a node.
+    unconfirmed_closures: Vec<StandingClosure>,
     stay: Option<StandingOrder>,
     /// Time from which the robot may act without a role.
     acts_alone_from: NodeTime,
@@ -53,6 +55,11 @@ impl StandingOrder {
     fn is_in_force(&self, now: NodeTime) -> bool {
         self.until.is_none_or(|until| now < until)
     }
+
+    /// Lets it end at this time, or before.
+    fn end_by(&mut self, end: NodeTime) {
+        self.until = Some(self.until.map_or(end, |until| until.min(end)));
+    }
 }
 
 impl StandingClosure {
@@ -77,18 +84,27 @@ impl StandingOrders {
         let standing = |order: Option<OrderNotice>| order.map(|order| StandingOrder::new(order, now));
         let (hold, maintenance, stay) = (standing(hold), standing(maintenance), standing(stay));
         let closures = closures.into_iter().map(|closure| StandingClosure::new(closure, now)).collect();
-        *self =
-            StandingOrders { as_of, hold, unconfirmed_hold: None, maintenance, closures, stay, acts_alone_from: now };
+        *self = StandingOrders {
+            as_of,
+            hold,
+            maintenance,
+            closures,
+            stay,
+            acts_alone_from: now,
+            ..StandingOrders::default()
+        };
     }
 
-    /// Receives orders from a node that may be the coordinator: a hold counts for a short time, and nothing else.
+    /// Receives orders from a node that may be the coordinator: a hold and closures count for a short time, and nothing
+    /// else.
     pub(super) fn receive_unconfirmed(&mut self, notice: &OrdersNotice, now: NodeTime) {
-        self.unconfirmed_hold = notice.hold.clone().map(|hold| {
-            let mut order = StandingOrder::new(hold, now);
-            let end = now + UNCONFIRMED_HOLD;
-            order.until = Some(order.until.map_or(end, |until| until.min(end)));
-            order
-        });
+        let end = now + UNCONFIRMED_ORDER;
+        self.unconfirmed_hold = notice.hold.clone().map(|hold| StandingOrder::new(hold, now));
+        let is_other = |closure: &&ClosureNotice| self.closures.iter().all(|known| known.part != closure.part);
+        let others = notice.closures.iter().filter(is_other).cloned();
+        self.unconfirmed_closures = others.map(|closure| StandingClosure::new(closure, now)).collect();
+        let of_closures = self.unconfirmed_closures.iter_mut().map(|closure| &mut closure.order);
+        self.unconfirmed_hold.iter_mut().chain(of_closures).for_each(|order| order.end_by(end));
     }
 
     /// Accepts any position from now on: the ledger of a new leader contains everything that was committed before, and
@@ -109,7 +125,7 @@ impl StandingOrders {
         let end = now + FIRST_NOTICE_WAIT;
         let of_closures = self.closures.iter_mut().map(|closure| &mut closure.order);
         for order in self.hold.iter_mut().chain(&mut self.maintenance).chain(&mut self.stay).chain(of_closures) {
-            order.until = Some(order.until.map_or(end, |until| until.min(end)));
+            order.end_by(end);
         }
     }
 
@@ -139,7 +155,7 @@ impl StandingOrders {
     }
 
     fn closures_in_force(&self, now: NodeTime) -> impl Iterator<Item = &StandingClosure> {
-        self.closures.iter().filter(move |closure| closure.order.is_in_force(now))
+        self.closures.iter().chain(&self.unconfirmed_closures).filter(move |closure| closure.order.is_in_force(now))
     }
 
     /// Returns the order for which the robot takes no role, as text; `None` if there is none.
@@ -216,6 +232,25 @@ mod tests {
         assert!(orders.is_held(at(60_000)));
         orders.receive(notice(8, None), at(60_000));
         assert!(!orders.is_held(at(60_000)));
+    }
+
+    #[test]
+    fn an_unconfirmed_notice_closes_for_a_short_time_and_opens_nothing() {
+        let closure = |name: &str| {
+            let order = OrderNotice { text: "closed by Nia".to_owned(), remaining_ms: None };
+            ClosureNotice { part: ClosedPart::of_place(name.parse().unwrap()), order, until_ms: None }
+        };
+        let closed = |orders: &StandingOrders, ms| orders.closure_texts(at(ms)).join(", ");
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { closures: vec![closure("Ward")], ..notice(7, None) }, at(0));
+        let unconfirmed = OrdersNotice { closures: vec![closure("Ward"), closure("Hall")], ..notice(8, None) };
+        orders.receive_unconfirmed(&unconfirmed, at(0));
+        assert_eq!(closed(&orders, 2_999), "Ward is closed by Nia, Hall is closed by Nia");
+        assert_eq!(closed(&orders, 3_000), "Ward is closed by Nia");
+        orders.receive_unconfirmed(&notice(9, None), at(5_000));
+        assert_eq!(closed(&orders, 5_000), "Ward is closed by Nia");
+        orders.receive(OrdersNotice { closures: vec![closure("Hall")], ..notice(8, None) }, at(6_000));
+        assert_eq!(closed(&orders, 60_000), "Hall is closed by Nia");
     }
 
     #[test]

@@ -36,12 +36,12 @@ impl RobotState {
         None
     }
 
-    /// Follows the orders of a node with this standing. A hold counts for a short time although the voters have not
-    /// confirmed the node: a robot that reaches few voters must not act against it.
+    /// Follows the orders of a node with this standing. A hold and closures count for a short time although the voters
+    /// have not confirmed the node: a robot that reaches few voters must not act against them.
     pub(super) fn follow_orders_of(&mut self, standing: Standing, orders: OrdersNotice, now: NodeTime) {
         match standing {
             Standing::Confirmed => self.follow_orders(orders, now),
-            Standing::Unconfirmed => self.hold_for_now(&orders, now),
+            Standing::Unconfirmed => self.follow_for_now(&orders, now),
             Standing::Refuted => {}
         }
     }
@@ -116,9 +116,10 @@ impl RobotState {
         self.stop_if_held(now);
     }
 
-    /// Lets the robot stand still by a hold of a node that may be the coordinator.
-    fn hold_for_now(&mut self, orders: &OrdersNotice, now: NodeTime) {
+    /// Follows a hold and closures of a node that may be the coordinator.
+    fn follow_for_now(&mut self, orders: &OrdersNotice, now: NodeTime) {
         self.orders.receive_unconfirmed(orders, now);
+        self.driver.set_closures(self.orders.closed(now));
         self.stop_if_held(now);
     }
 
