@@ -12,18 +12,13 @@ fn drifting(time: Duration) -> Duration {
     time + time / 10
 }
 
-/// Returns the longest time until a robot has received an order or has stopped: each renewal of its lease contains it.
-pub(crate) fn received_within(lease: Duration) -> Duration {
-    drifting(lease) + DELIVERY
-}
-
 /// Returns the longest time until a held robot is at rest. No command permits more than the lease from before the hold.
 pub(crate) fn stops_within(lease: Duration) -> Duration {
     drifting(lease).max(CLIENT_TIMEOUT) + LEASE_REACTION + DELIVERY
 }
 
-/// Returns the longest time until a robot enters nothing that is closed. Its body may follow the latest command from
-/// before the robot received the closure.
+/// Returns the longest time until a robot enters nothing that is closed. Each renewal of its lease contains the closure,
+/// and its body may follow the latest command from before.
 pub(crate) fn heeds_closures_within(lease: Duration) -> Duration {
-    received_within(lease) + drifting(CLIENT_TIMEOUT) + LEASE_REACTION
+    drifting(lease) + DELIVERY + drifting(CLIENT_TIMEOUT) + LEASE_REACTION
 }

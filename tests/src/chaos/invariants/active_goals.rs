@@ -28,32 +28,27 @@ pub(super) struct ActiveGoal {
 }
 
 impl ActiveGoals {
-    /// Follows the events of nodes. Returns the robot that acted in a role until now, if it no longer does.
-    pub(super) fn observe(&mut self, at: Duration, entry: &Observation) -> Option<RobotId> {
-        let (node, before) = (entry.node(), self.roles.len());
-        match entry {
-            Observation::TestAction { action, .. } => {
-                if matches!(*action, "killed" | "ended" | "left") {
-                    self.roles.retain(|(robot, ..)| robot != node);
-                }
-                if node.as_str() == WORLD {
-                    self.server_changed = at;
-                }
+    /// Follows the events of nodes, and what the test did to them.
+    pub(super) fn observe(&mut self, at: Duration, entry: &Observation) {
+        let node = entry.node();
+        if let Observation::TestAction { action, .. } = entry {
+            if matches!(*action, "killed" | "ended" | "left") {
+                self.roles.retain(|(robot, ..)| robot != node);
             }
-            _ => self.follow_role(node, entry.event_kind()?),
+            if node.as_str() == WORLD {
+                self.server_changed = at;
+            }
         }
-        (self.roles.len() < before).then(|| RobotId::from(node.clone()))
-    }
-
-    fn follow_role(&mut self, node: &NodeId, event: &EventKind) {
-        match event {
-            EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role } => {
+        match entry.event_kind() {
+            Some(EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role }) => {
                 self.roles.insert((node.clone(), mission.clone(), role.clone()));
             }
-            EventKind::Suspended { mission, role }
-            | EventKind::GaveUp { mission, role, .. }
-            | EventKind::TaskFailed { mission, role, .. }
-            | EventKind::Halted { mission, role, .. } => {
+            Some(
+                EventKind::Suspended { mission, role }
+                | EventKind::GaveUp { mission, role, .. }
+                | EventKind::TaskFailed { mission, role, .. }
+                | EventKind::Halted { mission, role, .. },
+            ) => {
                 self.roles.remove(&(node.clone(), mission.clone(), role.clone()));
             }
             _ => {}
