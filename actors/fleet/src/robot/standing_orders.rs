@@ -14,7 +14,7 @@ use std::time::Duration;
 /// notice.
 const FIRST_NOTICE_WAIT: Duration = Duration::from_secs(10);
 
-/// Time for which a robot follows a hold or a closure that is not confirmed. The coordinator repeats it more often.
+/// Least time for which a robot follows a hold or a closure that is not confirmed. The coordinator repeats it more often.
 const UNCONFIRMED_ORDER: Duration = Duration::from_secs(3);
 
 /// Orders of people to this robot.
@@ -96,9 +96,9 @@ impl StandingOrders {
     }
 
     /// Receives orders from a node that may be the coordinator: a hold and closures count for a short time, and nothing
-    /// else.
-    pub(super) fn receive_unconfirmed(&mut self, notice: &OrdersNotice, now: NodeTime) {
-        let end = now + UNCONFIRMED_ORDER;
+    /// else. They outlast the `lease` that the robot may have received with them.
+    pub(super) fn receive_unconfirmed(&mut self, notice: &OrdersNotice, lease: Duration, now: NodeTime) {
+        let end = now + UNCONFIRMED_ORDER.max(lease);
         self.unconfirmed_hold = notice.hold.clone().map(|hold| StandingOrder::new(hold, now));
         let is_other = |closure: &&ClosureNotice| self.closures.iter().all(|known| known.part != closure.part);
         let others = notice.closures.iter().filter(is_other).cloned();
@@ -170,6 +170,8 @@ mod tests {
     use super::super::test_values::at;
     use super::*;
 
+    const LEASE: Duration = Duration::from_secs(1);
+
     fn order(text: &str, remaining_ms: Option<u64>) -> Option<OrderNotice> {
         Some(OrderNotice { text: text.to_owned(), remaining_ms })
     }
@@ -225,13 +227,15 @@ mod tests {
     fn an_unconfirmed_notice_holds_for_a_short_time_and_releases_nothing() {
         let mut orders = StandingOrders::default();
         let hold = || order("held by Nia", None);
-        orders.receive_unconfirmed(&notice(u64::MAX, hold()), at(0));
+        orders.receive_unconfirmed(&notice(u64::MAX, hold()), LEASE, at(0));
         assert!(orders.is_held(at(2_999)) && !orders.is_held(at(3_000)));
         orders.receive(notice(7, hold()), at(5_000));
-        orders.receive_unconfirmed(&notice(u64::MAX, None), at(5_000));
+        orders.receive_unconfirmed(&notice(u64::MAX, None), LEASE, at(5_000));
         assert!(orders.is_held(at(60_000)));
         orders.receive(notice(8, None), at(60_000));
         assert!(!orders.is_held(at(60_000)));
+        orders.receive_unconfirmed(&notice(u64::MAX, hold()), Duration::from_secs(4), at(60_000));
+        assert!(orders.is_held(at(63_999)) && !orders.is_held(at(64_000)), "as long as a longer lease");
     }
 
     #[test]
@@ -244,10 +248,10 @@ mod tests {
         let mut orders = StandingOrders::default();
         orders.receive(OrdersNotice { closures: vec![closure("Ward")], ..notice(7, None) }, at(0));
         let unconfirmed = OrdersNotice { closures: vec![closure("Ward"), closure("Hall")], ..notice(8, None) };
-        orders.receive_unconfirmed(&unconfirmed, at(0));
+        orders.receive_unconfirmed(&unconfirmed, LEASE, at(0));
         assert_eq!(closed(&orders, 2_999), "Ward is closed by Nia, Hall is closed by Nia");
         assert_eq!(closed(&orders, 3_000), "Ward is closed by Nia");
-        orders.receive_unconfirmed(&notice(9, None), at(5_000));
+        orders.receive_unconfirmed(&notice(9, None), LEASE, at(5_000));
         assert_eq!(closed(&orders, 5_000), "Ward is closed by Nia");
         orders.receive(OrdersNotice { closures: vec![closure("Hall")], ..notice(8, None) }, at(6_000));
         assert_eq!(closed(&orders, 60_000), "Hall is closed by Nia");
