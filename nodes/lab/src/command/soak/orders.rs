@@ -160,3 +160,28 @@ async fn give_orders(client: RecordingClient, seed: u64, mut end: watch::Receive
 async fn ends_within(end: &mut watch::Receiver<bool>, for_ms: u64) -> bool {
     timeout(Duration::from_millis(for_ms), end.wait_for(|end| *end)).await.is_ok()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::api::{CloseRequest, HoldRequest, OpenRequest, ReleaseRequest};
+
+    #[test]
+    fn requests_are_those_of_the_api() {
+        let [(begin, hold), (finish, release)] = Subject::Robots(vec![slug("ada")]).requests();
+        assert_eq!((begin, finish), (ApiCall::Hold, ApiCall::Release));
+        let longest_ms = u64::from(serde_json::from_value::<HoldRequest>(hold).unwrap().for_s.unwrap()) * 1_000;
+        assert!(longest_ms > IN_FORCE_MS.end, "the person ends the hold");
+        serde_json::from_value::<ReleaseRequest>(release).unwrap();
+        let [(begin, close), (finish, open)] = Subject::Place(slug("Crossing")).requests();
+        assert_eq!((begin, finish), (ApiCall::Close, ApiCall::Open));
+        serde_json::from_value::<CloseRequest>(close).unwrap();
+        serde_json::from_value::<OpenRequest>(open).unwrap();
+    }
+
+    #[test]
+    fn the_closed_places_are_on_the_map() {
+        let map = consort_world::map::shipped("hospital").expect("it is shipped");
+        assert!(ROOMS.into_iter().chain(CORRIDORS).all(|place| map.place(&slug(place)).is_some()));
+    }
+}
