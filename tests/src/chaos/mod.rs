@@ -41,7 +41,6 @@ pub use chaos_fleet::{ChaosFleet, UserParticipants, user_missions};
 pub use closures::FIRST_SEED as FIRST_SEED_WITH_CLOSURES;
 pub use fault_kind::{FaultKind, UnknownFaultKind};
 pub use generate::generate;
-pub use orders::FIRST_SEED as FIRST_SEED_WITH_ORDERS;
 pub use run::{RunConfig, RunOutcome, Violation, run};
 pub use schedule::{ChaosAction, ClosureAction, OrderAction, Schedule, ScheduledAction};
 pub use schedule_check::{ScheduleError, ScheduleProblem};
