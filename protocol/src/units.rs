@@ -114,6 +114,12 @@ quantities! {
         { "type": "number", "exclusiveMinimum": 0 };
 }
 
+/// Returns the sum of two numbers of 0 or more, at most the largest number: estimates of other nodes may be any number, and
+/// no node can decode an infinite quantity.
+fn finite_sum(one: f64, other: f64) -> f64 {
+    (one + other).min(f64::MAX)
+}
+
 impl Metres {
     /// No distance.
     pub const ZERO: Metres = Metres(0.0);
@@ -139,13 +145,13 @@ impl Seconds {
 impl Add for Seconds {
     type Output = Seconds;
     fn add(self, other: Seconds) -> Seconds {
-        Seconds(self.0 + other.0)
+        Seconds(finite_sum(self.0, other.0))
     }
 }
 
 impl AddAssign for Seconds {
     fn add_assign(&mut self, other: Seconds) {
-        self.0 += other.0;
+        self.0 = finite_sum(self.0, other.0);
     }
 }
 
@@ -187,13 +193,13 @@ impl Default for Energy {
 impl Add for Energy {
     type Output = Energy;
     fn add(self, other: Energy) -> Energy {
-        Energy(self.0 + other.0)
+        Energy(finite_sum(self.0, other.0))
     }
 }
 
 impl AddAssign for Energy {
     fn add_assign(&mut self, other: Energy) {
-        self.0 += other.0;
+        self.0 = finite_sum(self.0, other.0);
     }
 }
 
@@ -300,6 +306,18 @@ mod tests {
         assert!(serde_json::from_str::<BatteryShare>("1.5").is_err());
         let error = MetresPerSecond::new(0.0).unwrap_err().to_string();
         assert_eq!(error, "0 is not a speed: allowed is a finite number of metres per second above 0");
+    }
+
+    #[test]
+    fn sums_of_large_estimates_are_finite() {
+        let (time, energy) = (Seconds::new(f64::MAX).unwrap(), Energy::new(f64::MAX).unwrap());
+        let (mut times, mut energies) = (time + time, energy + energy);
+        assert_eq!((times, energies), (time, energy));
+        times += time;
+        energies += energy;
+        assert_eq!((times, energies), (time, energy));
+        let sums: (Seconds, Energy) = ([time, time].into_iter().sum(), [energy, energy].into_iter().sum());
+        assert_eq!(sums, (time, energy));
     }
 
     #[test]

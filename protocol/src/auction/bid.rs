@@ -327,7 +327,8 @@ impl Bid {
     pub(super) fn cost(&self, objective: Objective) -> f64 {
         let planned = self.planned.as_ref();
         let (delay_s, detour) = planned.map_or((0.0, 0.0), |planned| (planned.delay_sum_s(), planned.detour_energy));
-        objective.cost(self.time.get() + delay_s, self.energy + detour).clamp(0.0, COST_MAX)
+        let cost = objective.cost(self.time.get() + delay_s, self.energy + detour);
+        if cost.is_nan() { COST_MAX } else { cost.clamp(0.0, COST_MAX) }
     }
 
     /// Checks the bid against the limits: the time limit, and a remaining charge above both the

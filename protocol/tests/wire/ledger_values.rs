@@ -73,7 +73,11 @@ pub(crate) fn timelines() -> impl Strategy<Value = Timelines> {
     ];
     let promised = (name(), role_of_mission(), span(), option::of(seconds()))
         .prop_map(|(robot, role, span, slack)| PromisedRole { robot, role, span, slack });
-    (objective, vec(promised, 0..3)).prop_map(|(objective, promised)| Timelines { objective, promised })
+    (objective, vec(promised, 0..3), btree_set(name(), 0..3)).prop_map(|(objective, promised, startable)| Timelines {
+        objective,
+        promised,
+        startable,
+    })
 }
 
 pub(crate) fn bid() -> impl Strategy<Value = Bid> {

@@ -246,6 +246,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
                     span: span(),
                     slack: Some(Seconds::new(60.0).expect("a time")),
                 }],
+                startable: [slug("r1")].into(),
             },
         }),
         encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),

@@ -93,16 +93,19 @@ impl Auctions {
         let (number, hopeless) = previous.unwrap_or((1, 0));
         let auction = AuctionId { mission: mission.clone(), term: context.term, round: number };
         let settings = &context.settings;
-        let PromiseTerms { objective, delay_max, .. } = settings.auctions.promises;
-        let call = context.read_ledger(|ledger| {
-            let call = ledger.mission(mission)?.call_for_bids(auction)?;
-            let timelines = Timelines { objective, promised: ledger.promised_roles(mission, delay_max) };
-            Some(CallForBids { timelines, ..call })
-        });
-        let Some(call) = call else { return };
         let robots = |nodes: BTreeSet<NodeId>| nodes.into_iter().map(RobotId::from).collect();
         let members = live_members(settings, now).into_iter().map(|(name, nodes)| (name, robots(nodes))).collect();
-        let invitation = Invitation::of(&call.ensembles, &members);
+        let PromiseTerms { objective, delay_max, .. } = settings.auctions.promises;
+        let called = context.read_ledger(|ledger| {
+            let entry = ledger.mission(mission)?;
+            let call = entry.call_for_bids(auction)?;
+            let invitation = Invitation::of(&call.ensembles, &members);
+            let promised = ledger.promised_roles(mission, delay_max, &invitation.robots);
+            let startable = call.roles.keys().filter(|role| entry.can_proceed(role)).cloned().collect();
+            let timelines = Timelines { objective, promised, startable };
+            Some((CallForBids { timelines, ..call }, invitation))
+        });
+        let Some((call, invitation)) = called else { return };
         context.publish_event(EventKind::BidsRequested {
             mission: mission.clone(),
             roles: call.roles.keys().cloned().collect(),

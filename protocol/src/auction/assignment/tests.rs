@@ -36,6 +36,16 @@ fn a_robot_fills_only_1_role_even_if_it_is_fastest_for_both() {
 }
 
 #[test]
+fn a_bid_without_a_cost_is_the_last() {
+    let endless = Bid { energy: f64::INFINITY, ..bid("ada", "r1", 10.0) };
+    let bids = [endless, Bid { energy: f64::NAN, ..bid("bob", "r1", 10.0) }, bid("cyd", "r1", 90.0)];
+    for objective in [Objective::EarliestEnd, Objective::LeastEnergy] {
+        let picks = optimal_assignment(&roles(&["r1"]), &BTreeSet::new(), &bids, objective).unwrap();
+        assert_eq!(picks.into_values().collect::<Vec<_>>(), [2], "{objective:?}");
+    }
+}
+
+#[test]
 fn a_tie_is_resolved_by_the_order_of_names() {
     let bids = [bid("cyd", "r1", 10.0), bid("bob", "r1", 10.0), bid("ada", "r1", 10.000_001)];
     assert_eq!(chosen(&["r1"], &bids).unwrap(), ["bob"]);

@@ -113,7 +113,7 @@ fn the_objective_decides_between_time_and_energy() {
     let invitation = invited(&["ada", "bob"]);
     let responses = [bids_with_energy("ada", 9.0, 0.5, 0.2), bids_with_energy("bob", 12.0, 0.5, 0.1)];
     let winner = |objective| {
-        let call = CallForBids { timelines: Timelines { objective, promised: vec![] }, ..call() };
+        let call = CallForBids { timelines: Timelines { objective, ..Timelines::default() }, ..call() };
         let outcome = clear_auction(&call, &responses, &context(&invitation, &BTreeMap::new(), &NO_EXCLUDED));
         outcome.holders.unwrap()[&role()].to_string()
     };

@@ -12,10 +12,12 @@
 
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId};
+use crate::mission::ROLES_MAX;
 use crate::timeline::{Job, Timeline, Travel, Window};
 use crate::units::{Energy, Seconds, SharePerSecond};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Seconds for which a full battery counts with [`Objective::LeastEnergy`]: time decides between equal energies only.
 const BATTERY_S: f64 = 1e6;
@@ -78,7 +80,8 @@ pub struct PromisedRole {
     pub role: RoleOfMission,
     /// Its tasks.
     pub span: RoleSpan,
-    /// Time by which the role may be delayed; `None` for any.
+    /// Time by which the role may be delayed; `None` for any. Such roles are the last ones: their missions have a lower
+    /// priority.
     pub slack: Option<Seconds>,
 }
 
@@ -91,6 +94,10 @@ pub struct Timelines {
     /// that it has promised.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub promised: Vec<PromisedRole>,
+    /// Roles of the call that can start now. A free robot bids for such a role before all that it has promised, since its
+    /// promised roles cannot start yet.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
+    pub startable: BTreeSet<RoleId>,
 }
 
 /// Position of a role in the timeline of a robot.
@@ -147,6 +154,8 @@ pub struct TimelineStart<'a> {
     pub time: Seconds,
     /// Discharge while it drives.
     pub discharge: SharePerSecond,
+    /// The role comes before all promised roles: it can start, and they cannot.
+    pub comes_first: bool,
 }
 
 /// Best insertion of a role.
@@ -161,7 +170,8 @@ pub struct RoleInsertion {
 }
 
 /// Returns the insertion of a role with the least marginal cost; the last of those that are equal to a millisecond,
-/// which delays the fewest roles. Returns `None` without a position at which all roles can be reached.
+/// which delays the fewest roles. Returns `None` without a position at which all roles can be reached, and before all roles
+/// of a lower priority.
 pub fn insert_role(
     start: TimelineStart<'_>,
     promised: &[&PromisedRole],
@@ -175,18 +185,22 @@ pub fn insert_role(
         promised.iter().enumerate().map(|(index, promised)| job(index, &promised.span)).collect();
     let planned = empty().with_jobs(jobs, &travel);
     let promise = |((job, begin_s), promised): ((&Job<usize, Option<PlaceId>>, f64), &&PromisedRole)| {
-        let latest_s = promised.slack.map_or(f64::INFINITY, |slack| begin_s + slack.get());
+        let slack = promised.slack.filter(|_| !start.comes_first);
+        let latest_s = slack.map_or(f64::INFINITY, |slack| begin_s + slack.get());
         Job { window: Window { latest_s, ..Window::ANY }, ..job.clone() }
     };
     let jobs: Vec<_> = planned.begins().zip(promised).map(promise).collect();
     let timeline = empty().with_jobs(jobs, &travel);
     let delayed = |position: usize| u32::try_from(promised.len() - position).unwrap_or(u32::MAX);
+    let before_lower = promised.iter().position(|promised| promised.slack.is_none()).unwrap_or(promised.len());
+    let last = if start.comes_first { 0 } else { before_lower };
     let found = timeline.cheapest_insertion(&job(promised.len(), &span), &travel, |found| {
         let delays_s = found.delay_s * f64::from(delayed(found.position));
         let energy = span.energy.get() + discharge * found.added_travel_s;
         let cost = objective.cost(found.begin_s + span.time.get() + delays_s, energy);
-        ((cost * 1e3).round(), delayed(found.position))
-    })?;
+        (found.position > last, (cost * 1e3).round(), delayed(found.position))
+    });
+    let found = found.filter(|found| found.position <= last)?;
     let (before, after) = promised.split_at(found.position);
     let ended = found.position.checked_sub(1).and_then(|last| timeline.begins().nth(last));
     let free_s = ended.map_or(start.time.get(), |(job, begin_s)| begin_s + job.duration_s);

@@ -41,7 +41,7 @@ fn promise(number: usize, span: RoleSpan, slack: Option<u8>) -> PromisedRole {
 fn insert(promised: &[PromisedRole], span: RoleSpan, objective: Objective) -> Option<RoleInsertion> {
     let start = place(0);
     let discharge = SharePerSecond::new(DISCHARGE).unwrap();
-    let start = TimelineStart { place: &start, time: seconds(5), discharge };
+    let start = TimelineStart { place: &start, time: seconds(5), discharge, comes_first: false };
     insert_role(start, &promised.iter().collect::<Vec<_>>(), span, objective, &Line)
 }
 
@@ -65,8 +65,8 @@ fn position(promised: &[PromisedRole], found: &RoleInsertion) -> usize {
 }
 
 proptest! {
-    /// No position within the bounds on delays costs less, and the cost is the difference between the cost with the
-    /// role and without.
+    /// No position within the bounds on delays, and before roles of a lower priority, costs less, and the cost is the
+    /// difference between the cost with the role and without.
     #[test]
     fn the_insertion_has_the_least_marginal_cost(
         promised in prop::collection::vec((0_u8..40, 0_u8..40, 0_u8..30, prop::option::of(0_u8..90)), 0..6),
@@ -77,6 +77,9 @@ proptest! {
             Just(Objective::Weighted { battery_s: Seconds::new(500.0).unwrap() }),
         ],
     ) {
+        let mut promised = promised;
+        promised.sort_by_key(|(.., slack)| slack.is_none());
+        let last = promised.iter().filter(|(.., slack)| slack.is_some()).count();
         let promised: Vec<PromisedRole> = promised.into_iter().enumerate()
             .map(|(number, (from, to, time, slack))| promise(number, moving(from, to, time), slack)).collect();
         let new = moving(new.0, new.1, new.2);
@@ -93,7 +96,7 @@ proptest! {
             let breaks_promise = later.iter().zip(&begins).zip(&promised).any(is_late);
             (!breaks_promise).then(|| objective.cost(ends_after - ends, energy_after - energy))
         };
-        let least = (0..=promised.len()).filter_map(marginal_cost).min_by(f64::total_cmp).expect("the last one");
+        let least = (0..=last).filter_map(marginal_cost).min_by(f64::total_cmp).expect("the last one");
         let found = insert(&promised, new.clone(), objective).expect("all places can be reached");
         let position = position(&promised, &found);
         let cost = marginal_cost(position);
@@ -139,7 +142,7 @@ fn a_promise_is_not_delayed_beyond_its_bound() {
 #[test]
 fn the_objective_decides() {
     // The short role is nearer to the end of the long role, and earlier before it.
-    let promised = [promise(1, span(30, 50, 60), None)];
+    let promised = [promise(1, span(30, 50, 60), Some(60))];
     let new = span(40, 40, 1);
     let earliest = insert(&promised, new.clone(), Objective::EarliestEnd).unwrap();
     let least = insert(&promised, new, Objective::LeastEnergy).unwrap();
@@ -150,7 +153,7 @@ fn the_objective_decides() {
 fn an_insertion_that_saves_nothing_comes_last() {
     let still = |time| RoleSpan { from: None, to: None, time, energy: Energy::ZERO };
     let third = Seconds::new(10.0 / 3.0).unwrap();
-    let promised = [promise(1, still(third), None), promise(2, still(third), None)];
+    let promised = [promise(1, still(third), Some(60)), promise(2, still(third), Some(60))];
     let found = insert(&promised, still(third), Objective::EarliestEnd).unwrap();
     assert_eq!(position(&promised, &found), 2);
 }
@@ -158,7 +161,26 @@ fn an_insertion_that_saves_nothing_comes_last() {
 #[test]
 fn roles_without_a_drive_need_no_places() {
     let still = |time| RoleSpan { from: None, to: None, time: seconds(time), energy: Energy::ZERO };
-    let promised = [promise(1, still(10), None), promise(2, still(2), None)];
+    let promised = [promise(1, still(10), Some(60)), promise(2, still(2), Some(60))];
     let found = insert(&promised, still(5), Objective::EarliestEnd).unwrap();
     assert_eq!((position(&promised, &found), found.from.as_str()), (0, "0"));
+}
+
+#[test]
+fn a_role_comes_before_all_of_a_lower_priority() {
+    // It would cost least at the end.
+    let promised = [promise(1, span(0, 0, 1), Some(60)), promise(2, span(0, 0, 1), None)];
+    let found = insert(&promised, span(40, 40, 60), Objective::EarliestEnd).unwrap();
+    assert_eq!(position(&promised, &found), 1);
+}
+
+#[test]
+fn a_role_that_can_start_comes_first_whatever_it_delays() {
+    let promised = [promise(1, span(30, 30, 10), Some(1))];
+    let promised: Vec<&PromisedRole> = promised.iter().collect();
+    let (free, discharge) = (place(0), SharePerSecond::new(DISCHARGE).unwrap());
+    let start = TimelineStart { place: &free, time: seconds(0), discharge, comes_first: true };
+    let found = insert_role(start, &promised, span(40, 40, 60), Objective::EarliestEnd, &Line).unwrap();
+    assert_eq!(found.planned.before.as_ref(), Some(&promised[0].role));
+    assert_eq!((found.from.as_str(), found.planned.start, found.planned.delay), ("0", seconds(0), seconds(80)));
 }

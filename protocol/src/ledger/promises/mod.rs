@@ -167,13 +167,20 @@ impl Ledger {
         promises
     }
 
-    /// Returns the promised roles for a call for bids of a mission. It contains all promises of a robot or none: those
-    /// of a robot are left out if the estimate of one is unknown, or if there is no room. A promise may be delayed up to
+    /// Returns the promised roles of these robots for a call for bids of a mission. It contains all promises of a robot or
+    /// none: those of a robot are left out if the estimate of one is unknown, or if there is no room; the robots that have
+    /// promised the least time come first, since they are likely to get the role. A promise may be delayed up to
     /// `delay_max` in all; by a mission of higher priority without a bound, and by one of lower priority not at all.
-    pub fn promised_roles(&self, mission: &MissionId, delay_max: Seconds) -> Vec<PromisedRole> {
+    pub fn promised_roles(
+        &self,
+        mission: &MissionId,
+        delay_max: Seconds,
+        invited: &BTreeSet<RobotId>,
+    ) -> Vec<PromisedRole> {
         let Some(called) = self.mission(mission) else { return vec![] };
         let mut queues: BTreeMap<&RobotId, Vec<Option<PromisedRole>>> = BTreeMap::new();
-        for (entry, role, promise) in self.promises_in_order() {
+        let promises = self.promises_in_order().into_iter().filter(|(.., promise)| invited.contains(&promise.robot));
+        for (entry, role, promise) in promises {
             let slack = match entry.submission.priority.cmp(&called.submission.priority) {
                 Ordering::Less => None,
                 Ordering::Equal => Some(delay_max.get() - promise.delayed.get()),
@@ -187,9 +194,12 @@ impl Ledger {
             });
             queues.entry(&promise.robot).or_default().push(promised);
         }
-        let mut room = PROMISED_BYTES_MAX;
         let known = queues.into_values().filter_map(|queue| queue.into_iter().collect::<Option<Vec<_>>>());
-        let fits = known.filter(|queue| {
+        let mut known: Vec<Vec<PromisedRole>> = known.collect();
+        let time_s = |queue: &[PromisedRole]| queue.iter().map(|promised| promised.span.time.get()).sum::<f64>();
+        known.sort_by(|one, other| time_s(one).total_cmp(&time_s(other)));
+        let mut room = PROMISED_BYTES_MAX;
+        let fits = known.into_iter().filter(|queue| {
             let left = room.checked_sub(codec::encoded_size(queue));
             room = left.unwrap_or(room);
             left.is_some()

@@ -77,6 +77,12 @@ impl Log {
         assert!(matches!(outcome, CommandOutcome::Awarded { .. }), "{outcome:?}");
     }
 
+    /// Returns the promised roles in a call of a mission to these robots; 60 s of delay are permitted.
+    fn promised_roles(&self, mission: &MissionId, invited: &[&str]) -> Vec<PromisedRole> {
+        let invited = invited.iter().map(|name| robot(name)).collect();
+        self.0.promised_roles(mission, Seconds::new(60.0).unwrap(), &invited)
+    }
+
     /// Returns the missions of the promises of a robot in their order, with the delay of each.
     fn promises_of(&self, robot: &str) -> Vec<(MissionId, f64)> {
         let promises = self.0.promises_in_order().into_iter().filter(|(.., promise)| promise.robot.as_str() == robot);
@@ -173,7 +179,7 @@ fn a_promise_is_inserted_before_another_within_its_bound() {
     assert_eq!(log.promises_of("arm"), of(&[(first, 0.0), (second, 0.0)]));
     log.insert(third, "arm", second, 40.0);
     assert_eq!(log.promises_of("arm"), of(&[(first, 0.0), (third, 0.0), (second, 40.0)]));
-    let sent = log.0.promised_roles(fourth, Seconds::new(60.0).unwrap());
+    let sent = log.promised_roles(fourth, &["arm"]);
     assert!(sent.is_empty(), "the estimates of two promises are unknown: {sent:?}");
     // It would delay the second mission by 70 s in all.
     log.insert(fourth, "arm", first, 30.0);
@@ -186,11 +192,30 @@ fn a_call_for_bids_contains_the_promises_in_their_order() {
     let [first, second, third] = &missions[..] else { panic!() };
     log.insert(first, "arm", third, 20.0);
     log.insert(second, "arm", first, 40.0);
-    let sent = log.0.promised_roles(third, Seconds::new(60.0).unwrap());
+    let sent = log.promised_roles(third, &["arm"]);
     let slack: Vec<_> = sent.iter().map(|promise| (&promise.role.mission, promise.slack.map(Seconds::get))).collect();
     assert_eq!(slack, [(second, Some(60.0)), (first, Some(20.0))]);
     assert!(sent.iter().all(|promise| promise.robot.as_str() == "arm"));
     assert_eq!(sent[1].span.time.get(), 20.0);
+    assert_eq!(log.promised_roles(third, &["ada"]), [], "the arm is not called");
+}
+
+#[test]
+fn a_call_has_a_bounded_size_and_names_the_shortest_queues() {
+    const ROBOTS: usize = 1000;
+    let (mut log, missions) = Log::with_missions(ROBOTS + 1);
+    let names: Vec<String> = (0..ROBOTS).map(|number| format!("arm-with-a-name-of-some-length-{number:04}")).collect();
+    let (called, promised) = missions.split_last().unwrap();
+    for (index, (mission, robot)) in promised.iter().zip(&names).enumerate() {
+        // The last robots have promised the least.
+        log.insert(mission, robot, called, (ROBOTS - index) as f64);
+    }
+    let robots: Vec<&str> = names.iter().map(String::as_str).collect();
+    let sent = log.promised_roles(called, &robots);
+    assert!(codec::encoded_size(&sent) <= PROMISED_BYTES_MAX, "{} bytes", codec::encoded_size(&sent));
+    assert!(sent.len() > 50, "{} promises", sent.len());
+    let expected = robots.iter().rev().take(sent.len());
+    assert!(sent.iter().map(|promise| promise.robot.as_str()).eq(expected.copied()), "{sent:?}");
 }
 
 /// The robot may know the epoch of its promise, which permits nothing.

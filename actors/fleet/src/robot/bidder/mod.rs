@@ -143,8 +143,14 @@ impl Bidder {
             })
         };
         let budget = budget_from(&context)?;
-        let free_after = present.map_or(Seconds::ZERO, |present| present.role.time);
-        let RoleInsertion { from, ends_at, planned } = self.insert(call, plan, &budget, free_after, &context);
+        let start = TimelineStart {
+            place: &context.place,
+            time: present.map_or(Seconds::ZERO, |present| present.role.time),
+            discharge: context.discharge,
+            comes_first: present.is_none() && call.timelines.startable.contains(role),
+        };
+        let span = role_span(plan, &budget, &self.estimator, &context.place);
+        let RoleInsertion { from, ends_at, planned } = self.insert(call, span, start, &context);
         let context = EstimateContext { place: from.clone(), ..context };
         let budget = if planned.promised > 0 { budget_from(&context)? } else { budget };
         let (time, energy) = (budget.time(), budget.energy);
@@ -175,21 +181,18 @@ impl Bidder {
     fn insert(
         &self,
         call: &CallForBids,
-        plan: &LocalPlan,
-        budget: &PlanBudget,
-        free_after: Seconds,
+        span: RoleSpan,
+        start: TimelineStart<'_>,
         free: &EstimateContext,
     ) -> RoleInsertion {
-        let span = role_span(plan, budget, &self.estimator, &free.place);
         let own: Vec<&PromisedRole> =
             call.timelines.promised.iter().filter(|promised| promised.robot == self.robot).collect();
-        let start = TimelineStart { place: &free.place, time: free_after, discharge: free.discharge };
         let travel = EstimatedTravel { estimator: &self.estimator, context: free };
         let insert = || insert_role(start, &own, span.clone(), call.timelines.objective, &travel);
         (!own.is_empty()).then(insert).flatten().unwrap_or_else(|| RoleInsertion {
-            from: free.place.clone(),
+            from: start.place.clone(),
             ends_at: None,
-            planned: PlannedRole::alone(span, free_after),
+            planned: PlannedRole::alone(span, start.time),
         })
     }
 }

@@ -174,7 +174,7 @@ fn row_of_places() -> Estimator {
 }
 
 /// Returns the bid for a drive by a robot at A that has promised drives to these places, at 1 m/s.
-fn bid_beside(to: &str, promised: &[&str]) -> Bid {
+fn bid_beside(to: &str, promised: &[&str], is_startable: bool) -> Bid {
     let promise = |(number, place): (usize, &&str)| PromisedRole {
         robot: "ada".parse().unwrap(),
         role: RoleOfMission { mission: format!("m-{number}").parse().unwrap(), role: "r1".parse().unwrap() },
@@ -184,10 +184,11 @@ fn bid_beside(to: &str, promised: &[&str]) -> Bid {
             time: Seconds::ZERO,
             energy: Energy::ZERO,
         },
-        slack: None,
+        slack: Seconds::new(5.0).ok(),
     };
     let promised = promised.iter().enumerate().map(promise).collect();
-    let timelines = Timelines { objective: Objective::EarliestEnd, promised };
+    let startable = is_startable.then(|| "r1".parse().unwrap()).into_iter().collect();
+    let timelines = Timelines { objective: Objective::EarliestEnd, promised, startable };
     let worker = RobotKnowledge { place: "A".parse().unwrap(), ..robot_with(&["navigation"]) };
     let (readings, spec) =
         (BTreeMap::new(), json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": to } }));
@@ -205,10 +206,13 @@ fn a_robot_bids_for_the_best_position_among_its_promised_roles() {
         (bid.from.to_string(), bid.time.get(), planned.start.get(), before, planned.delay.get(), planned.promised)
     };
     let first = "m-0".to_owned();
-    let bid = bid_beside("B", &["D", "A"]);
+    let bid = bid_beside("B", &["D", "A"], false);
     assert_eq!(position(&bid), ("A".to_owned(), 10.0, 0.0, Some(first), 0.0, 2), "B is on the way to D");
     let planned = bid.planned.unwrap();
     assert!((planned.energy.get() - 0.05).abs() < 1e-9, "20 m to D and 30 m back: {planned:?}");
-    assert_eq!(position(&bid_beside("D", &["B"])), ("B".to_owned(), 20.0, 10.0, None, 0.0, 1));
-    assert_eq!(position(&bid_beside("C", &[])), ("A".to_owned(), 20.0, 0.0, None, 0.0, 0));
+    assert_eq!(position(&bid_beside("D", &["B"], false)), ("B".to_owned(), 20.0, 10.0, None, 0.0, 1));
+    assert_eq!(position(&bid_beside("C", &[], false)), ("A".to_owned(), 20.0, 0.0, None, 0.0, 0));
+    // The robot is free, and what it has promised cannot start.
+    let first = Some("m-0".to_owned());
+    assert_eq!(position(&bid_beside("D", &["B"], true)), ("A".to_owned(), 30.0, 0.0, first, 40.0, 1));
 }
