@@ -1,11 +1,14 @@
 //! Promises: missions that share a scarce robot.
 
 use crate::support::task_began;
+use consort_fleet::node::NodeSettings;
+use consort_protocol::auction::PromiseTerms;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{Ledger, RolePhase};
 use consort_protocol::message::FailureKind;
+use consort_protocol::units::Seconds;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::cell::Cell;
@@ -17,10 +20,16 @@ const ROOMS: [&str; 4] = ["IC Room 6", "PC Room 8", "PC Room 2", "IC Room 4"];
 
 /// Starts four carriers and the named arms.
 async fn fleet(seed: u64, arms: &[&str], stations: &[&str]) -> Fleet {
+    fleet_with(seed, arms, stations, PromiseTerms::default()).await
+}
+
+async fn fleet_with(seed: u64, arms: &[&str], stations: &[&str], terms: PromiseTerms) -> Fleet {
+    let adjust = Box::new(move |node: &mut NodeSettings| node.fleet.promises = terms);
     let carriers = [("amber", "PC Room 8"), ("birch", "IC Room 4"), ("fern", "Dock"), ("gorse", "PC Room 2")];
     let carriers = carriers.map(|(name, place)| RobotSpec::carrier(name, place));
     let arms = arms.iter().map(|name| RobotSpec::arm(name, "Laboratory").with_skills(&["pick_up", "wait"]));
-    let mut fleet = Fleet::hospital(seed, carriers.into_iter().chain(arms).collect(), stations, &ROOMS).await;
+    let robots = carriers.into_iter().chain(arms).collect();
+    let mut fleet = Fleet::adjusted_hospital(seed, robots, stations, &ROOMS, adjust).await;
     fleet.wait_for_coordinator().await;
     fleet
 }
@@ -198,8 +207,8 @@ fn a_robot_inserts_a_role_on_its_way_before_an_earlier_promise() {
 }
 
 /// Starts two arms, and missions that share them. Returns a robot with a promise.
-async fn sharing_two_arms(seed: u64) -> (Fleet, Vec<MissionId>, RobotId) {
-    let mut fleet = fleet(seed, &["lab-arm-1", "lab-arm-2"], &["aba", "bab", "cab"]).await;
+async fn sharing_two_arms(seed: u64, terms: PromiseTerms) -> (Fleet, Vec<MissionId>, RobotId) {
+    let mut fleet = fleet_with(seed, &["lab-arm-1", "lab-arm-2"], &["aba", "bab", "cab"], terms).await;
     let mut missions: Vec<MissionId> = vec![];
     for (request, room) in ["a", "b", "c", "d"].into_iter().zip(ROOMS) {
         let answer = fleet.request_answered(ApiCall::Submit, &drive_and_wait(room, request)).await;
@@ -223,7 +232,7 @@ async fn assert_complete_without(fleet: &mut Fleet, missions: &[MissionId], rele
 #[test]
 fn promises_of_a_lost_robot_pass_to_another() {
     for_each_seed(SEEDS, async |seed| {
-        let (mut fleet, missions, lost) = sharing_two_arms(seed).await;
+        let (mut fleet, missions, lost) = sharing_two_arms(seed, PromiseTerms::default()).await;
         fleet.kill(lost.as_str()).await;
         assert_complete_without(&mut fleet, &missions, &format!("{lost} was judged dead")).await;
     });
@@ -232,12 +241,38 @@ fn promises_of_a_lost_robot_pass_to_another() {
 #[test]
 fn promises_of_a_robot_in_maintenance_pass_to_another() {
     for_each_seed(SEEDS, async |seed| {
-        let (mut fleet, missions, arm) = sharing_two_arms(seed).await;
+        let (mut fleet, missions, arm) = sharing_two_arms(seed, PromiseTerms::default()).await;
         let begin = json!({ "robots": [arm], "action": "begin", "reason": "inspection", "by": "Nia" });
         let reply = fleet.request_answered(ApiCall::Maintenance, &begin).await;
         assert_eq!(reply["robots"][arm.as_str()]["maintenance"]["reason"], "inspection", "seed {seed}: {reply}");
         let released = format!("{arm} is in maintenance by Nia: inspection");
         assert_complete_without(&mut fleet, &missions, &released).await;
         assert!(!has_promises(&fleet, 1), "seed {seed}");
+    });
+}
+
+#[test]
+fn the_late_promise_of_a_held_robot_passes_to_another() {
+    for_each_seed(SEEDS, async |seed| {
+        let seconds = |number: f64| Seconds::new(number).expect("a time");
+        let terms = PromiseTerms { late_max: seconds(20.0), gain_min: seconds(1e6), ..PromiseTerms::default() };
+        let (mut fleet, missions, arm) = sharing_two_arms(seed, terms).await;
+        let reply = fleet.request_answered(ApiCall::Hold, &json!({ "robots": [arm], "for_s": 3600 })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        let is_late = format!("{arm} is late, and ");
+        let passed =
+            |what: &EventKind| matches!(what, EventKind::Released { cause, .. } if cause.starts_with(&is_late));
+        fleet.wait_until("another robot for the promise", 10 * SOON, |fleet| fleet.has_event(passed)).await;
+        fleet
+            .wait_until("the held robot to have no promises", 10 * SOON, |fleet| {
+                fleet.ledger(promised).is_some_and(|promised| !promised.contains(&arm))
+            })
+            .await;
+        let reply = fleet.request_answered(ApiCall::Release, &json!({ "robots": [arm] })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        for mission in &missions {
+            fleet.assert_completes(mission).await;
+        }
+        fleet.assert_exclusive_roles();
     });
 }

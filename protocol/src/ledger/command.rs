@@ -289,6 +289,25 @@ pub enum Command {
         /// The robots.
         robots: BTreeSet<RobotId>,
     },
+    /// Passes a promised role to another robot.
+    Reassign(Box<Reassignment>),
+}
+
+/// Change of the robot of a promised role, after an auction.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reassignment {
+    /// The mission.
+    pub mission: MissionId,
+    /// The role.
+    pub role: RoleId,
+    /// Epoch of the promise.
+    pub epoch: Epoch,
+    /// The other robot.
+    pub robot: RobotId,
+    /// Cause, as text.
+    pub cause: String,
+    /// Record of the auction. The role is awarded to the robot, unless it is among the promised roles of the record.
+    pub auction: AuctionRecord,
 }
 
 impl Command {
@@ -312,6 +331,7 @@ impl Command {
             | Command::SetQuestion { mission, .. }
             | Command::AwardPromised { mission, .. }
             | Command::Postpone { mission, .. } => Some(mission),
+            Command::Reassign(change) => Some(&change.mission),
             Command::AnswerPerson { request, .. }
             | Command::EscalatePersonRequest { request, .. }
             | Command::ExpirePersonRequest { request, .. } => Some(&request.mission),
@@ -569,6 +589,14 @@ pub enum CommandError {
         CLOSURES_BYTES_MAX
     )]
     ClosuresFull,
+    /// Others have acted on the promise of a role.
+    #[error("others have acted on {role} of {mission}")]
+    ActedOn {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+    },
 }
 
 /// Cause of a release.

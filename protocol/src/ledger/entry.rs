@@ -234,6 +234,21 @@ pub struct RoleAssignment {
     pub position: u32,
     /// Time by which roles that were inserted before it have delayed it.
     pub delayed: Seconds,
+    /// Time at which the robot is estimated to be free for the role, in milliseconds since 1970, with these delays.
+    pub planned_ms: u64,
+}
+
+impl RoleAssignment {
+    /// Delays a promised role by an insertion before it.
+    pub(super) fn delay(&mut self, time: Seconds) {
+        self.delayed += time;
+        self.planned_ms = later_ms(self.planned_ms, time);
+    }
+}
+
+/// Returns the time after another, in milliseconds since 1970.
+pub(super) fn later_ms(from_ms: u64, time: Seconds) -> u64 {
+    from_ms.saturating_add((time.get() * 1000.0).round() as u64)
 }
 
 impl MissionEntry {
@@ -349,7 +364,11 @@ impl MissionEntry {
     /// Returns the call for bids for the open roles; `None` if there are none to be auctioned now, or a plan is
     /// missing.
     pub fn call_for_bids(&self, auction: AuctionId) -> Option<CallForBids> {
-        let open = self.roles_to_auction();
+        self.call_for_roles(&self.roles_to_auction(), auction)
+    }
+
+    /// Returns the call for bids for these roles; `None` if there are none, or a plan is missing.
+    pub fn call_for_roles(&self, open: &BTreeSet<RoleId>, auction: AuctionId) -> Option<CallForBids> {
         if open.is_empty() {
             return None;
         }
@@ -409,6 +428,16 @@ impl MissionEntry {
         let Some(role) = self.roles.get(role) else { return };
         if let (RolePhase::Active | RolePhase::Ended, Some(holder)) = (role.phase, &role.holder) {
             self.energy_of_released += holder.energy;
+        }
+    }
+
+    /// Records a release of a role.
+    pub(super) fn add_release(&mut self, release: RoleRelease) {
+        self.releases.push(release);
+        self.release_count = self.release_count.saturating_add(1);
+        if self.releases.len() > RELEASES_KEPT {
+            let first = self.releases.iter().position(|released| !released.counts()).unwrap_or(0);
+            self.releases.remove(first);
         }
     }
 

@@ -89,6 +89,10 @@ impl Command {
             Command::AnswerPerson { answer, .. } => answer.limit(),
             Command::SetQuestion { question: asked, .. } => limit_text(&mut asked.question.message, TEXT_BYTES_MAX),
             Command::Award { auction, .. } | Command::Defer { auction, .. } => auction.limit(),
+            Command::Reassign(change) => {
+                limit_text(&mut change.cause, CAUSE_BYTES_MAX);
+                change.auction.limit();
+            }
             Command::Bootstrap { .. }
             | Command::Accept { .. }
             | Command::Progress { .. }

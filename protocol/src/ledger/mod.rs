@@ -64,7 +64,7 @@ pub use apply::Ledger;
 pub use audit_trail::{AuditAction, AuditEntry};
 pub use branch::Branch;
 pub use closure::{ClosedPart, Closure, ClosureChange};
-pub use command::{Command, CommandError, CommandOutcome};
+pub use command::{Command, CommandError, CommandOutcome, Reassignment};
 pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
 pub use history::Tombstone;
 pub use history_limits::HistoryLimits;

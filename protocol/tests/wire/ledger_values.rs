@@ -9,7 +9,7 @@ use consort_protocol::auction::{
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
     AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits,
-    MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId, Priority,
+    MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId, Priority, Reassignment,
     RecoveryBranch, Schedule, SchedulePause, ScheduleRule, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
@@ -200,6 +200,9 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(mission, branch, holders, auction)| Command::Award { mission, branch, holders, auction }),
         held().prop_map(|(mission, role, epoch)| Command::AwardPromised { mission, role, epoch }),
         held().prop_map(|(mission, role, epoch)| Command::Postpone { mission, role, epoch }),
+        (held(), name(), text(), auction_record()).prop_map(|((mission, role, epoch), robot, cause, auction)| {
+            Command::Reassign(Box::new(Reassignment { mission, role, epoch, robot, cause, auction }))
+        }),
         (name(), branch(), auction_record()).prop_map(|(mission, branch, auction)| Command::Defer {
             mission,
             branch,

@@ -19,7 +19,7 @@ use consort_protocol::knowledge::{
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
     AnswerContent, Branch, ClosedPart, ClosureChange, Command, Ledger, MissedOccurrences, OrderChange, OrderRequest,
-    PersonAnswer, PersonQuestion, PersonRequestId, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
+    PersonAnswer, PersonQuestion, PersonRequestId, Reassignment, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
 };
 use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope, Exchange,
@@ -305,7 +305,15 @@ fn ledger_commands() -> Vec<Command> {
     vec![
         Command::Bootstrap { cluster: ClusterId(1) },
         Command::Submit(Box::new(fleet::submission())),
-        Command::Award { mission: mission(), branch: Branch::default(), holders: given, auction: record },
+        Command::Award { mission: mission(), branch: Branch::default(), holders: given, auction: record.clone() },
+        Command::Reassign(Box::new(Reassignment {
+            mission: mission(),
+            role: slug("r1"),
+            epoch,
+            robot: slug("bob"),
+            cause: "it is late".to_owned(),
+            auction: record,
+        })),
         Command::AwardPromised { mission: mission(), role: slug("r1"), epoch: Epoch { term: 1, index: 5 } },
         Command::Postpone { mission: mission(), role: slug("r1"), epoch: Epoch { term: 1, index: 5 } },
         Command::Accept { mission: mission(), role: role.clone(), epoch, incarnation: 5, from_checkpoint: false },

@@ -1,6 +1,6 @@
 //! Auction rounds and actions of a leader session, as values.
 
-use super::message::{AwardedRole, CollectedBids};
+use super::message::{AwardedRole, CollectedBids, Reauction};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
@@ -71,6 +71,8 @@ pub(super) struct ClosedBidding {
 pub(super) enum CoordinatorAction {
     /// Call for bids for a mission's open roles.
     CallForBids(MissionId),
+    /// Call for bids for a promised role.
+    AuctionAgain(Reauction),
     /// Notify a robot of its award.
     NotifyAward(AwardedRole),
     /// Award a promised role to its robot, which is free.

@@ -1,18 +1,59 @@
 //! The auctioneer: sends a call for bids and collects the responses.
 
+use super::ensemble_members::live_members;
+use super::message::{CollectedBids, CoordinatorMessage, Reauction};
+use super::session_context::SessionContext;
 use bytes::Bytes;
 use consort_bus::SharedBus;
-use consort_protocol::auction::{BidResponse, CallForBids};
+use consort_protocol::auction::{AuctionId, BidResponse, CallForBids, Invitation, PromiseTerms, Timelines};
 use consort_protocol::codec;
-use consort_protocol::ids::RobotId;
+use consort_protocol::ids::{NodeId, RobotId, RoleId};
 use consort_protocol::keys::Keys;
+use consort_protocol::units::NodeTime;
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tracing::{debug, warn};
 
+/// Returns the call for bids for roles of a mission, and the robots that are expected to reply.
+pub(super) fn call_for_roles(
+    roles: &BTreeSet<RoleId>,
+    auction: AuctionId,
+    context: &SessionContext,
+    now: NodeTime,
+) -> Option<(CallForBids, Invitation)> {
+    let settings = &context.settings;
+    let robots = |nodes: BTreeSet<NodeId>| nodes.into_iter().map(RobotId::from).collect();
+    let members = live_members(settings, now).into_iter().map(|(name, nodes)| (name, robots(nodes))).collect();
+    let PromiseTerms { objective, delay_max, .. } = settings.auctions.promises;
+    context.read_ledger(|ledger| {
+        let entry = ledger.mission(&auction.mission)?;
+        let call = entry.call_for_roles(roles, auction)?;
+        let invitation = Invitation::of(&call.ensembles, &members);
+        let promised = ledger.promised_roles(&call, delay_max, &invitation.robots);
+        let startable = call.roles.keys().filter(|role| entry.can_proceed(role)).cloned().collect();
+        let timelines = Timelines { objective, promised, startable };
+        Some((CallForBids { timelines, ..call }, invitation))
+    })
+}
+
+/// Sends a call for bids. The session gets the bids as a message.
+pub(super) fn send_call(
+    call: CallForBids,
+    invitation: Invitation,
+    again: Option<Reauction>,
+    context: &mut SessionContext,
+) {
+    let (bus, keys) = (context.settings.parts.bus.clone(), context.settings.parts.keys.clone());
+    let window = context.settings.auctions.bid_window;
+    context.send_result(async move {
+        let responses = collect_bids(bus, keys, call.clone(), invitation.robots.clone(), window).await;
+        CoordinatorMessage::BidsCollected(Box::new(CollectedBids { call, invitation, responses, again }))
+    });
+}
+
 /// Calls all robots, and returns once every expected robot has replied or the bid window closes.
 /// Responses of unexpected robots count too: their gossip records may not have arrived here yet.
-pub(super) async fn collect_bids(
+async fn collect_bids(
     bus: SharedBus,
     keys: Keys,
     call: CallForBids,

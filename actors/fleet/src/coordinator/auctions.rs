@@ -7,19 +7,15 @@
 //! robots found may be the robots they wait for. An auction waits for at most 2 bid windows.
 
 use super::actions::{AuctionRound, ClosedBidding, RoundPhase};
-use super::auctioneer;
-use super::ensemble_members::live_members;
+use super::auctioneer::{call_for_roles, send_call};
+use super::clearing::AuctionInputs;
 use super::message::{CollectedBids, CoordinatorMessage};
-use super::queues::{robot_queues, unavailable_robots, unpromisable_robots};
 use super::reconcile::{backoff, can_be_auctioned};
-use super::session_context::SessionContext;
-use consort_protocol::auction::{
-    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, CallForBids, EnergyBudget,
-    Invitation, PromiseContext, PromiseTerms, RefusalReason, RobotQueue, RoleReply, Timelines, clear_auction_with,
-};
+use super::session_context::{AWARD_TIMEOUT, SessionContext};
+use consort_protocol::auction::{AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, RoleReply};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
@@ -28,32 +24,12 @@ use std::mem::discriminant;
 use std::time::Duration;
 use tracing::debug;
 
-/// Timeout for the ledger to commit an award.
-pub(super) const AWARD_TIMEOUT: Duration = Duration::from_secs(2);
-
 /// A mission fails after this number of consecutive rounds in which every remaining robot refuses a
 /// role permanently, provided that a robot has failed in that role before.
 const HOPELESS_ROUNDS: u32 = 3;
 
 /// Maximum number of robots named in the cause of a failed mission.
 const NAMED_ROBOTS_MAX: usize = 8;
-
-/// Inputs of the clearing of an auction, from the ledger and the other auctions.
-struct AuctionInputs {
-    /// Robots that can get no role now.
-    unavailable: BTreeMap<RobotId, RefusalReason>,
-    /// Robots that can be promised no role.
-    unpromisable: BTreeMap<RobotId, RefusalReason>,
-    queues: BTreeMap<RobotId, RobotQueue>,
-    /// Roles that can start now.
-    startable: BTreeSet<RoleId>,
-    /// Robots that have failed at each role.
-    failed: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
-    /// Robots that have lost or returned each role.
-    released: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
-    is_under_way: bool,
-    energy: Option<EnergyBudget>,
-}
 
 /// Auctions of a session, by mission.
 #[derive(Default)]
@@ -91,21 +67,10 @@ impl Auctions {
             (round.number + 1, round.hopeless_rounds)
         });
         let (number, hopeless) = previous.unwrap_or((1, 0));
+        let open = context.read_ledger(|ledger| ledger.mission(mission).map(MissionEntry::roles_to_auction));
         let auction = AuctionId { mission: mission.clone(), term: context.term, round: number };
-        let settings = &context.settings;
-        let robots = |nodes: BTreeSet<NodeId>| nodes.into_iter().map(RobotId::from).collect();
-        let members = live_members(settings, now).into_iter().map(|(name, nodes)| (name, robots(nodes))).collect();
-        let PromiseTerms { objective, delay_max, .. } = settings.auctions.promises;
-        let called = context.read_ledger(|ledger| {
-            let entry = ledger.mission(mission)?;
-            let call = entry.call_for_bids(auction)?;
-            let invitation = Invitation::of(&call.ensembles, &members);
-            let promised = ledger.promised_roles(mission, delay_max, &invitation.robots);
-            let startable = call.roles.keys().filter(|role| entry.can_proceed(role)).cloned().collect();
-            let timelines = Timelines { objective, promised, startable };
-            Some((CallForBids { timelines, ..call }, invitation))
-        });
-        let Some((call, invitation)) = called else { return };
+        let roles = open.unwrap_or_default();
+        let Some((call, invitation)) = call_for_roles(&roles, auction, context, now) else { return };
         context.publish_event(EventKind::BidsRequested {
             mission: mission.clone(),
             roles: call.roles.keys().cloned().collect(),
@@ -116,12 +81,7 @@ impl Auctions {
             mission.clone(),
             AuctionRound { number, branch, called_at: now, hopeless_rounds: hopeless, phase: RoundPhase::Bidding },
         );
-        let (bus, keys) = (settings.parts.bus.clone(), settings.parts.keys.clone());
-        let window = settings.auctions.bid_window;
-        context.send_result(async move {
-            let responses = auctioneer::collect_bids(bus, keys, call.clone(), invitation.robots.clone(), window).await;
-            CoordinatorMessage::BidsCollected(Box::new(CollectedBids { call, invitation, responses }))
-        });
+        send_call(call, invitation, None, context);
     }
 
     /// Closes an auction: all bids have arrived, or the bid window has closed.
@@ -163,7 +123,7 @@ impl Auctions {
                 RoundPhase::BackingOff { since, .. } => waiting.push((mission, *since)),
                 RoundPhase::Proposing { .. } => {}
                 RoundPhase::BiddingClosed(closed) => {
-                    let outcome = self.outcome(&closed.bids, context);
+                    let outcome = AuctionInputs::read(&closed.bids, &self.rounds, context).clear(&closed.bids, context);
                     if outcome.holders.is_some() && now < closed.deadline {
                         for (better_ranked, _) in waiting.iter().filter(|(_, since)| *since < called) {
                             self.call_for_bids(better_ranked, context, now);
@@ -177,69 +137,6 @@ impl Auctions {
                 }
             }
         }
-    }
-
-    /// Assigns the roles. A robot that has lost or returned a role of the mission gets it again only if
-    /// the mission cannot be awarded otherwise: a robot that bids and then does not act delays the mission
-    /// once, and not for ever.
-    fn outcome(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
-        let CollectedBids { call, invitation, responses } = bids;
-        let mission = &call.auction.mission;
-        let inputs = context.read_ledger(|ledger| {
-            let entry = ledger.mission(mission);
-            let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {
-                let of_role = |role| entry.map(|entry| robots(entry, role)).unwrap_or_default();
-                call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
-            };
-            let queues = robot_queues(ledger, &self.rounds);
-            let can_proceed = |role: &&RoleId| entry.is_none_or(|entry| entry.can_proceed(role));
-            AuctionInputs {
-                unavailable: unavailable_robots(ledger, &queues, mission),
-                unpromisable: unpromisable_robots(ledger, mission),
-                queues,
-                startable: call.roles.keys().filter(can_proceed).cloned().collect(),
-                failed: of_roles(&MissionEntry::excluded),
-                released: of_roles(&MissionEntry::former_robots),
-                is_under_way: entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
-                energy: entry.and_then(MissionEntry::energy_budget),
-            }
-        });
-        let AuctionInputs { unavailable, unpromisable, queues, startable, failed, released, is_under_way, energy } =
-            &inputs;
-        let settings = &context.settings.auctions;
-        let clear_with = |excluded, may_promise: bool| {
-            let promises = PromiseContext {
-                queues,
-                unavailable: unpromisable,
-                startable,
-                is_under_way: *is_under_way,
-                terms: settings.promises,
-            };
-            let auction_context = AuctionContext {
-                invitation,
-                unavailable,
-                excluded,
-                limits: &settings.limits,
-                energy: *energy,
-                promises: Some(promises).filter(|_| may_promise),
-                window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
-                at_ms: context.settings.parts.clock.wall_ms(),
-            };
-            clear_auction_with(call, responses, &auction_context, &*settings.allocator)
-        };
-        // Missions that would wait for each other are resolved by rank, once the reason is on record.
-        let is_possible = |outcome: &AuctionOutcome| {
-            let promised = &outcome.record.promised;
-            let is_circular =
-                |holders| context.read_ledger(|ledger| ledger.would_wait_circularly(mission, holders, promised));
-            promised.is_empty() || !outcome.holders.iter().any(is_circular)
-        };
-        let clear = |excluded| {
-            let outcome = clear_with(excluded, settings.promises.promises_max > 0);
-            if is_possible(&outcome) { outcome } else { clear_with(excluded, false) }
-        };
-        let by_others = (released != failed).then(|| clear(released));
-        by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(failed))
     }
 
     /// Proposes the award, or defers the mission and backs off.

@@ -1,19 +1,16 @@
 //! Held roles: award notices, and holders that make no progress.
 
-use super::auctions::AWARD_TIMEOUT;
 use super::message::AwardedRole;
 use super::session_context::SessionContext;
 use super::stall_detector::{StallDetector, StalledRole};
 use consort_protocol::cause::CauseClass;
-use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::{Award, Epoch, LeaseMonitor};
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
+use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
-use tracing::debug;
 
 /// Held roles during a session.
 pub(super) struct HeldRoles {
@@ -78,18 +75,8 @@ impl HeldRoles {
     pub(super) fn award_promised(&mut self, promised: AwardedRole, context: &mut SessionContext, now: NodeTime) {
         let AwardedRole { mission, role, robot, epoch } = promised;
         self.notified.insert((epoch, role.clone()), now);
-        let (replica, events) = (context.settings.parts.replica.clone(), context.settings.parts.events.clone());
-        context.tasks.spawn(async move {
-            let command = Command::AwardPromised { mission: mission.clone(), role: role.clone(), epoch };
-            match replica.propose(command, AWARD_TIMEOUT).await {
-                Ok(CommandOutcome::Awarded { epoch }) => {
-                    let (holders, promised) = (BTreeMap::from([(role, robot)]), BTreeMap::new());
-                    events.publish(EventKind::Awarded { mission, holders, promised, epoch, after_ms: None });
-                }
-                // The next reconciliation proposes it again, if it is still due.
-                outcome => debug!(%mission, %role, ?outcome, "promised role was not awarded"),
-            }
-        });
+        let command = Command::AwardPromised { mission: mission.clone(), role: role.clone(), epoch };
+        context.propose_award(command, (mission, role, robot), false);
     }
 
     /// Asks a robot to return a role for the mission `first`. With `for_now` it gets the role again.

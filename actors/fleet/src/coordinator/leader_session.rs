@@ -8,6 +8,7 @@ use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
 use super::people::People;
 use super::promises::unfit_robots;
+use super::reauctions::{self, Reauctions};
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
@@ -58,6 +59,7 @@ const FAIL_RETRY_DELAY: Duration = Duration::from_secs(2);
 pub(super) struct LeaderSession {
     context: SessionContext,
     auctions: Auctions,
+    reauctions: Reauctions,
     held_roles: HeldRoles,
     changes: ChangeFeed,
     members: EnsembleMembers,
@@ -99,6 +101,7 @@ impl LeaderSession {
         found_ledger(&mut context);
         Ok(LeaderSession {
             auctions: Auctions::default(),
+            reauctions: Reauctions::default(),
             held_roles: HeldRoles::new(settings.stall_timeout),
             changes: ChangeFeed::new(&context),
             members: EnsembleMembers::default(),
@@ -275,7 +278,7 @@ impl LeaderSession {
 
     fn pending_actions(&mut self, now: NodeTime) -> Vec<CoordinatorAction> {
         let confirmed_ms = self.confirmed_ms();
-        let LeaderSession { context, auctions, held_roles, changes, failing, .. } = self;
+        let LeaderSession { context, auctions, reauctions, held_roles, changes, failing, .. } = self;
         context.read_ledger(|ledger| {
             let mut lease_monitor = context.lease_monitor.lock();
             let epochs = track_awards(ledger, &mut lease_monitor, now);
@@ -290,8 +293,10 @@ impl LeaderSession {
             let has_all_records = now.since(context.since) > terms.lease + terms.grace;
             let unfit = &unfit_robots(ledger, knowledge, has_all_records);
             let state = SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit };
-            let actions = pending_actions(ledger, &state, now, confirmed_ms);
+            let mut actions = pending_actions(ledger, &state, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
+            let promises = &context.settings.auctions.promises;
+            actions.extend(reauctions.due(ledger, rounds, promises, now, confirmed_ms));
             actions
         })
     }
@@ -299,6 +304,7 @@ impl LeaderSession {
     fn perform(&mut self, action: CoordinatorAction, now: NodeTime) {
         match action {
             CoordinatorAction::CallForBids(mission) => self.auctions.call_for_bids(&mission, &mut self.context, now),
+            CoordinatorAction::AuctionAgain(reauction) => reauctions::call_again(reauction, &mut self.context, now),
             CoordinatorAction::NotifyAward(awarded) => self.held_roles.notify_award(awarded, &mut self.context, now),
             CoordinatorAction::AwardPromised(promised) => {
                 self.held_roles.award_promised(promised, &mut self.context, now);
@@ -323,7 +329,12 @@ impl LeaderSession {
     }
 
     pub(super) fn close_bidding(&mut self, bids: CollectedBids) {
-        self.auctions.close_bidding(bids, &mut self.context);
+        match bids.again.clone() {
+            Some(reauction) => {
+                reauctions::conclude(&bids, reauction, self.auctions.rounds(), &mut self.context);
+            }
+            None => self.auctions.close_bidding(bids, &mut self.context),
+        }
     }
 
     pub(super) fn handle_auction_recorded(

@@ -66,15 +66,25 @@ pub(crate) struct CollectedBids {
     pub(super) call: CallForBids,
     pub(super) invitation: Invitation,
     pub(super) responses: Vec<BidResponse>,
+    /// Set if the role is promised to a robot, and may pass to another.
+    pub(super) again: Option<Reauction>,
 }
 
-/// A role that was awarded to a robot.
+/// Further auction of a promised role.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Reauction {
+    pub(super) promised: AwardedRole,
+    /// The role could have started for too long.
+    pub(super) is_late: bool,
+}
+
+/// A role that was awarded or promised to a robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct AwardedRole {
     pub(super) mission: MissionId,
     pub(super) role: RoleId,
     pub(super) robot: RobotId,
-    /// Epoch of the award.
+    /// Epoch of the award or the promise.
     pub(super) epoch: Epoch,
 }
 

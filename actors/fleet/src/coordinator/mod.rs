@@ -21,6 +21,7 @@ mod auctioneer;
 mod auctions;
 mod change_feed;
 mod circular_waits;
+mod clearing;
 mod closure_requests;
 mod ensemble_members;
 mod held_roles;
@@ -36,6 +37,7 @@ mod people;
 mod promises;
 mod queues;
 mod rate_limit;
+mod reauctions;
 mod reconcile;
 mod reports;
 mod requests;
@@ -46,6 +48,8 @@ mod settings;
 mod stall_detector;
 mod status;
 pub(crate) mod submission;
+#[cfg(test)]
+mod test_ledger;
 mod voter_clocks;
 
 pub(crate) use actor::Coordinator;

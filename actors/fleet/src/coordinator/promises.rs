@@ -86,85 +86,32 @@ pub(super) fn unfit_robots(
 
 #[cfg(test)]
 mod tests {
+    use super::super::test_ledger::Log;
     use super::*;
-    use consort_protocol::auction::{AuctionId, AuctionRecord};
-    use consort_protocol::ids::{MissionId, RoleId};
-    use consort_protocol::lease::{Epoch, LeaseMonitor, LeaseTerms};
-    use consort_protocol::ledger::{Branch, Command, CommandOutcome, Submission};
-    use consort_protocol::mission::{Format, MissionTemplate};
-    use consort_protocol::plan::divide_and_check;
-    use consort_protocol::units::Seconds;
-    use consort_skills::domain::hospital;
+    use consort_protocol::ids::MissionId;
+    use consort_protocol::lease::{LeaseMonitor, LeaseTerms};
 
-    /// The arm begins when the cart has ended.
-    const MISSION: &str = r#"{"mission": "bring", "roles": {"arm": {"kind": "managed"}, "cart": {"kind": "managed"}},
-        "root": {"task": "all", "method": "sequential", "tasks": [
-            {"task": "go", "type": "wait", "roles": ["cart"], "parameters": {"seconds": "5"}},
-            {"task": "take", "type": "wait", "roles": ["arm"], "parameters": {"seconds": "5"}}]}}"#;
-
-    struct Log(Ledger, u64);
-
-    impl Log {
-        fn apply(&mut self, command: Command) {
-            self.1 += 1;
-            let outcome = self.0.apply(Epoch { term: 1, index: self.1 }, command);
-            assert!(!matches!(outcome, CommandOutcome::Refused(_)), "{outcome:?}");
-        }
-
-        /// Submits a mission with a cart of its own, and promises its role for the arm.
-        fn add_mission(&mut self, cart: &str) -> MissionId {
-            let mission = MissionTemplate::parse(MISSION, Format::Json).unwrap();
-            let mission = mission.instantiate(&BTreeMap::new(), &hospital()).unwrap();
-            let division = divide_and_check(&mission).unwrap();
-            let request = cart.parse().unwrap();
-            self.apply(Command::Submit(Box::new(Submission::of(request, mission, division))));
-            let mission = self.0.missions().last().unwrap().id.clone();
-            let (arm, cart_role): (RoleId, RoleId) = ("arm".parse().unwrap(), "cart".parse().unwrap());
-            let robots = ["lab-arm", cart].map(|name| RobotId::new(name).unwrap());
-            let holders = [arm.clone(), cart_role].into_iter().zip(robots).collect();
-            let empty = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
-            let auction = AuctionRecord { promised: [(arm, Seconds::ZERO)].into(), ..empty };
-            self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
-            mission
-        }
-
-        fn end_cart(&mut self, mission: &MissionId) {
-            let role: RoleId = "cart".parse().unwrap();
-            let epoch = self.0.mission(mission).unwrap().role_robots()[&role].epoch;
-            let accept = Command::Accept {
-                mission: mission.clone(),
-                role: role.clone(),
-                epoch,
-                incarnation: 1,
-                from_checkpoint: false,
-            };
-            self.apply(accept);
-            let (branch, ended, outcomes) = (Branch::Main, (0..9).collect(), BTreeMap::new());
-            self.apply(Command::Progress { mission: mission.clone(), role, epoch, branch, ended, outcomes });
-        }
-
-        /// Returns the missions whose promised roles are awarded.
-        fn awarded(&self) -> Vec<MissionId> {
-            let (rounds, notified, unfit) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-            let monitor = LeaseMonitor::new(LeaseTerms::default());
-            let state = SessionState { lease_monitor: &monitor, rounds: &rounds, notified: &notified, unfit: &unfit };
-            let due = promises_due(&self.0, &self.0.active_missions(), &state, |_| true);
-            let awarded = due.into_iter().map(|action| match action {
-                CoordinatorAction::AwardPromised(role) => role.mission,
-                other => panic!("{other:?}"),
-            });
-            awarded.collect()
-        }
+    /// Returns the missions whose promised roles are awarded.
+    fn awarded(ledger: &Ledger) -> Vec<MissionId> {
+        let (rounds, notified, unfit) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        let monitor = LeaseMonitor::new(LeaseTerms::default());
+        let state = SessionState { lease_monitor: &monitor, rounds: &rounds, notified: &notified, unfit: &unfit };
+        let due = promises_due(ledger, &ledger.active_missions(), &state, |_| true);
+        let awarded = due.into_iter().map(|action| match action {
+            CoordinatorAction::AwardPromised(role) => role.mission,
+            other => panic!("{other:?}"),
+        });
+        awarded.collect()
     }
 
     #[test]
     fn a_free_robot_gets_the_first_promise_that_can_start() {
-        let mut log = Log(Ledger::default(), 0);
+        let mut log = Log::default();
         let (first, second) = (log.add_mission("ada"), log.add_mission("bob"));
-        assert!(log.awarded().is_empty());
+        assert!(awarded(&log.0).is_empty());
         log.end_cart(&second);
-        assert_eq!(log.awarded(), [second], "the robot does not wait for the first");
+        assert_eq!(awarded(&log.0), [second], "the robot does not wait for the first");
         log.end_cart(&first);
-        assert_eq!(log.awarded(), [first]);
+        assert_eq!(awarded(&log.0), [first]);
     }
 }

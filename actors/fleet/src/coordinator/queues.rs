@@ -1,16 +1,19 @@
 //! Robots that cannot get a role now: what each holds, has promised and carries.
 
 use super::actions::{AuctionRound, RoundPhase};
+use super::message::AwardedRole;
 use consort_protocol::auction::{RefusalReason, RobotQueue};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, RoleAssignment, RolePhase};
 use consort_protocol::units::{Energy, Seconds};
 use std::collections::BTreeMap;
 
-/// Returns what each robot holds and has promised. A proposed award counts as a held role.
+/// Returns what each robot holds and has promised, except for a promise that is auctioned again. A proposed award counts as a
+/// held role.
 pub(super) fn robot_queues(
     ledger: &Ledger,
     rounds: &BTreeMap<MissionId, AuctionRound>,
+    auctioned: Option<&AwardedRole>,
 ) -> BTreeMap<RobotId, RobotQueue> {
     let mut queues: BTreeMap<RobotId, RobotQueue> = BTreeMap::new();
     let mut queue_of = |robot: &RobotId, mission: &MissionId, role: &RoleId, promise: Option<&RoleAssignment>| {
@@ -34,6 +37,9 @@ pub(super) fn robot_queues(
     };
     for entry in ledger.active_missions() {
         for (role, held, robot) in entry.assigned_roles() {
+            if auctioned.is_some_and(|auctioned| *auctioned == AwardedRole::of(entry, role, robot)) {
+                continue;
+            }
             let is_promised = held.phase == RolePhase::Promised;
             queue_of(&robot.robot, &entry.id, role, is_promised.then_some(robot));
         }

@@ -10,7 +10,7 @@ use consort_bus::{Delivery, Encoding, SharedBus};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, PlaceId, RobotId};
+use consort_protocol::ids::{MissionId, PlaceId, RobotId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger};
 use consort_protocol::message::{AwardNotice, AwardReply, OrdersNotice};
@@ -22,6 +22,9 @@ use tracing::{debug, warn};
 
 /// Timeout for the ledger to commit the release of a role or the end of a mission.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Timeout for the ledger to commit an award.
+pub(super) const AWARD_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Timeout for the reply of a robot to a notice.
 const NOTICE_TIMEOUT: Duration = Duration::from_millis(500);
@@ -82,6 +85,27 @@ impl SessionContext {
             let outcome = replica.propose(command.clone(), RELEASE_TIMEOUT).await;
             if !matches!(outcome, Ok(CommandOutcome::Done | CommandOutcome::Submitted { .. })) {
                 debug!(?command, ?outcome, "proposal was not applied");
+            }
+        });
+    }
+
+    /// Proposes a command that gives a role to a robot, or that promises the role to it. Publishes it once it is committed.
+    pub(super) fn propose_award(
+        &mut self,
+        command: Command,
+        (mission, role, robot): (MissionId, RoleId, RobotId),
+        is_promised: bool,
+    ) {
+        let (replica, events) = (self.settings.parts.replica.clone(), self.settings.parts.events.clone());
+        self.tasks.spawn(async move {
+            match replica.propose(command.limited(), AWARD_TIMEOUT).await {
+                Ok(CommandOutcome::Awarded { epoch }) => {
+                    let (given, none) = (BTreeMap::from([(role, robot)]), BTreeMap::new());
+                    let (holders, promised) = if is_promised { (none, given) } else { (given, none) };
+                    events.publish(EventKind::Awarded { mission, holders, promised, epoch, after_ms: None });
+                }
+                // A later reconciliation proposes it again, if it is still due.
+                outcome => debug!(%mission, %role, ?outcome, "role was not awarded"),
             }
         });
     }

@@ -166,6 +166,12 @@ pub struct AuctionConfig {
     /// Maximum time by which a promised role is delayed, by all roles that robots insert before it, in seconds. Longer: robots
     /// drive less, and some roles wait for longer. Default 600.
     pub delay_s: u32,
+    /// Time by which a promised role may be late, although it can start, in seconds. Then it passes to another robot that can
+    /// begin within this time. Longer: fewer changes, longer waits for robots that are held up. Default 300.
+    pub late_s: u32,
+    /// Minimum gain for which a promised role passes to another robot, in seconds of the objective. More: fewer changes. Default
+    /// 60.
+    pub gain_s: u32,
     /// What robots minimise when they insert a role among their promised roles, and the coordinator when it chooses among
     /// bids: `earliest_end` (default) for the sum of the times at which roles end, `least_energy`, or `weighted` for the
     /// sum of both.
@@ -223,9 +229,18 @@ impl Default for LimitsConfig {
 
 impl Default for AuctionConfig {
     fn default() -> Self {
-        let PromiseTerms { promises_max: promises, delay_max, .. } = PromiseTerms::default();
-        let (delay_s, objective) = (delay_max.get().round() as u32, ObjectiveName::default());
-        AuctionConfig { window_ms: None, promises, horizon_s: None, delay_s, objective, battery_s: 3600 }
+        let PromiseTerms { promises_max: promises, delay_max, late_max, gain_min, .. } = PromiseTerms::default();
+        let whole = |time: Seconds| time.get().round() as u32;
+        AuctionConfig {
+            window_ms: None,
+            promises,
+            horizon_s: None,
+            delay_s: whole(delay_max),
+            late_s: whole(late_max),
+            gain_s: whole(gain_min),
+            objective: ObjectiveName::default(),
+            battery_s: 3600,
+        }
     }
 }
 
@@ -237,6 +252,8 @@ impl AuctionConfig {
             promises_max: self.promises,
             horizon: self.horizon_s.map(seconds),
             delay_max: seconds(self.delay_s),
+            late_max: seconds(self.late_s),
+            gain_min: seconds(self.gain_s),
             objective: match self.objective {
                 ObjectiveName::EarliestEnd => Objective::EarliestEnd,
                 ObjectiveName::LeastEnergy => Objective::LeastEnergy,
@@ -358,6 +375,8 @@ impl ConfigFile for FleetConfig {
         within("auction.window_ms", ms(times.auction_window), 1, 60_000);
         within("auction.horizon_s", self.auction.horizon_s.unwrap_or(PLANNED_S_MAX).into(), 1, PLANNED_S_MAX.into());
         within("auction.delay_s", self.auction.delay_s.into(), 0, PLANNED_S_MAX.into());
+        within("auction.late_s", self.auction.late_s.into(), 1, PLANNED_S_MAX.into());
+        within("auction.gain_s", self.auction.gain_s.into(), 1, PLANNED_S_MAX.into());
         within("auction.battery_s", self.auction.battery_s.into(), 1, 1_000_000);
         let LeaseConfig { lease_ms, grace_ms } = self.lease;
         let grace_min_ms = ms(LeaseTerms::grace_min(Duration::from_millis(lease_ms.min(LEASE_MS_MAX))));
@@ -401,7 +420,7 @@ impl ConfigFile for FleetConfig {
     }
 }
 
-/// Longest horizon and delay of promised roles, in seconds.
+/// Longest horizon, delay and gain of promised roles, in seconds.
 const PLANNED_S_MAX: u32 = 604_800;
 
 /// Longest lease and grace, in milliseconds.

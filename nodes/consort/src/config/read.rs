@@ -212,12 +212,15 @@ mod tests {
 
     #[test]
     fn limits_of_promises_are_checked() {
-        let text = "[auction]\nhorizon_s = 0\ndelay_s = 700000\nobjective = \"weighted\"\nbattery_s = 0\n";
+        let text = "[auction]\nhorizon_s = 0\ndelay_s = 700000\nlate_s = 0\ngain_s = 0\n\
+                    objective = \"weighted\"\nbattery_s = 0\n";
         assert_eq!(
             messages::<FleetConfig>(text),
             [
                 "f.toml: auction.horizon_s is 0, allowed is 1 to 604800",
                 "f.toml: auction.delay_s is 700000, allowed is 0 to 604800",
+                "f.toml: auction.late_s is 0, allowed is 1 to 604800",
+                "f.toml: auction.gain_s is 0, allowed is 1 to 604800",
                 "f.toml: auction.battery_s is 0, allowed is 1 to 1000000",
             ]
         );

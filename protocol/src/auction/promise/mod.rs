@@ -7,6 +7,9 @@
 //! another role starts at once and takes longer than that time, so that nobody waits for long, or if the mission
 //! is under way, or if all its robots have promises. Otherwise the mission waits, and gets the robots that are
 //! free first.
+//!
+//! A promised role is auctioned again from time to time. It passes to the winner if that costs clearly less than the robot of
+//! the promise, or if that robot is late.
 
 use super::bid::{Bid, BidRefusal, BidResponse, RefusalReason, RoleReply};
 use super::insertion::{Objective, PlannedRole};
@@ -25,12 +28,24 @@ pub struct PromiseTerms {
     pub delay_max: Seconds,
     /// Objective of insertions, and of the choice among bids.
     pub objective: Objective,
+    /// Time by which a promised role may be late, although it can start; then it passes to another robot that can begin
+    /// within this time. Default 300 s.
+    pub late_max: Seconds,
+    /// Minimum gain for which a promised role passes to another robot, in seconds of the objective. Default 60 s.
+    pub gain_min: Seconds,
 }
 
 impl Default for PromiseTerms {
     fn default() -> Self {
-        let delay_max = Seconds::new(600.0).expect("600 s is a time");
-        PromiseTerms { promises_max: 16, horizon: None, delay_max, objective: Objective::default() }
+        let seconds = |number| Seconds::new(number).expect("the number is a time");
+        PromiseTerms {
+            promises_max: 16,
+            horizon: None,
+            delay_max: seconds(600.0),
+            objective: Objective::default(),
+            late_max: seconds(300.0),
+            gain_min: seconds(60.0),
+        }
     }
 }
 
@@ -86,21 +101,39 @@ impl PromiseContext<'_> {
         let Some(reason) = reason.filter(|_| self.is_later(bid)) else {
             return RoleReply::Bid(bid.clone());
         };
-        let start = self.start_of(bid);
         let promised = queue.map_or(0, |queue| queue.promised);
         let may_be_late = promised > 0 || !self.startable.contains(&bid.role);
-        let is_too_late = self.terms.horizon.is_some_and(|horizon| start > horizon);
+        let is_too_late = self.terms.horizon.is_some_and(|horizon| self.start_of(bid) > horizon);
         if promised >= self.terms.promises_max || is_too_late || !may_be_late {
             return RoleReply::Refusal(BidRefusal { robot: bid.robot.clone(), role: bid.role.clone(), reason });
         }
-        let plan = self.plan_of(bid);
+        RoleReply::Bid(self.at_its_start(bid))
+    }
+
+    /// Returns a later bid with the time from now on, and with the charge that is left after all that its robot has promised.
+    fn at_its_start(&self, bid: &Bid) -> Bid {
+        let (queue, plan, start) = (self.queues.get(&bid.robot), self.plan_of(bid), self.start_of(bid));
         let energy = plan.map(|plan| plan.energy).or(queue.map(|queue| queue.energy)).unwrap_or(Energy::ZERO);
         let planned = match plan {
             Some(plan) => Some(PlannedRole { delay_max: self.terms.delay_max, ..plan.clone() }),
             None => bid.planned.clone().map(|planned| PlannedRole::alone(planned.span, start)),
         };
         let (time, remaining) = (start + bid.time, bid.remaining - energy.get());
-        RoleReply::Bid(Bid { time, remaining, present: None, planned, ..bid.clone() })
+        Bid { time, remaining, present: None, planned, ..bid.clone() }
+    }
+
+    /// Returns the cost in seconds by which the bid of one robot for a role exceeds that of another; `None` unless both bid.
+    pub fn gain(&self, responses: &[BidResponse], role: &RoleId, from: &RobotId, to: &RobotId) -> Option<f64> {
+        let bid_of = |robot: &RobotId| {
+            let response = responses.iter().find(|response| response.robot == *robot)?;
+            response.replies.iter().find_map(|reply| match reply {
+                RoleReply::Bid(bid) if bid.role == *role && self.is_later(bid) => Some(self.at_its_start(bid)),
+                RoleReply::Bid(bid) if bid.role == *role => Some(bid.clone()),
+                RoleReply::Bid(_) | RoleReply::Refusal(_) => None,
+            })
+        };
+        let objective = self.terms.objective;
+        Some(bid_of(from)?.cost(objective) - bid_of(to)?.cost(objective))
     }
 
     /// Returns the position of the role in the timeline of the robot, unless the robot did not consider all that it has

@@ -206,3 +206,23 @@ fn a_bid_that_delays_others_costs_more() {
     let winner = outcome.holders.as_ref().unwrap()[&role("arm")].as_str();
     assert_eq!(winner, "arm-2", "it ends after 65 s; the other after 60 s, which delays a promise by 10 s");
 }
+
+#[test]
+fn the_gain_of_another_robot_is_the_difference_of_the_costs() {
+    let responses = [inserting_bid("arm-1", "arm"), bid("arm-2", "arm", Some(30.0)), bid("arm-3", "arm", None)];
+    let queues = BTreeMap::from([("arm-1", 2), ("arm-2", 1)]);
+    let queues = queues.into_iter().map(|(name, promised)| (name.parse().unwrap(), queue(true, promised))).collect();
+    let (unavailable, none, startable) = (BTreeMap::new(), BTreeSet::new(), BTreeSet::from([role("arm")]));
+    let gain = |startable: &BTreeSet<RoleId>, from: &str, to: &str| {
+        let terms = PromiseTerms { promises_max: 1, ..PromiseTerms::default() };
+        let context =
+            PromiseContext { queues: &queues, unavailable: &unavailable, startable, is_under_way: true, terms };
+        context.gain(&responses, &role("arm"), &from.parse().unwrap(), &to.parse().unwrap())
+    };
+    for startable in [&none, &startable] {
+        assert_eq!(gain(startable, "arm-1", "arm-2"), Some(10.0), "60 s with a delay of 10 s, and 30 + 20 + 10 s");
+        assert_eq!(gain(startable, "arm-2", "arm-3"), Some(50.0));
+        assert_eq!(gain(startable, "arm-3", "arm-1"), Some(-60.0));
+        assert_eq!(gain(startable, "arm-1", "arm-4"), None);
+    }
+}

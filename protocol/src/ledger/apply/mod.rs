@@ -3,7 +3,7 @@
 use super::audit_trail::AuditTrail;
 use super::branch::Branch;
 use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
-use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase};
+use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, later_ms};
 use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::history_limits::HistoryLimits;
 use super::layout::VersionedPart;
@@ -46,6 +46,7 @@ impl Ledger {
             Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
             Command::AwardPromised { mission, role, epoch } => self.award_promised(&mission, &role, epoch, at),
             Command::Postpone { mission, role, epoch } => self.postpone(&mission, &role, epoch),
+            Command::Reassign(change) => self.reassign(*change, at),
             Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
             Command::Accept { mission, role, epoch, incarnation, from_checkpoint } => {
                 self.accept(&mission, &role, epoch, incarnation, from_checkpoint)
@@ -312,31 +313,49 @@ impl Ledger {
                 let (robot, mission) = (robot.clone(), mission.clone());
                 return Err(CommandError::TwoRoles { robot, mission, role });
             }
-            self.check_takes_roles(robot)?;
-            match auction.promised.contains_key(role) {
-                true => self.check_carries_nothing(mission, robot)?,
-                false => self.check_free(mission, robot)?,
-            }
+            self.check_assignable(mission, robot, auction.promised.contains_key(role))?;
         }
         if self.would_wait_circularly(mission, &holders, &auction.promised) {
             return Err(CommandError::CircularWait { mission: mission.clone() });
         }
+        self.active_mission(mission)?.former_holders.clear();
+        self.assign(mission, holders, auction, at)
+    }
+
+    /// Assigns roles to robots, which have been checked: the promised roles of the record are promised, all others are
+    /// awarded.
+    pub(super) fn assign(
+        &mut self,
+        mission: &MissionId,
+        holders: BTreeMap<RoleId, RobotId>,
+        auction: AuctionRecord,
+        at: Epoch,
+    ) -> Result<CommandOutcome, CommandError> {
         let is_promised = |role: &RoleId| auction.promised.contains_key(role);
         let mut positions: BTreeMap<RoleId, u32> = BTreeMap::new();
         for (role, robot) in holders.iter().filter(|(role, _)| is_promised(role)) {
             positions.insert(role.clone(), self.insert_promise(mission, robot, auction.planned.get(role)));
         }
         let entry = self.active_mission(mission)?;
-        entry.former_holders.clear();
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
                 let (energy, time) = (auction.energy_of(&id, &robot), auction.time_of(&id, &robot));
                 let span = auction.planned.get(&id).map(|planned| planned.span.clone());
                 let (incarnation, delayed) = (None, Seconds::ZERO);
                 let position = positions.get(&id).copied().unwrap_or_default();
-                let assignment =
-                    RoleAssignment { robot, epoch: at, incarnation, energy, time, span, position, delayed };
-                role.holder = Some(assignment);
+                let start = auction.promised.get(&id).copied().unwrap_or(Seconds::ZERO);
+                let planned_ms = later_ms(auction.at_ms, start);
+                role.holder = Some(RoleAssignment {
+                    robot,
+                    epoch: at,
+                    incarnation,
+                    energy,
+                    time,
+                    span,
+                    position,
+                    delayed,
+                    planned_ms,
+                });
                 role.phase = if is_promised(&id) { RolePhase::Promised } else { RolePhase::Awarded };
                 role.ended.clear();
             }

@@ -15,7 +15,7 @@
 
 use super::apply::Ledger;
 use super::command::{CommandError, CommandOutcome, ReleaseCause};
-use super::entry::{HeldItem, MissionEntry, MissionState, RELEASES_KEPT, RoleEntry, RolePhase, RoleRelease};
+use super::entry::{HeldItem, MissionEntry, MissionState, RoleEntry, RolePhase, RoleRelease};
 use super::limits::CAUSE_BYTES_MAX;
 use crate::bounds::limit_text;
 use crate::cause::CauseClass;
@@ -51,7 +51,7 @@ impl Ledger {
         let mission_class = class.unwrap_or(CauseClass::Robot);
         let has_limits = self.keeps_history();
         let entry = self.active_mission(mission)?;
-        entry.releases.push(RoleRelease {
+        entry.add_release(RoleRelease {
             role: role_id.clone(),
             robot: robot.clone(),
             cause: cause.clone(),
@@ -59,11 +59,6 @@ impl Ledger {
             confirmed,
             gave_way: *gave_way,
         });
-        entry.release_count = entry.release_count.saturating_add(1);
-        if entry.releases.len() > RELEASES_KEPT {
-            let first = entry.releases.iter().position(|released| !released.counts()).unwrap_or(0);
-            entry.releases.remove(first);
-        }
 
         let undone: &dyn Fn(&ItemMove) -> bool =
             &|item_move| *moved_nothing && item_move.performers.iter().eq([role_id]);

@@ -8,6 +8,9 @@
 //! insert a promise before others, as long as it delays none of them beyond a bound. The order says which of the roles that
 //! can start comes first: a robot does not wait for a role that cannot.
 //!
+//! A promise may pass to another robot (it is *reassigned*), unless others have acted on it. The other robots of the mission
+//! learn the new robot as they learn the holders of all roles.
+//!
 //! A robot that only waits in a role returns it for a promised role that can start, and the returned role
 //! becomes a promise (it is *postponed*).
 //!
@@ -16,9 +19,9 @@
 //! nobody, and a free robot always has a promise that can be awarded to it, so missions cannot block each other.
 
 use super::apply::Ledger;
-use super::command::{CommandError, CommandOutcome};
-use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase};
-use crate::auction::{PlannedRole, PromisedRole, RoleOfMission};
+use super::command::{CommandError, CommandOutcome, Reassignment};
+use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
+use crate::auction::{CallForBids, PlannedRole, PromisedRole, RoleOfMission};
 use crate::codec;
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::lease::Epoch;
@@ -167,20 +170,25 @@ impl Ledger {
         promises
     }
 
-    /// Returns the promised roles of these robots for a call for bids of a mission. It contains all promises of a robot or
-    /// none: those of a robot are left out if the estimate of one is unknown, or if there is no room; the robots that have
-    /// promised the least time come first, since they are likely to get the role. A promise may be delayed up to
-    /// `delay_max` in all; by a mission of higher priority without a bound, and by one of lower priority not at all.
+    /// Returns the promised roles of these robots for a call for bids, except for the roles of the call. It contains all
+    /// promises of a robot or none: those of a robot are left out if the estimate of one is unknown, or if there is no room;
+    /// the robots that have promised the least time come first, since they are likely to get the role. A promise may be
+    /// delayed up to `delay_max` in all; by a mission of higher priority without a bound, and by one of lower priority not
+    /// at all.
     pub fn promised_roles(
         &self,
-        mission: &MissionId,
+        call: &CallForBids,
         delay_max: Seconds,
         invited: &BTreeSet<RobotId>,
     ) -> Vec<PromisedRole> {
+        let mission = &call.auction.mission;
         let Some(called) = self.mission(mission) else { return vec![] };
         let mut queues: BTreeMap<&RobotId, Vec<Option<PromisedRole>>> = BTreeMap::new();
-        let promises = self.promises_in_order().into_iter().filter(|(.., promise)| invited.contains(&promise.robot));
-        for (entry, role, promise) in promises {
+        let is_called = |entry: &MissionEntry, role: &RoleId| entry.id == *mission && call.roles.contains_key(role);
+        for (entry, role, promise) in self.promises_in_order() {
+            if !invited.contains(&promise.robot) || is_called(entry, role) {
+                continue;
+            }
             let slack = match entry.submission.priority.cmp(&called.submission.priority) {
                 Ordering::Less => None,
                 Ordering::Equal => Some(delay_max.get() - promise.delayed.get()),
@@ -236,7 +244,7 @@ impl Ledger {
             if let Some(promise) = role.and_then(|role| role.holder.as_mut()) {
                 let follows = index >= inserted;
                 promise.position = index + u32::from(follows);
-                promise.delayed += if follows { delay } else { Seconds::ZERO };
+                promise.delay(if follows { delay } else { Seconds::ZERO });
             }
         }
         inserted
@@ -261,12 +269,7 @@ impl Ledger {
     /// # Errors
     /// [`CommandError`] states the reason.
     pub fn check_promise(&self, mission: &MissionId, role: &RoleId, epoch: Epoch) -> Result<(), CommandError> {
-        let not_promised = || CommandError::NotPromised { mission: mission.clone(), role: role.clone() };
-        let entry = self.mission(mission).ok_or_else(|| self.no_mission(mission))?;
-        let (_, robot) = entry.promised_roles().find(|(id, _)| *id == role).ok_or_else(not_promised)?;
-        if entry.state.is_final() || robot.epoch != epoch {
-            return Err(not_promised());
-        }
+        let (_, robot) = self.promise(mission, role, epoch)?;
         self.check_takes_roles(&robot.robot)?;
         self.check_free(mission, &robot.robot)?;
         let mut waits = Waits::of(self);
@@ -274,6 +277,64 @@ impl Ledger {
         match waits.contain_cycle_of(mission) {
             true => Err(CommandError::CircularWait { mission: mission.clone() }),
             false => Ok(()),
+        }
+    }
+
+    /// Returns the mission and the robot of a promise with this epoch.
+    fn promise(
+        &self,
+        mission: &MissionId,
+        role: &RoleId,
+        epoch: Epoch,
+    ) -> Result<(&MissionEntry, &RoleAssignment), CommandError> {
+        let not_promised = || CommandError::NotPromised { mission: mission.clone(), role: role.clone() };
+        let entry = self.mission(mission).ok_or_else(|| self.no_mission(mission))?;
+        let (_, robot) = entry.promised_roles().find(|(id, _)| *id == role).ok_or_else(not_promised)?;
+        match entry.state.is_final() || robot.epoch != epoch {
+            true => Err(not_promised()),
+            false => Ok((entry, robot)),
+        }
+    }
+
+    /// Passes a promised role to another robot. Its former robot keeps the delays of its other promises.
+    pub(super) fn reassign(&mut self, change: Reassignment, at: Epoch) -> Result<CommandOutcome, CommandError> {
+        let Reassignment { mission, role, epoch, robot, cause, auction } = change;
+        let (entry, former) = self.promise(&mission, &role, epoch)?;
+        if entry.has_signalled(&role) {
+            return Err(CommandError::ActedOn { mission, role });
+        }
+        if let Some((other, ..)) = entry.assigned_roles().find(|(.., holder)| holder.robot == robot) {
+            let role = other.clone();
+            return Err(CommandError::TwoRoles { robot, mission, role });
+        }
+        let release = RoleRelease {
+            role: role.clone(),
+            robot: former.robot.clone(),
+            cause,
+            class: None,
+            confirmed: false,
+            gave_way: false,
+        };
+        self.check_assignable(&mission, &robot, auction.promised.contains_key(&role))?;
+        let holders = BTreeMap::from([(role, robot)]);
+        if self.would_wait_circularly(&mission, &holders, &auction.promised) {
+            return Err(CommandError::CircularWait { mission });
+        }
+        self.active_mission(&mission)?.add_release(release);
+        self.assign(&mission, holders, auction, at)
+    }
+
+    /// Checks that a robot can be awarded a role of a mission, or be promised one.
+    pub(super) fn check_assignable(
+        &self,
+        mission: &MissionId,
+        robot: &RobotId,
+        is_promised: bool,
+    ) -> Result<(), CommandError> {
+        self.check_takes_roles(robot)?;
+        match is_promised {
+            true => self.check_carries_nothing(mission, robot),
+            false => self.check_free(mission, robot),
         }
     }
 
@@ -314,7 +375,7 @@ impl Ledger {
     }
 
     /// Checks that a robot holds no role and has no item of another mission.
-    pub(super) fn check_free(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
+    fn check_free(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
         if let Some((held, role, _)) = self.held_by(robot) {
             let (robot, mission, role) = (robot.clone(), held.id.clone(), role.clone());
             return Err(CommandError::TwoRoles { robot, mission, role });
@@ -323,7 +384,7 @@ impl Ledger {
     }
 
     /// Checks that a robot has no item of another mission.
-    pub(super) fn check_carries_nothing(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
+    fn check_carries_nothing(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
         let mut others = self.held_items().filter(|(entry, _)| entry.id != *mission);
         match others.find(|(_, held_item)| held_item.robot == *robot) {
             None => Ok(()),

@@ -80,7 +80,17 @@ impl Log {
     /// Returns the promised roles in a call of a mission to these robots; 60 s of delay are permitted.
     fn promised_roles(&self, mission: &MissionId, invited: &[&str]) -> Vec<PromisedRole> {
         let invited = invited.iter().map(|name| robot(name)).collect();
-        self.0.promised_roles(mission, Seconds::new(60.0).unwrap(), &invited)
+        let call = self.0.mission(mission).unwrap().call_for_bids(record(mission, &[]).auction).unwrap();
+        self.0.promised_roles(&call, Seconds::new(60.0).unwrap(), &invited)
+    }
+
+    /// Passes the arm of a mission to another robot. It is promised to the robot with `is_promised`.
+    fn reassign(&mut self, mission: &MissionId, robot: &str, is_promised: bool) -> CommandOutcome {
+        let (epoch, cause) = (self.epoch(mission, "arm"), "late".to_owned());
+        let promised = is_promised.then(|| (role("arm"), Seconds::new(30.0).unwrap())).into_iter().collect();
+        let auction = AuctionRecord { promised, at_ms: 1_000, ..record(mission, &[("arm", robot)]) };
+        let (mission, role, robot) = (mission.clone(), role("arm"), self::robot(robot));
+        self.apply(Command::Reassign(Box::new(Reassignment { mission, role, epoch, robot, cause, auction })))
     }
 
     /// Returns the missions of the promises of a robot in their order, with the delay of each.
@@ -218,6 +228,43 @@ fn a_call_has_a_bounded_size_and_names_the_shortest_queues() {
     assert!(sent.iter().map(|promise| promise.robot.as_str()).eq(expected.copied()), "{sent:?}");
 }
 
+#[test]
+fn a_promise_passes_to_another_robot() {
+    let (mut log, missions) = Log::with_missions(3);
+    let [held, first, second] = &missions[..] else { panic!() };
+    log.award(held, &[("arm", "arm-1"), ("cart", "ada")], &[]);
+    log.insert(first, "arm-1", held, 20.0);
+    log.insert(second, "arm-1", held, 20.0);
+    let call =
+        log.0.mission(second).unwrap().call_for_roles(&[role("arm")].into(), record(second, &[]).auction).unwrap();
+    let sent = log.0.promised_roles(&call, Seconds::ZERO, &[robot("arm-1")].into());
+    let sent: Vec<_> = sent.iter().map(|promise| &promise.role.mission).collect();
+    assert_eq!(sent, [first], "the role of the call is left out");
+
+    let promised = log.epoch(second, "arm");
+    for robot in ["arm-1", second.as_str()] {
+        let own = log.reassign(second, robot, true);
+        assert!(matches!(own, CommandOutcome::Refused(CommandError::TwoRoles { .. })), "{own:?}");
+    }
+    assert!(matches!(log.reassign(second, "arm-2", true), CommandOutcome::Awarded { .. }));
+    let entry = log.0.mission(second).unwrap();
+    let (_, promise) = entry.promised_roles().next().unwrap();
+    assert_eq!((promise.robot.as_str(), promise.planned_ms), ("arm-2", 31_000));
+    assert!(promise.epoch > promised, "others learn of the change");
+    assert_eq!(entry.state.as_str(), "running");
+    let releases: Vec<_> = entry.releases.iter().map(|release| (release.robot.as_str(), release.confirmed)).collect();
+    assert_eq!(releases, [("arm-1", false)]);
+    assert_eq!(log.promises_of("arm-1").len(), 1);
+
+    // A free robot gets the role at once.
+    assert!(matches!(log.reassign(second, "arm-3", false), CommandOutcome::Awarded { .. }));
+    assert_eq!(log.phase(second, "arm"), RolePhase::Awarded);
+    let held = log.reassign(second, "arm-4", true);
+    assert!(matches!(held, CommandOutcome::Refused(CommandError::NotPromised { .. })), "{held:?}");
+    let busy = log.reassign(first, "arm-3", false);
+    assert!(matches!(busy, CommandOutcome::Refused(CommandError::TwoRoles { .. })), "{busy:?}");
+}
+
 /// The robot may know the epoch of its promise, which permits nothing.
 #[test]
 fn a_promise_is_neither_accepted_nor_executed() {
@@ -274,6 +321,7 @@ enum Move {
     End { mission: usize, of_arm: bool },
     Release { mission: usize, of_arm: bool },
     Postpone { mission: usize, of_arm: bool },
+    Reassign { mission: usize, arm: usize, is_promised: bool },
 }
 
 const ROBOTS: [&str; 4] = ["ada", "bob", "cyd", "dan"];
@@ -288,6 +336,8 @@ fn moves() -> impl Strategy<Value = Move> {
         1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::End { mission, of_arm }),
         1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::Release { mission, of_arm }),
         1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::Postpone { mission, of_arm }),
+        1 => (mission(), robot(), any::<bool>())
+            .prop_map(|(mission, arm, is_promised)| Move::Reassign { mission, arm, is_promised }),
     ]
 }
 
@@ -319,7 +369,14 @@ fn perform(log: &mut Log, missions: &[MissionId], next: &Move) {
             let (mission, role, epoch) = (missions[mission].clone(), role(id), log.epoch(&missions[mission], id));
             log.apply(Command::Postpone { mission, role, epoch });
         }
-        Move::AwardPromised { .. } | Move::End { .. } | Move::Release { .. } | Move::Postpone { .. } => {}
+        Move::Reassign { mission, arm, is_promised } if has(log, &missions[mission], "arm") => {
+            log.reassign(&missions[mission], ROBOTS[arm], is_promised);
+        }
+        Move::AwardPromised { .. }
+        | Move::End { .. }
+        | Move::Release { .. }
+        | Move::Postpone { .. }
+        | Move::Reassign { .. } => {}
     }
 }
 

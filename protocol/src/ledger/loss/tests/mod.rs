@@ -2,6 +2,7 @@ mod energy;
 mod recovery_branch;
 
 use super::super::branch::Branch;
+use super::super::entry::RELEASES_KEPT;
 use super::super::submission::{RecoveryBranch, Submission};
 use super::*;
 use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidVerdict};

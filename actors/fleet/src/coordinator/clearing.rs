@@ -1,0 +1,107 @@
+//! Clearing of an auction by what the ledger and the other auctions of the session contain.
+
+use super::actions::AuctionRound;
+use super::message::CollectedBids;
+use super::queues::{robot_queues, unavailable_robots, unpromisable_robots};
+use super::session_context::SessionContext;
+use consort_protocol::auction::{
+    AuctionContext, AuctionOutcome, EnergyBudget, PromiseContext, PromiseTerms, RefusalReason, RobotQueue,
+    clear_auction_with,
+};
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ledger::MissionEntry;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Inputs of the clearing of an auction, from the ledger and the other auctions.
+pub(super) struct AuctionInputs {
+    /// Robots that can get no role now.
+    unavailable: BTreeMap<RobotId, RefusalReason>,
+    /// Robots that can be promised no role.
+    unpromisable: BTreeMap<RobotId, RefusalReason>,
+    queues: BTreeMap<RobotId, RobotQueue>,
+    /// Roles that can start now.
+    pub(super) startable: BTreeSet<RoleId>,
+    /// Robots that have failed at each role.
+    failed: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+    /// Robots that have lost or returned each role.
+    released: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+    is_under_way: bool,
+    energy: Option<EnergyBudget>,
+}
+
+impl AuctionInputs {
+    /// Reads the inputs from the ledger and the auctions of the session.
+    pub(super) fn read(
+        bids: &CollectedBids,
+        rounds: &BTreeMap<MissionId, AuctionRound>,
+        context: &SessionContext,
+    ) -> AuctionInputs {
+        let CollectedBids { call, again, .. } = bids;
+        let mission = &call.auction.mission;
+        context.read_ledger(|ledger| {
+            let entry = ledger.mission(mission);
+            let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {
+                let of_role = |role| entry.map(|entry| robots(entry, role)).unwrap_or_default();
+                call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
+            };
+            let queues = robot_queues(ledger, rounds, again.as_ref().map(|again| &again.promised));
+            let can_proceed = |role: &&RoleId| entry.is_none_or(|entry| entry.can_proceed(role));
+            AuctionInputs {
+                unavailable: unavailable_robots(ledger, &queues, mission),
+                unpromisable: unpromisable_robots(ledger, mission),
+                queues,
+                startable: call.roles.keys().filter(can_proceed).cloned().collect(),
+                failed: of_roles(&MissionEntry::excluded),
+                released: of_roles(&MissionEntry::former_robots),
+                is_under_way: entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
+                energy: entry.and_then(MissionEntry::energy_budget),
+            }
+        })
+    }
+
+    /// Returns the inputs for promises.
+    pub(super) fn promises(&self, terms: PromiseTerms) -> PromiseContext<'_> {
+        PromiseContext {
+            queues: &self.queues,
+            unavailable: &self.unpromisable,
+            startable: &self.startable,
+            is_under_way: self.is_under_way,
+            terms,
+        }
+    }
+
+    /// Assigns the roles. A robot that has lost or returned a role of the mission gets it again only if
+    /// the mission cannot be awarded otherwise: a robot that bids and then does not act delays the mission
+    /// once, and not for ever.
+    pub(super) fn clear(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
+        let CollectedBids { call, invitation, responses, .. } = bids;
+        let AuctionInputs { unavailable, failed, released, energy, .. } = self;
+        let settings = &context.settings.auctions;
+        let clear_with = |excluded, may_promise: bool| {
+            let auction_context = AuctionContext {
+                invitation,
+                unavailable,
+                excluded,
+                limits: &settings.limits,
+                energy: *energy,
+                promises: may_promise.then(|| self.promises(settings.promises)),
+                window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
+                at_ms: context.settings.parts.clock.wall_ms(),
+            };
+            clear_auction_with(call, responses, &auction_context, &*settings.allocator)
+        };
+        // Missions that would wait for each other are resolved by rank, once the reason is on record.
+        let is_possible = |outcome: &AuctionOutcome| {
+            let (mission, promised) = (&call.auction.mission, &outcome.record.promised);
+            let is_circular =
+                |holders| context.read_ledger(|ledger| ledger.would_wait_circularly(mission, holders, promised));
+            promised.is_empty() || !outcome.holders.iter().any(is_circular)
+        };
+        let clear = |excluded| {
+            let outcome = clear_with(excluded, settings.promises.promises_max > 0);
+            if is_possible(&outcome) { outcome } else { clear_with(excluded, false) }
+        };
+        let by_others = (released != failed).then(|| clear(released));
+        by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(failed))
+    }
+}

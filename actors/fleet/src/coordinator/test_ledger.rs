@@ -1,0 +1,62 @@
+//! A ledger with promises, for unit tests.
+
+use consort_protocol::auction::{AuctionId, AuctionRecord};
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, Submission};
+use consort_protocol::mission::{Format, MissionTemplate};
+use consort_protocol::plan::divide_and_check;
+use consort_protocol::units::Seconds;
+use consort_skills::domain::hospital;
+use std::collections::BTreeMap;
+
+/// The arm begins when the cart has ended.
+const MISSION: &str = r#"{"mission": "bring", "roles": {"arm": {"kind": "managed"}, "cart": {"kind": "managed"}},
+    "root": {"task": "all", "method": "sequential", "tasks": [
+        {"task": "go", "type": "wait", "roles": ["cart"], "parameters": {"seconds": "5"}},
+        {"task": "take", "type": "wait", "roles": ["arm"], "parameters": {"seconds": "5"}}]}}"#;
+
+/// A ledger, and the index of its latest entry.
+#[derive(Default)]
+pub(super) struct Log(pub(super) Ledger, u64);
+
+impl Log {
+    pub(super) fn apply(&mut self, command: Command) {
+        self.1 += 1;
+        let outcome = self.0.apply(Epoch { term: 1, index: self.1 }, command);
+        assert!(!matches!(outcome, CommandOutcome::Refused(_)), "{outcome:?}");
+    }
+
+    /// Submits a mission with a cart of its own, and promises its role for the arm.
+    pub(super) fn add_mission(&mut self, cart: &str) -> MissionId {
+        let mission = MissionTemplate::parse(MISSION, Format::Json).unwrap();
+        let mission = mission.instantiate(&BTreeMap::new(), &hospital()).unwrap();
+        let division = divide_and_check(&mission).unwrap();
+        let request = cart.parse().unwrap();
+        self.apply(Command::Submit(Box::new(Submission::of(request, mission, division))));
+        let mission = self.0.missions().last().unwrap().id.clone();
+        let (arm, cart_role): (RoleId, RoleId) = ("arm".parse().unwrap(), "cart".parse().unwrap());
+        let robots = ["lab-arm", cart].map(|name| RobotId::new(name).unwrap());
+        let holders = [arm.clone(), cart_role].into_iter().zip(robots).collect();
+        let empty = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
+        let auction = AuctionRecord { promised: [(arm, Seconds::ZERO)].into(), ..empty };
+        self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
+        mission
+    }
+
+    /// Ends the role of the cart.
+    pub(super) fn end_cart(&mut self, mission: &MissionId) {
+        let role: RoleId = "cart".parse().unwrap();
+        let epoch = self.0.mission(mission).unwrap().role_robots()[&role].epoch;
+        let accept = Command::Accept {
+            mission: mission.clone(),
+            role: role.clone(),
+            epoch,
+            incarnation: 1,
+            from_checkpoint: false,
+        };
+        self.apply(accept);
+        let (branch, ended, outcomes) = (Branch::Main, (0..9).collect(), BTreeMap::new());
+        self.apply(Command::Progress { mission: mission.clone(), role, epoch, branch, ended, outcomes });
+    }
+}
