@@ -276,3 +276,35 @@ fn the_late_promise_of_a_held_robot_passes_to_another() {
         fleet.assert_exclusive_roles();
     });
 }
+
+/// A robot is a little nearer to the room of the first mission, and much nearer to that of the second.
+#[test]
+fn missions_that_start_together_are_allocated_together() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = [("amber", "IC Room 2"), ("birch", "Dock")].map(|(name, place)| RobotSpec::carrier(name, place));
+        let mut fleet = Fleet::hospital(seed, robots.into(), &["aba"], &[]).await;
+        fleet.wait_for_coordinator().await;
+        let mut missions: Vec<MissionId> = vec![];
+        for (request, room) in [("first", "IC Room 4"), ("second", "IC Room 3")] {
+            let go = json!({ "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": room } });
+            let mission = json!({ "mission": "go", "roles": { "r1": { "kind": "managed" } }, "root": go });
+            let body = json!({ "mission": mission, "request": request, "not_before": "1970-01-01T00:02:00Z" });
+            let answer = fleet.request_answered(ApiCall::Submit, &body).await;
+            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+        }
+        let holders = |ledger: &Ledger| -> Vec<String> {
+            let holder = |id| Some(ledger.mission(id)?.holders().into_values().next()?.to_string());
+            missions.iter().filter_map(holder).collect()
+        };
+        assert_eq!(fleet.ledger(holders), Some(vec![]), "seed {seed}: they have not started");
+        fleet
+            .wait_until("both awards", 3 * SOON, |fleet| {
+                fleet.ledger(holders).is_some_and(|holders| holders.len() == 2)
+            })
+            .await;
+        assert_eq!(fleet.ledger(holders), Some(vec!["birch".to_owned(), "amber".to_owned()]), "seed {seed}");
+        for mission in &missions {
+            fleet.assert_completes(mission).await;
+        }
+    });
+}

@@ -33,6 +33,12 @@ pub trait Allocator: fmt::Debug + Send + Sync {
     /// # Errors
     /// [`AssignmentError`] if the roles cannot be assigned; then no role is assigned.
     fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError>;
+
+    /// Checks whether missions that are auctioned at the same time are allocated together first
+    /// ([`allocate_together`](super::allocate_together)). Then the allocator minimises the sum of the costs, too.
+    fn allocates_together(&self) -> bool {
+        false
+    }
 }
 
 /// Optimal assignment of [`optimal_assignment`](super::optimal_assignment()).
@@ -44,5 +50,9 @@ impl Allocator for OptimalAssignment {
         let roles = input.call.roles.keys().cloned().collect();
         let picks = optimal_assignment(&roles, &input.call.spread, input.viable, input.call.timelines.objective)?;
         Ok(picks.into_iter().map(|(role, index)| (role, input.viable[index].robot.clone())).collect())
+    }
+
+    fn allocates_together(&self) -> bool {
+        true
     }
 }

@@ -3,7 +3,8 @@
 //! All open roles of a mission are auctioned at once (Algorithm 1 of the thesis, with an optimal
 //! assignment in place of a greedy choice per role). A robot fills at most 1 role, and either all
 //! open roles are filled or none. A role whose robot is busy may be promised (the module `promise`), at the best
-//! position among the promised roles of the robot (the module `insertion`).
+//! position among the promised roles of the robot (the module `insertion`). Missions that are auctioned at the same time are
+//! allocated together (the module `together`).
 
 mod allocator;
 mod assignment;
@@ -16,6 +17,7 @@ mod insertion;
 mod invitation;
 mod promise;
 mod record;
+mod together;
 
 pub use allocator::{Allocator, AllocatorInput, OptimalAssignment};
 pub use assignment::{AssignmentError, optimal_assignment};
@@ -33,3 +35,4 @@ pub use insertion::{
 pub use invitation::Invitation;
 pub use promise::{PromiseContext, PromiseTerms, RobotQueue};
 pub use record::{AuctionEntry, AuctionRecord, BidVerdict};
+pub use together::{OpenAuction, allocate_together};

@@ -5,18 +5,23 @@
 //! auction that has its bids and would fill its roles first waits for all better-ranked missions
 //! that are collecting bids. Better-ranked missions in backoff are called at once, because the
 //! robots found may be the robots they wait for. An auction waits for at most 2 bid windows.
+//!
+//! Missions of the same priority whose calls are sent at about the same time are allocated together: an auction that has its
+//! bids waits for the others. So do missions that have waited for a robot, which are called when one becomes free.
 
 use super::actions::{AuctionRound, ClosedBidding, RoundPhase};
 use super::auctioneer::{call_for_roles, send_call};
-use super::clearing::AuctionInputs;
+use super::clearing::{AuctionInputs, allocate_missions};
 use super::message::{CollectedBids, CoordinatorMessage};
 use super::reconcile::{backoff, can_be_auctioned};
 use super::session_context::{AWARD_TIMEOUT, SessionContext};
-use consort_protocol::auction::{AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, RoleReply};
+use consort_protocol::auction::{
+    AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, RefusalReason, RoleReply,
+};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry};
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Priority};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,8 +33,15 @@ use tracing::debug;
 /// role permanently, provided that a robot has failed in that role before.
 const HOPELESS_ROUNDS: u32 = 3;
 
+/// Maximum time between the calls for missions that are allocated together. Raised: more missions are, and an auction waits for
+/// later ones. A guess: requests of a client that follow each other.
+const TOGETHER: Duration = Duration::from_millis(50);
+
 /// Maximum number of robots named in the cause of a failed mission.
 const NAMED_ROBOTS_MAX: usize = 8;
+
+/// Robots of missions that are allocated together; none for a mission that is cleared by itself.
+type Allocation = BTreeMap<MissionId, BTreeMap<RoleId, RobotId>>;
 
 /// Auctions of a session, by mission.
 #[derive(Default)]
@@ -111,32 +123,67 @@ impl Auctions {
             let lease_monitor = context.lease_monitor.lock();
             let open =
                 ledger.active_missions().into_iter().filter(|entry| can_be_auctioned(entry, &lease_monitor, now));
-            open.map(|entry| entry.id.clone()).collect::<Vec<_>>()
+            open.map(|entry| (entry.id.clone(), entry.submission.priority)).collect::<Vec<_>>()
         });
         let mut calling = false;
         let mut waiting: Vec<(MissionId, NodeTime)> = vec![];
-        for mission in open {
-            let Some(round) = self.rounds.get(&mission) else { continue };
+        let mut allocated = Allocation::new();
+        for (index, (mission, priority)) in open.iter().enumerate() {
+            let Some(round) = self.rounds.get(mission) else { continue };
             let called = round.called_at;
             match &round.phase {
                 RoundPhase::Bidding => calling = true,
-                RoundPhase::BackingOff { since, .. } => waiting.push((mission, *since)),
+                RoundPhase::BackingOff { since, .. } => waiting.push((mission.clone(), *since)),
                 RoundPhase::Proposing { .. } => {}
                 RoundPhase::BiddingClosed(closed) => {
-                    let outcome = AuctionInputs::read(&closed.bids, &self.rounds, context).clear(&closed.bids, context);
-                    if outcome.holders.is_some() && now < closed.deadline {
+                    if !allocated.contains_key(mission) {
+                        allocated.extend(self.allocate_with(&open[index..], called, context));
+                    }
+                    let reserved = robots_of_others(&allocated, mission);
+                    let is_joint = !reserved.is_empty();
+                    let mut inputs = AuctionInputs::read(&closed.bids, &self.rounds, context);
+                    inputs.reserve(reserved);
+                    let outcome = inputs.clear(&closed.bids, context);
+                    if (outcome.holders.is_some() || is_joint) && now < closed.deadline {
                         for (better_ranked, _) in waiting.iter().filter(|(_, since)| *since < called) {
                             self.call_for_bids(better_ranked, context, now);
                             calling = true;
                         }
+                        calling |= self.is_followed(&open[index..], *priority, called);
                         if calling {
                             continue; // lower-ranked missions wait, too
                         }
                     }
-                    self.record(&mission, outcome, context);
+                    self.record(mission, outcome, context);
                 }
             }
         }
+    }
+
+    /// Allocates the first of these missions together with those that were called at about the same time.
+    fn allocate_with(&self, open: &[(MissionId, Priority)], called: NodeTime, context: &SessionContext) -> Allocation {
+        let Some((_, priority)) = open.first() else { return Allocation::new() };
+        let closed = open.iter().filter(|(_, other)| other == priority).filter_map(|(mission, _)| {
+            let round = self.rounds.get(mission)?;
+            match &round.phase {
+                RoundPhase::BiddingClosed(closed) if are_together(called, round.called_at) => {
+                    Some((mission, &closed.bids))
+                }
+                _ => None,
+            }
+        });
+        let closed: Vec<(&MissionId, &CollectedBids)> = closed.collect();
+        let allocation = allocate_missions(&closed, &self.rounds, context);
+        let mut allocated: Allocation =
+            closed.into_iter().map(|(mission, _)| (mission.clone(), BTreeMap::new())).collect();
+        allocated.extend(allocation.into_iter().map(|(mission, robots)| (mission.clone(), robots)));
+        allocated
+    }
+
+    /// Checks whether a mission of this priority, called at about the same time, still collects bids.
+    fn is_followed(&self, open: &[(MissionId, Priority)], priority: Priority, called: NodeTime) -> bool {
+        let mut rounds = open.iter().filter(|(_, other)| *other == priority).filter_map(|(id, _)| self.rounds.get(id));
+        rounds.any(|round| round.phase == RoundPhase::Bidding && are_together(called, round.called_at))
     }
 
     /// Proposes the award, or defers the mission and backs off.
@@ -226,6 +273,23 @@ impl Auctions {
             }
         }
     }
+}
+
+/// Returns the robots that other missions get, as the reasons for which they refuse a role of this mission.
+fn robots_of_others(allocation: &Allocation, mission: &MissionId) -> Vec<(RobotId, RefusalReason)> {
+    let mut reserved = vec![];
+    for (other, robots) in allocation.iter().filter(|(other, _)| *other != mission) {
+        for (role, robot) in robots {
+            let (mission, role) = (other.clone(), role.clone());
+            reserved.push((robot.clone(), RefusalReason::Busy { mission, role }));
+        }
+    }
+    reserved
+}
+
+/// Checks whether calls that were sent at these times are allocated together.
+fn are_together(one: NodeTime, other: NodeTime) -> bool {
+    one.since(other).max(other.since(one)) <= TOGETHER
 }
 
 /// Checks whether a record differs from the previous record in more than times, counters and details.

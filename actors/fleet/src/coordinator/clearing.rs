@@ -5,11 +5,12 @@ use super::message::CollectedBids;
 use super::queues::{robot_queues, unavailable_robots, unpromisable_robots};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
-    AuctionContext, AuctionOutcome, EnergyBudget, PromiseContext, PromiseTerms, RefusalReason, RobotQueue,
-    clear_auction_with,
+    AuctionContext, AuctionOutcome, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms, RefusalReason, RobotQueue,
+    allocate_together, clear_auction_with,
 };
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::MissionEntry;
+use consort_protocol::units::{Energy, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Inputs of the clearing of an auction, from the ledger and the other auctions.
@@ -70,24 +71,50 @@ impl AuctionInputs {
         }
     }
 
+    /// Reserves robots for other missions, with the roles that they get there.
+    pub(super) fn reserve(&mut self, robots: Vec<(RobotId, RefusalReason)>) {
+        for (robot, reason) in robots {
+            let (promised, time, energy) = (0, Seconds::ZERO, Energy::ZERO);
+            let queue = RobotQueue { is_held: true, promised, time, energy, reason: reason.clone() };
+            self.queues.entry(robot.clone()).or_insert(queue).is_held = true;
+            self.unavailable.entry(robot).or_insert(reason);
+        }
+    }
+
+    /// Checks whether no robot has lost or returned a role of the mission, except for robots that failed.
+    fn is_first(&self) -> bool {
+        self.released == self.failed
+    }
+
+    fn without_promises<'a>(
+        &'a self,
+        bids: &'a CollectedBids,
+        excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+        context: &'a SessionContext,
+    ) -> AuctionContext<'a> {
+        let settings = &context.settings.auctions;
+        AuctionContext {
+            invitation: &bids.invitation,
+            unavailable: &self.unavailable,
+            excluded,
+            limits: &settings.limits,
+            energy: self.energy,
+            promises: None,
+            window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
+            at_ms: context.settings.parts.clock.wall_ms(),
+        }
+    }
+
     /// Assigns the roles. A robot that has lost or returned a role of the mission gets it again only if
     /// the mission cannot be awarded otherwise: a robot that bids and then does not act delays the mission
     /// once, and not for ever.
     pub(super) fn clear(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
-        let CollectedBids { call, invitation, responses, .. } = bids;
-        let AuctionInputs { unavailable, failed, released, energy, .. } = self;
+        let CollectedBids { call, responses, .. } = bids;
+        let AuctionInputs { failed, released, .. } = self;
         let settings = &context.settings.auctions;
         let clear_with = |excluded, may_promise: bool| {
-            let auction_context = AuctionContext {
-                invitation,
-                unavailable,
-                excluded,
-                limits: &settings.limits,
-                energy: *energy,
-                promises: may_promise.then(|| self.promises(settings.promises)),
-                window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
-                at_ms: context.settings.parts.clock.wall_ms(),
-            };
+            let promises = may_promise.then(|| self.promises(settings.promises));
+            let auction_context = AuctionContext { promises, ..self.without_promises(bids, excluded, context) };
             clear_auction_with(call, responses, &auction_context, &*settings.allocator)
         };
         // Missions that would wait for each other are resolved by rank, once the reason is on record.
@@ -101,7 +128,27 @@ impl AuctionInputs {
             let outcome = clear_with(excluded, settings.promises.promises_max > 0);
             if is_possible(&outcome) { outcome } else { clear_with(excluded, false) }
         };
-        let by_others = (released != failed).then(|| clear(released));
+        let by_others = (!self.is_first()).then(|| clear(released));
         by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(failed))
     }
+}
+
+/// Returns the robots of each mission in the allocation of all together; none for a mission that is cleared by itself.
+pub(super) fn allocate_missions<'a>(
+    missions: &[(&'a MissionId, &'a CollectedBids)],
+    rounds: &BTreeMap<MissionId, AuctionRound>,
+    context: &SessionContext,
+) -> Vec<(&'a MissionId, BTreeMap<RoleId, RobotId>)> {
+    if missions.len() < 2 || !context.settings.auctions.allocator.allocates_together() {
+        return vec![];
+    }
+    let inputs = missions.iter().map(|(mission, bids)| (*mission, *bids, AuctionInputs::read(bids, rounds, context)));
+    let first: Vec<_> = inputs.filter(|(.., inputs)| inputs.is_first()).collect();
+    let mut open = vec![];
+    for (_, bids, inputs) in &first {
+        let context = inputs.without_promises(bids, &inputs.failed, context);
+        open.push(OpenAuction { call: &bids.call, responses: &bids.responses, context });
+    }
+    let allocation = allocate_together(&open);
+    first.iter().map(|(mission, ..)| *mission).zip(allocation).collect()
 }

@@ -160,6 +160,21 @@ fn bid_of<'a>(replies: &Replies<'a>, role: &RoleId, robot: &RobotId) -> Option<&
     }
 }
 
+/// Returns the bids of robots that may get a role, without preferences among robots.
+pub(super) fn viable_bids<'a>(
+    call: &CallForBids,
+    responses: &'a [BidResponse],
+    context: &AuctionContext<'_>,
+) -> Vec<&'a Bid> {
+    let replies = replies_to(call, responses);
+    viable_among(&replies, &evaluate_all(call, &replies, context, None))
+}
+
+fn viable_among<'a>(replies: &Replies<'a>, entries: &[AuctionEntry]) -> Vec<&'a Bid> {
+    let viable = entries.iter().filter(|entry| matches!(entry.verdict, BidVerdict::Viable { .. }));
+    viable.filter_map(|entry| bid_of(replies, &entry.role, &entry.robot)).collect()
+}
+
 /// Evaluates every robot for every role: robots that replied and robots that were invited.
 fn evaluate_all(
     call: &CallForBids,
@@ -247,8 +262,7 @@ fn allocate_roles(
     for entry in entries.iter().filter(|entry| is_candidate(&entry.verdict)) {
         open.entry(entry.role.clone()).or_default().insert(entry.robot.clone());
     }
-    let viable = entries.iter().filter(|entry| matches!(entry.verdict, BidVerdict::Viable { .. }));
-    let viable: Vec<&Bid> = viable.filter_map(|entry| bid_of(replies, &entry.role, &entry.robot)).collect();
+    let viable = viable_among(replies, entries);
     let bids: Vec<&Bid> = replies
         .iter()
         .filter(|((role, robot), _)| open.get(*role).is_some_and(|robots| robots.contains(*robot)))
