@@ -83,6 +83,16 @@ fn one_arm_serves_missions_that_are_under_way_together() {
             text.contains(r#""phase":"promised""#) && text.contains(r#""holder":"lab-arm""#),
             "seed {seed}: {text}"
         );
+        let arm =
+            view.values().find_map(|view| view["roles"].as_array()?.iter().find(|role| role["role"] == "lab_arm"));
+        let promise = arm.map(|arm| arm["promise"].clone()).unwrap_or_default();
+        assert!(promise["planned_at_ms"].as_u64().is_some_and(|at| at > 0), "seed {seed}: {text}");
+        assert!(promise["after"].as_array().is_some_and(|after| !after.is_empty()), "seed {seed}: {text}");
+        let reply = fleet.request_answered(ApiCall::Explain, &json!({ "mission": missions[3] })).await;
+        let planned = "lab_arm is promised to lab-arm, which is free for it at about 1970-01-0";
+        let lines = reply["text"].as_array().cloned().unwrap_or_default();
+        let explains = |line: &Value| line.as_str().is_some_and(|line| line.starts_with(planned));
+        assert!(lines.iter().any(explains), "seed {seed}: {reply}");
         assert_all_complete(&mut fleet, &missions).await;
         let arm: RoleId = slug("lab_arm");
         let ended = fleet.ledger(|ledger| {

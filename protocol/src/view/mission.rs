@@ -1,13 +1,13 @@
 //! Views of missions.
 
 use super::{readable, readable_or_default};
-use crate::auction::{AuctionRecord, Explanation};
+use crate::auction::{AuctionRecord, Explanation, RoleOfMission};
 use crate::ids::{EnsembleId, MissionId, RequestId, RobotId, RoleId, TaskId, TaskType};
 use crate::ledger::{Branch, HeldItem, MissionState, Priority, RolePhase, RoleRelease};
 use crate::mission::{RoleKind, TaskNode, TaskOrder};
 use crate::plan::StepIndex;
 use crate::scalar::Scalar;
-use crate::units::{Energy, EnergyLimit};
+use crate::units::{Energy, EnergyLimit, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -203,6 +203,22 @@ pub struct RoleView {
     /// Steps of its plan; null if it has no plan.
     #[serde(default)]
     pub steps: Option<Vec<StepView>>,
+    /// Start of a promised role; null unless it is promised.
+    #[serde(default, deserialize_with = "readable_or_default")]
+    pub promise: Option<PromiseView>,
+}
+
+/// Planned start of a promised role.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct PromiseView {
+    /// Time at which its robot is estimated to be free for it, in milliseconds since 1970.
+    pub planned_at_ms: u64,
+    /// Time by which roles that the robot has inserted before it delay it, in seconds. The planned time contains it.
+    pub delayed_s: Seconds,
+    /// True if the role could start now: it only waits for its robot.
+    pub can_start: bool,
+    /// What the robot does before, in this order: the role that it holds, and other promised roles.
+    pub after: Vec<RoleOfMission>,
 }
 
 /// A step of a role's plan.

@@ -45,7 +45,7 @@ pub use health::{HealthFinding, HealthLevel, HealthView};
 pub use map::{DoorView, LaneView, LevelView, LiftView, MapBounds, MapView, PlaceView, WallView};
 pub use mission::{
     MissionBrief, MissionProgress, MissionStateName, MissionStatus, MissionSummary, MissionView, MissionsView,
-    RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
+    PromiseView, RequestTerms, RoleView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
 pub use person_request::{PersonRequestView, RequestsView};
 pub use provenance::{LedgerCopy, Provenance, WithProvenance};

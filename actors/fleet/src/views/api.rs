@@ -3,15 +3,18 @@
 use super::ViewService;
 use super::draw::json;
 use super::linearizable::retry;
+use super::mission::time_text;
 use crate::api_help;
 use consort_protocol::api::{
     ErrorReply, ExplainReply, MissionQuery, ReadOptions, UninvitedRobot, parse_read_options, parse_request,
 };
-use consort_protocol::auction::{Explanation, explain};
+use consort_protocol::auction::{Explanation, RoleOfMission, explain};
 use consort_protocol::ids::{EnsembleId, MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::ledger::{MissionState, RoleRelease};
-use consort_protocol::view::{EnsembleView, EnsemblesView, MissionBrief, MissionView, WithProvenance};
+use consort_protocol::view::{
+    EnsembleView, EnsemblesView, MissionBrief, MissionView, PromiseView, RoleView, WithProvenance,
+};
 use consort_text::count;
 use serde::Deserialize;
 use serde_json::Value;
@@ -116,9 +119,10 @@ impl ViewService {
         let explanation = view.auction.as_ref().map(explain);
         let entries = view.auction.iter().flat_map(|record| &record.entries);
         let asked: BTreeSet<NodeId> = entries.map(|entry| NodeId::from(entry.robot.clone())).collect();
-        let MissionView { brief, releases, ensembles, .. } = view;
+        let MissionView { brief, releases, ensembles, roles, .. } = view;
         let not_asked = self.not_asked(&asked, &ensembles).await;
         let mut text = text(mission, &brief.status.detail, explanation.as_ref(), &not_asked, &releases);
+        text.extend(roles.iter().filter_map(promise_text));
         text.extend(energy_text(&brief));
         let content =
             ExplainReply { mission: brief.mission, state: brief.status.state, explanation, not_asked, releases, text };
@@ -167,6 +171,17 @@ fn release_text(release: &RoleRelease) -> String {
     let RoleRelease { role, robot, cause, .. } = release;
     let again = if release.excludes_robot() { ", and it is not asked for it again" } else { "" };
     format!("{role} was taken from {robot}: {cause}{again}")
+}
+
+/// Returns a text like `arm is promised to gorse, which is free for it at about 2026-11-27T14:05:00Z, after r1 of m-1`.
+fn promise_text(RoleView { role, holder, promise, .. }: &RoleView) -> Option<String> {
+    let (robot, PromiseView { planned_at_ms, can_start, after, .. }) = (holder.as_ref()?, promise.as_ref()?);
+    let at = time_text(*planned_at_ms)?;
+    let after: Vec<String> =
+        after.iter().map(|RoleOfMission { mission, role }| format!("{role} of {mission}")).collect();
+    let after = if after.is_empty() { String::new() } else { format!(", after {}", after.join(", ")) };
+    let wait = if *can_start { "" } else { "; the role waits for other roles" };
+    Some(format!("{role} is promised to {robot}, which is free for it at about {at}{after}{wait}"))
 }
 
 /// Returns the energy of a mission that has a bound on it.

@@ -122,7 +122,7 @@ impl ViewContext<'_> {
             }
             let entries = ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), entry));
             let wanted = entries.filter(|(key, _)| wanted(key));
-            views.extend(wanted.map(|(key, entry)| (key, with(&provenance, mission(entry)))));
+            views.extend(wanted.map(|(key, entry)| (key, with(&provenance, mission(ledger, entry)))));
             let ended = named.filter(|id| ledger.mission(id).is_none());
             if let Some((id, tombstone)) = ended.and_then(|id| Some((id, ledger.tombstone(id)?))) {
                 views.push((Key::ViewMission(id.clone()), with(&provenance, ended_mission(id.clone(), tombstone))));

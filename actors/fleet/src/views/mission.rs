@@ -8,7 +8,7 @@ use consort_protocol::mission::{Mission, RoleKind, TaskBody, TaskIndex, TaskOutc
 use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
 use consort_protocol::view::{
     AuctionView, AuctionsView, MissionBrief, MissionProgress, MissionStatus, MissionSummary, MissionView, MissionsView,
-    RequestTerms, RoleView, SchedulesView, StepView, TaskParticipant, TaskProgress, TaskView,
+    PromiseView, RequestTerms, RoleView, SchedulesView, StepView, TaskParticipant, TaskProgress, TaskView,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use time::OffsetDateTime;
@@ -29,15 +29,19 @@ pub(super) fn missions(ledger: &Ledger) -> MissionsView {
 /// latest auction.
 fn pending_reason(entry: &MissionEntry) -> Option<String> {
     let Some(auction) = &entry.auction else {
-        let seconds = i64::try_from(entry.submission.not_before_ms? / 1000).ok()?;
-        let start = OffsetDateTime::from_unix_timestamp(seconds).ok()?.format(&Rfc3339).ok()?;
-        return Some(format!("it may not start before {start}"));
+        return Some(format!("it may not start before {}", time_text(entry.submission.not_before_ms?)?));
     };
     auction.failure.clone()
 }
 
+/// Returns a time in milliseconds since 1970 as text, to the second.
+pub(super) fn time_text(at_ms: u64) -> Option<String> {
+    let seconds = i64::try_from(at_ms / 1000).ok()?;
+    OffsetDateTime::from_unix_timestamp(seconds).ok()?.format(&Rfc3339).ok()
+}
+
 /// Returns a single mission with the plans and the progress of its roles.
-pub(super) fn mission(entry: &MissionEntry) -> MissionView {
+pub(super) fn mission(ledger: &Ledger, entry: &MissionEntry) -> MissionView {
     MissionView {
         brief: brief(entry),
         request: Some(entry.submission.request.clone()),
@@ -46,7 +50,7 @@ pub(super) fn mission(entry: &MissionEntry) -> MissionView {
         ensembles: entry.mission().ensembles.clone(),
         tasks: entry.mission().tasks.clone(),
         tree: task_tree(entry, entry.mission(), 0).map(|(_, tree)| tree),
-        roles: entry.roles.iter().map(|(id, role)| role_view(entry, id, role)).collect(),
+        roles: entry.roles.iter().map(|(id, role)| role_view(ledger, entry, (id, role))).collect(),
         auction: entry.auction.clone(),
         explanation: entry.auction.as_ref().map(explanation_of),
     }
@@ -103,7 +107,8 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
     }
 }
 
-fn role_view(entry: &MissionEntry, id: &RoleId, role: &RoleEntry) -> RoleView {
+fn role_view(ledger: &Ledger, entry: &MissionEntry, (id, role): (&RoleId, &RoleEntry)) -> RoleView {
+    let promise = role.holder.as_ref().filter(|_| role.phase == RolePhase::Promised);
     RoleView {
         role: id.clone(),
         kind: role.kind,
@@ -116,6 +121,12 @@ fn role_view(entry: &MissionEntry, id: &RoleId, role: &RoleEntry) -> RoleView {
             .filter(|_| role.phase != RolePhase::Promised)
             .map(|holder| holder.epoch.to_string()),
         steps: entry.plan(id).map(|plan| steps(plan, &role.ended)),
+        promise: promise.map(|promise| PromiseView {
+            planned_at_ms: promise.planned_ms,
+            delayed_s: promise.delayed,
+            can_start: entry.can_proceed(id),
+            after: ledger.roles_before(&entry.id, id, promise),
+        }),
     }
 }
 

@@ -141,6 +141,7 @@ fn role_model(role: RoleView) -> RoleModel {
         holder: role.holder.map(|robot| robot.to_string()),
         epoch: role.epoch,
         steps: role.steps.map(|steps| steps.into_iter().map(step).collect()),
+        promise: role.promise,
     }
 }
 

@@ -5,7 +5,7 @@ use consort_protocol::cause::CauseClass;
 use consort_protocol::ledger::{Branch, HeldItem, RobotOrders, RolePhase};
 use consort_protocol::mission::{RoleKind, TaskNode};
 use consort_protocol::scalar::Scalar;
-use consort_protocol::view::NodeStatus;
+use consort_protocol::view::{NodeStatus, PromiseView};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -228,6 +228,8 @@ pub struct RoleModel {
     pub epoch: Option<String>,
     /// The plan.
     pub steps: Option<Vec<StepModel>>,
+    /// Planned start, if the role is promised.
+    pub promise: Option<PromiseView>,
 }
 
 /// A step of a role's plan.

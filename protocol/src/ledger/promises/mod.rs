@@ -170,6 +170,16 @@ impl Ledger {
         promises
     }
 
+    /// Returns what the robot of a promise does before: the role that it holds, and the promised roles before this one.
+    pub fn roles_before(&self, mission: &MissionId, role: &RoleId, promise: &RoleAssignment) -> Vec<RoleOfMission> {
+        let held = self.held_by(&promise.robot).map(|(entry, role, _)| (entry, role));
+        let promised = self.promises_in_order().into_iter().filter(|(.., other)| other.robot == promise.robot);
+        let promised = promised.map(|(entry, role, _)| (entry, role));
+        let before = promised.take_while(|(entry, id)| entry.id != *mission || *id != role);
+        let role = |(entry, role): (&MissionEntry, &RoleId)| (entry.id.clone(), role.clone());
+        held.into_iter().chain(before).map(role).map(|(mission, role)| RoleOfMission { mission, role }).collect()
+    }
+
     /// Returns the promised roles of these robots for a call for bids, except for the roles of the call. It contains all
     /// promises of a robot or none: those of a robot are left out if the estimate of one is unknown, or if there is no room;
     /// the robots that have promised the least time come first, since they are likely to get the role. A promise may be

@@ -189,6 +189,11 @@ fn a_promise_is_inserted_before_another_within_its_bound() {
     assert_eq!(log.promises_of("arm"), of(&[(first, 0.0), (second, 0.0)]));
     log.insert(third, "arm", second, 40.0);
     assert_eq!(log.promises_of("arm"), of(&[(first, 0.0), (third, 0.0), (second, 40.0)]));
+    let (arm, entry) = (role("arm"), log.0.mission(second).unwrap());
+    let (_, promise) = entry.promised_roles().next().unwrap();
+    let before = log.0.roles_before(second, &arm, promise);
+    assert!(before.iter().map(|role| &role.mission).eq([held, first, third]), "{before:?}");
+    assert_eq!(promise.planned_ms, 40_000, "the insertion delays its start");
     let sent = log.promised_roles(fourth, &["arm"]);
     assert!(sent.is_empty(), "the estimates of two promises are unknown: {sent:?}");
     // It would delay the second mission by 70 s in all.

@@ -153,11 +153,18 @@ function roles(mission) {
     details.firstChild.dataset.key = `summary-${name}`;
     const row = make('tr');
     const by = role.kind === 'unmanaged' ? 'a person' : role.holder ?? 'not assigned';
-    cells(row, name, make('td', {}, by, make('span', { className: 'sub' }, [readable(role.phase), role.epoch && `epoch ${role.epoch}`].filter(Boolean).join(', '))), details);
+    const notes = [readable(role.phase), role.epoch && `epoch ${role.epoch}`, role.promise && planned(role.promise)];
+    cells(row, name, make('td', {}, by, make('span', { className: 'sub' }, notes.filter(Boolean).join(', '))), details);
     body.append(row);
   }
   table.append(make('thead', {}, make('tr', {}, head)), body);
   return table;
+}
+
+// The planned start of a promised role, and what its robot does before.
+function planned({ planned_at_ms: at, after }) {
+  const before = after.map(({ mission, role }) => `${role} of ${mission}`).join(', ');
+  return `from about ${clock(at)}${before && `, after ${before}`}`;
 }
 
 function history(ended) {
