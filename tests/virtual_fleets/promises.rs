@@ -318,3 +318,33 @@ fn missions_that_start_together_are_allocated_together() {
         }
     });
 }
+
+#[test]
+fn an_urgent_mission_gets_a_robot_that_only_waits() {
+    for_each_seed(SEEDS, async |seed| {
+        let courier = RobotSpec::carrier("gorse", "Dock").with_skill("wait");
+        let robots = vec![RobotSpec::carrier("amber", "PC Room 8"), courier];
+        let mut fleet = Fleet::hospital(seed, robots, &["aba"], &[]).await;
+        fleet.wait_for_coordinator().await;
+        let act = json!({ "task": "act-now", "type": "wait", "roles": ["courier"], "parameters": { "seconds": "5" } });
+        let urgent = json!({
+            "mission": { "mission": "urgent", "roles": { "courier": { "kind": "managed" } }, "root": act },
+            "request": "urgent", "priority": 10,
+        });
+        let mut missions: Vec<MissionId> = vec![];
+        for request in [visit_after_drives("IC Room 1", "plain"), urgent] {
+            let answer = fleet.request_answered(ApiCall::Submit, &request).await;
+            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+            let latest = missions.last().expect("a mission").clone();
+            fleet
+                .wait_until("the courier", SOON, |fleet| {
+                    fleet.holder(&latest, "courier").is_some_and(|robot| robot.as_str() == "gorse")
+                })
+                .await;
+        }
+        fleet.assert_completes(&missions[1]).await;
+        assert!(!fleet.has_event(task_began("visit")), "seed {seed}:\n{}", fleet.event_log_text());
+        fleet.assert_completes(&missions[0]).await;
+        fleet.assert_exclusive_roles();
+    });
+}

@@ -98,6 +98,8 @@ pub(super) struct SessionState<'a> {
     pub(super) notified: &'a BTreeMap<(Epoch, RoleId), NodeTime>,
     /// Robots with promises that cannot take a role, with the reasons.
     pub(super) unfit: &'a BTreeMap<RobotId, String>,
+    /// Maximum number of promises of a robot.
+    pub(super) promises_max: u32,
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::actions::AuctionRound;
 use super::message::CollectedBids;
-use super::queues::{robot_queues, unavailable_robots, unpromisable_robots};
+use super::queues::{reserve, robot_queues, unavailable_robots, unpromisable_robots};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
     AuctionContext, AuctionOutcome, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms, RefusalReason, RobotQueue,
@@ -10,7 +10,6 @@ use consort_protocol::auction::{
 };
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::MissionEntry;
-use consort_protocol::units::{Energy, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Inputs of the clearing of an auction, from the ledger and the other auctions.
@@ -45,7 +44,7 @@ impl AuctionInputs {
                 let of_role = |role| entry.map(|entry| robots(entry, role)).unwrap_or_default();
                 call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
             };
-            let queues = robot_queues(ledger, rounds, again.as_ref().map(|again| &again.promised));
+            let queues = robot_queues(ledger, rounds, mission, again.as_ref().map(|again| &again.promised));
             let can_proceed = |role: &&RoleId| entry.is_none_or(|entry| entry.can_proceed(role));
             AuctionInputs {
                 unavailable: unavailable_robots(ledger, &queues, mission),
@@ -74,9 +73,7 @@ impl AuctionInputs {
     /// Reserves robots for other missions, with the roles that they get there.
     pub(super) fn reserve(&mut self, robots: Vec<(RobotId, RefusalReason)>) {
         for (robot, reason) in robots {
-            let (promised, time, energy) = (0, Seconds::ZERO, Energy::ZERO);
-            let queue = RobotQueue { is_held: true, promised, time, energy, reason: reason.clone() };
-            self.queues.entry(robot.clone()).or_insert(queue).is_held = true;
+            reserve(&mut self.queues, &robot, reason.clone());
             self.unavailable.entry(robot).or_insert(reason);
         }
     }

@@ -292,10 +292,11 @@ impl LeaderSession {
             // Until then a new coordinator may lack records.
             let has_all_records = now.since(context.since) > terms.lease + terms.grace;
             let unfit = &unfit_robots(ledger, knowledge, has_all_records);
-            let state = SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit };
+            let promises = &context.settings.auctions.promises;
+            let promises_max = promises.promises_max;
+            let state = SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit, promises_max };
             let mut actions = pending_actions(ledger, &state, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
-            let promises = &context.settings.auctions.promises;
             actions.extend(reauctions.due(ledger, rounds, promises, now, confirmed_ms));
             actions
         })

@@ -2,19 +2,20 @@
 
 use super::actions::{CoordinatorAction, RoundPhase, SessionState};
 use super::message::AwardedRole;
+use super::queues::may_return;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::Availability;
-use consort_protocol::ledger::{Ledger, MissionEntry};
+use consort_protocol::ledger::{Ledger, MissionEntry, Priority};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Returns the awards of promised roles to free robots, in the order of the promises, and the
-/// releases of promises that cannot be kept. A robot that only waits for others in its role is asked to return the
-/// role for a promised role that can start.
+/// releases of promises that cannot be kept, or that those of a higher priority have displaced. A robot
+/// that only waits for others in its role is asked to return the role for a promised role that can start.
 pub(super) fn promises_due(
     ledger: &Ledger,
     missions: &[&MissionEntry],
-    SessionState { rounds, unfit, .. }: &SessionState<'_>,
+    SessionState { rounds, unfit, promises_max, .. }: &SessionState<'_>,
     is_due: impl Fn(&AwardedRole) -> bool,
 ) -> Vec<CoordinatorAction> {
     if missions.iter().all(|entry| entry.promised_roles().next().is_none()) {
@@ -23,11 +24,8 @@ pub(super) fn promises_due(
     let held = missions.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot));
     let mut waiting: BTreeMap<&RobotId, AwardedRole> = BTreeMap::new();
     for entry in missions {
-        // A robot under orders keeps its role, since it would get no other.
-        let untouched = entry.held_roles().filter(|(role, held, holder)| {
-            held.ended.is_empty() && !entry.can_proceed(role) && ledger.orders_of(&holder.robot).is_none()
-        });
-        waiting.extend(untouched.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
+        let returnable = entry.held_roles().filter(|(role, _, holder)| may_return(ledger, entry, role, holder));
+        waiting.extend(returnable.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
     }
     let proposed = rounds.values().flat_map(|round| match &round.phase {
         RoundPhase::Proposing { holders, .. } => holders.values().collect(),
@@ -35,10 +33,18 @@ pub(super) fn promises_due(
     });
     let mut taken: BTreeSet<&RobotId> = held.chain(proposed).collect();
     let mut actions = vec![];
+    let mut queues: BTreeMap<&RobotId, (u32, Priority)> = BTreeMap::new();
     for (entry, role, robot) in ledger.promises_in_order() {
         let promised = AwardedRole::of(entry, role, robot);
+        let (before, highest) = queues.entry(&robot.robot).or_insert((0, entry.submission.priority));
+        // A role that a robot has returned for now exceeds the limit by one.
+        let is_displaced = *before > *promises_max && entry.submission.priority < *highest;
+        *before += 1;
         if let Some(reason) = unfit.get(&robot.robot) {
             actions.push(CoordinatorAction::ReleaseRole(promised, reason.clone()));
+        } else if is_displaced {
+            let reason = format!("{} has promised enough roles of a higher priority", robot.robot);
+            actions.push(CoordinatorAction::ReleaseRole(promised, reason));
         } else if !entry.can_proceed(role) {
             continue;
         } else if !taken.contains(&robot.robot) {
@@ -91,17 +97,37 @@ mod tests {
     use consort_protocol::ids::MissionId;
     use consort_protocol::lease::{LeaseMonitor, LeaseTerms};
 
+    fn due(ledger: &Ledger, promises_max: u32) -> Vec<CoordinatorAction> {
+        let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
+        let lease_monitor = &LeaseMonitor::new(LeaseTerms::default());
+        let state = SessionState { lease_monitor, rounds, notified, unfit, promises_max };
+        promises_due(ledger, &ledger.active_missions(), &state, |_| true)
+    }
+
     /// Returns the missions whose promised roles are awarded.
     fn awarded(ledger: &Ledger) -> Vec<MissionId> {
-        let (rounds, notified, unfit) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        let monitor = LeaseMonitor::new(LeaseTerms::default());
-        let state = SessionState { lease_monitor: &monitor, rounds: &rounds, notified: &notified, unfit: &unfit };
-        let due = promises_due(ledger, &ledger.active_missions(), &state, |_| true);
-        let awarded = due.into_iter().map(|action| match action {
+        let awarded = due(ledger, 16).into_iter().map(|action| match action {
             CoordinatorAction::AwardPromised(role) => role.mission,
             other => panic!("{other:?}"),
         });
         awarded.collect()
+    }
+
+    #[test]
+    fn promises_of_a_higher_priority_displace_the_last() {
+        let mut log = Log::default();
+        let (_, last) = (log.add_mission("ada"), log.add_mission("bob"));
+        assert_eq!(due(&log.0, 0), [], "a lower limit displaces none of the same priority");
+        log.add_mission_of("cyd", 1);
+        let released = |promises_max| -> Vec<MissionId> {
+            let due = due(&log.0, promises_max).into_iter().map(|action| match action {
+                CoordinatorAction::ReleaseRole(role, _) => role.mission,
+                other => panic!("{other:?}"),
+            });
+            due.collect()
+        };
+        assert_eq!(released(2), []);
+        assert_eq!(released(1), [last]);
     }
 
     #[test]

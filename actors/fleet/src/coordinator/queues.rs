@@ -4,52 +4,74 @@ use super::actions::{AuctionRound, RoundPhase};
 use super::message::AwardedRole;
 use consort_protocol::auction::{RefusalReason, RobotQueue};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
-use consort_protocol::ledger::{Ledger, RoleAssignment, RolePhase};
+use consort_protocol::ledger::{Ledger, MissionEntry, RoleAssignment, RolePhase};
 use consort_protocol::units::{Energy, Seconds};
 use std::collections::BTreeMap;
 
-/// Returns what each robot holds and has promised, except for a promise that is auctioned again. A proposed award counts as a
-/// held role.
+/// Returns what each robot holds and has promised, as it counts for a mission, except for a promise that is auctioned again. A
+/// proposed award counts as a held role.
 pub(super) fn robot_queues(
     ledger: &Ledger,
     rounds: &BTreeMap<MissionId, AuctionRound>,
+    of: &MissionId,
     auctioned: Option<&AwardedRole>,
-) -> BTreeMap<RobotId, RobotQueue> {
-    let mut queues: BTreeMap<RobotId, RobotQueue> = BTreeMap::new();
-    let mut queue_of = |robot: &RobotId, mission: &MissionId, role: &RoleId, promise: Option<&RoleAssignment>| {
-        let reason = RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
-        let empty = RobotQueue {
-            is_held: false,
-            promised: 0,
-            time: Seconds::ZERO,
-            energy: Energy::ZERO,
-            reason: reason.clone(),
-        };
-        let queue = queues.entry(robot.clone()).or_insert(empty);
-        match promise {
-            None => (queue.is_held, queue.reason) = (true, reason),
-            Some(promise) => {
-                queue.promised += 1;
-                queue.time += promise.time;
-                queue.energy += promise.energy;
-            }
-        }
-    };
+) -> Queues {
+    let mut queues = Queues::new();
+    let priority = ledger.mission(of).map(|entry| entry.submission.priority).unwrap_or_default();
     for entry in ledger.active_missions() {
+        let is_lower = entry.submission.priority < priority;
         for (role, held, robot) in entry.assigned_roles() {
             if auctioned.is_some_and(|auctioned| *auctioned == AwardedRole::of(entry, role, robot)) {
                 continue;
             }
-            let is_promised = held.phase == RolePhase::Promised;
-            queue_of(&robot.robot, &entry.id, role, is_promised.then_some(robot));
+            let reason = RefusalReason::Busy { mission: entry.id.clone(), role: role.clone() };
+            if held.phase == RolePhase::Promised {
+                add_promise(queue_of(&mut queues, &robot.robot, reason), robot, is_lower);
+            } else {
+                reserve(&mut queues, &robot.robot, reason).yields = is_lower && may_return(ledger, entry, role, robot);
+            }
         }
     }
     for (mission, round) in rounds {
         if let RoundPhase::Proposing { holders, .. } = &round.phase {
-            holders.iter().for_each(|(role, robot)| queue_of(robot, mission, role, None));
+            for (role, robot) in holders {
+                let reason = RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
+                reserve(&mut queues, robot, reason);
+            }
         }
     }
     queues
+}
+
+fn add_promise(queue: &mut RobotQueue, promise: &RoleAssignment, is_lower: bool) {
+    queue.promised += 1;
+    queue.energy += promise.energy;
+    if !is_lower {
+        queue.preceding += 1;
+        queue.time += promise.time;
+    }
+}
+
+/// Checks whether a robot may return the role that it holds for now. A robot under orders keeps its role, since it would get no
+/// other.
+pub(super) fn may_return(ledger: &Ledger, entry: &MissionEntry, role: &RoleId, holder: &RoleAssignment) -> bool {
+    entry.only_waits(role) && ledger.orders_of(&holder.robot).is_none()
+}
+
+/// Queues of robots.
+pub(super) type Queues = BTreeMap<RobotId, RobotQueue>;
+
+/// Counts a role as held by a robot.
+pub(super) fn reserve<'q>(queues: &'q mut Queues, robot: &RobotId, reason: RefusalReason) -> &'q mut RobotQueue {
+    let queue = queue_of(queues, robot, reason.clone());
+    (queue.is_held, queue.yields, queue.reason) = (true, false, reason);
+    queue
+}
+
+fn queue_of<'q>(queues: &'q mut Queues, robot: &RobotId, reason: RefusalReason) -> &'q mut RobotQueue {
+    let (promised, preceding, time, energy) = (0, 0, Seconds::ZERO, Energy::ZERO);
+    let empty = RobotQueue { is_held: false, promised, preceding, time, energy, yields: false, reason };
+    queues.entry(robot.clone()).or_insert(empty)
 }
 
 /// Returns the robots that can be promised no role of the mission, with the reason: they carry an item of
@@ -81,4 +103,28 @@ pub(super) fn unavailable_robots(
 ) -> BTreeMap<RobotId, RefusalReason> {
     let queues = queues.iter().map(|(robot, queue)| (robot.clone(), queue.reason.clone()));
     carrying_robots(ledger, of).chain(queues).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_ledger::Log;
+    use super::*;
+    use consort_protocol::ledger::Command;
+
+    #[test]
+    fn a_queue_counts_by_the_priority_of_the_mission() {
+        let mut log = Log::default();
+        let held = log.add_mission("ada");
+        log.add_mission("bob");
+        log.add_mission_of("cyd", 5);
+        let (low, high) = (log.add_mission("dan"), log.add_mission_of("eve", 1));
+        let role: RoleId = "arm".parse().unwrap();
+        let epoch = log.0.mission(&held).unwrap().role_robots()[&role].epoch;
+        log.apply(Command::AwardPromised { mission: held, role, epoch });
+        let arm: RobotId = "lab-arm".parse().unwrap();
+        let queue = |of: &MissionId| robot_queues(&log.0, &BTreeMap::new(), of, None).remove(&arm).unwrap();
+        let counts = |queue: &RobotQueue| (queue.is_held, queue.promised, queue.preceding, queue.yields);
+        assert_eq!(counts(&queue(&low)), (true, 4, 4, false));
+        assert_eq!(counts(&queue(&high)), (true, 4, 2, true), "it waits in a role of a lower priority");
+    }
 }

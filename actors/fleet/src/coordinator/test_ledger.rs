@@ -3,7 +3,7 @@
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, Submission};
+use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, Priority, Submission};
 use consort_protocol::mission::{Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
 use consort_protocol::units::Seconds;
@@ -29,11 +29,18 @@ impl Log {
 
     /// Submits a mission with a cart of its own, and promises its role for the arm.
     pub(super) fn add_mission(&mut self, cart: &str) -> MissionId {
+        self.add_mission_of(cart, 0)
+    }
+
+    /// Does the same for a mission of a priority.
+    pub(super) fn add_mission_of(&mut self, cart: &str, priority: i64) -> MissionId {
         let mission = MissionTemplate::parse(MISSION, Format::Json).unwrap();
         let mission = mission.instantiate(&BTreeMap::new(), &hospital()).unwrap();
         let division = divide_and_check(&mission).unwrap();
         let request = cart.parse().unwrap();
-        self.apply(Command::Submit(Box::new(Submission::of(request, mission, division))));
+        let priority = Priority::new(priority).unwrap();
+        let submission = Submission { priority, ..Submission::of(request, mission, division) };
+        self.apply(Command::Submit(Box::new(submission)));
         let mission = self.0.missions().last().unwrap().id.clone();
         let (arm, cart_role): (RoleId, RoleId) = ("arm".parse().unwrap(), "cart".parse().unwrap());
         let robots = ["lab-arm", cart].map(|name| RobotId::new(name).unwrap());

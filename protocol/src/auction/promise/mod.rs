@@ -8,6 +8,9 @@
 //! is under way, or if all its robots have promises. Otherwise the mission waits, and gets the robots that are
 //! free first.
 //!
+//! A mission of a higher priority comes before the promised roles of others, and may be promised a robot whose queue is
+//! full: the last promise is then released. It may also be promised a robot that only waits in a role of a lower priority.
+//!
 //! A promised role is auctioned again from time to time. It passes to the winner if that costs clearly less than the robot of
 //! the promise, or if that robot is late.
 
@@ -56,12 +59,23 @@ pub struct RobotQueue {
     pub is_held: bool,
     /// Number of promised roles.
     pub promised: u32,
-    /// Estimated time of the promised roles.
+    /// Number of those of missions with at least the priority of the auctioned mission. All others come after its roles.
+    pub preceding: u32,
+    /// Estimated time of the preceding promised roles.
     pub time: Seconds,
-    /// Estimated energy of the promised roles.
+    /// Estimated energy of all promised roles.
     pub energy: Energy,
+    /// The robot only waits in a role of a mission with a lower priority, and returns that role for now.
+    pub yields: bool,
     /// The role that it holds, otherwise a promised role, as the reason of a refusal.
     pub reason: RefusalReason,
+}
+
+impl RobotQueue {
+    /// Checks whether the robot can only be promised a role, also one that could start: it would never be its turn otherwise.
+    fn serves_in_turn(&self) -> bool {
+        self.promised > 0 || self.yields
+    }
 }
 
 /// Inputs for promises.
@@ -101,10 +115,10 @@ impl PromiseContext<'_> {
         let Some(reason) = reason.filter(|_| self.is_later(bid)) else {
             return RoleReply::Bid(bid.clone());
         };
-        let promised = queue.map_or(0, |queue| queue.promised);
-        let may_be_late = promised > 0 || !self.startable.contains(&bid.role);
+        let may_be_late = queue.is_some_and(RobotQueue::serves_in_turn) || !self.startable.contains(&bid.role);
         let is_too_late = self.terms.horizon.is_some_and(|horizon| self.start_of(bid) > horizon);
-        if promised >= self.terms.promises_max || is_too_late || !may_be_late {
+        let is_full = queue.map_or(0, |queue| queue.preceding) >= self.terms.promises_max;
+        if is_full || is_too_late || !may_be_late {
             return RoleReply::Refusal(BidRefusal { robot: bid.robot.clone(), role: bid.role.clone(), reason });
         }
         RoleReply::Bid(self.at_its_start(bid))
@@ -145,11 +159,16 @@ impl PromiseContext<'_> {
 
     /// Returns the estimated time until the robot has ended what comes before the role.
     fn start_of(&self, bid: &Bid) -> Seconds {
-        if let Some(planned) = self.plan_of(bid) {
-            return planned.start;
-        }
+        let queue = self.queues.get(&bid.robot);
         let present = bid.present.as_ref().map_or(Seconds::ZERO, |present| present.time);
-        present + self.queues.get(&bid.robot).map_or(Seconds::ZERO, |queue| queue.time)
+        let start = match self.plan_of(bid) {
+            Some(planned) => planned.start,
+            None => present + queue.map_or(Seconds::ZERO, |queue| queue.time),
+        };
+        match queue.is_some_and(|queue| queue.yields) {
+            true => Seconds::new((start.get() - present.get()).max(0.0)).unwrap_or(start),
+            false => start,
+        }
     }
 
     /// Checks whether the bid is for a promise.
@@ -174,9 +193,9 @@ impl PromiseContext<'_> {
         let longest =
             now.iter().map(|bid| bid.time).fold(Seconds::ZERO, |one, other| if one > other { one } else { other });
         let promised: BTreeMap<_, _> = later.into_iter().map(|bid| (bid.role.clone(), self.start_of(bid))).collect();
-        let has_promises = |robot| self.queues.get(robot).is_some_and(|queue| queue.promised > 0);
+        let serves_in_turn = |robot| self.queues.get(robot).is_some_and(RobotQueue::serves_in_turn);
         let is_in_time = !now.is_empty() && promised.values().all(|start| *start <= longest);
-        let is_accepted = is_in_time || self.is_under_way || holders.values().all(has_promises);
+        let is_accepted = is_in_time || self.is_under_way || holders.values().all(serves_in_turn);
         is_accepted.then_some(promised)
     }
 }

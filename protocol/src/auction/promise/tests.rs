@@ -43,8 +43,10 @@ fn queue(is_held: bool, promised: u32) -> RobotQueue {
     RobotQueue {
         is_held,
         promised,
+        preceding: promised,
         time: seconds(20.0 * f64::from(promised)),
         energy: Energy::of_share(0.05 * f64::from(promised)),
+        yields: false,
         reason: RefusalReason::Busy { mission: "bring-1".parse().unwrap(), role: role("arm") },
     }
 }
@@ -163,6 +165,19 @@ fn a_long_queue_is_full() {
     let no_arm = Some("no viable bid for arm".to_owned());
     assert_eq!(full(queue(true, 2)), None);
     assert_eq!(full(queue(true, 3)), no_arm, "at most three promises");
+    assert_eq!(full(RobotQueue { preceding: 2, ..queue(true, 3) }), None, "one has a lower priority");
+}
+
+#[test]
+fn a_robot_that_only_waits_in_a_role_of_a_lower_priority_yields() {
+    let responses = [bid("arm-1", "arm", Some(300.0)), bid("ada", "cart", None)];
+    let cleared = |yields| {
+        let queues = [("arm-1", RobotQueue { yields, ..queue(true, 0) })];
+        let outcome = clear(&Case { queues: &queues, startable: &["arm", "cart"], is_under_way: false }, &responses);
+        outcome.record.promised
+    };
+    assert_eq!(cleared(false), BTreeMap::new());
+    assert_eq!(cleared(true), BTreeMap::from([(role("arm"), seconds(0.0))]));
 }
 
 /// Returns the bid of a robot that would insert the role before the second of two promised roles.

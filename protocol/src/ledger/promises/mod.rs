@@ -115,6 +115,11 @@ impl MissionEntry {
         passed.iter().all(|passed| *passed) || plan.steps.iter().zip(&passed).any(is_enabled)
     }
 
+    /// Checks whether the robot of a role only waits: it has ended no step, and can perform none.
+    pub fn only_waits(&self, role: &RoleId) -> bool {
+        self.roles.get(role).is_some_and(|held| held.ended.is_empty()) && !self.can_proceed(role)
+    }
+
     fn is_person(&self, role: &RoleId) -> bool {
         self.roles.get(role).is_some_and(|entry| entry.kind == RoleKind::Unmanaged)
     }
