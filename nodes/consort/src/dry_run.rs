@@ -3,17 +3,19 @@
 
 use crate::inputs::WorkerEntry;
 use crate::wiring::SkillResources;
-use consort_fleet::robot::{BidContext, Bidder, ChargerReserve, ChargingSettings};
+use consort_fleet::robot::{BidContext, Bidder, ChargerReserve, ChargingSettings, PresentWork};
 use consort_protocol::auction::{
-    AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, EnergyBudget, Invitation, RoleReply,
-    Timelines, clear_auction,
+    AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, EnergyBudget, Invitation, PresentRole,
+    PromiseContext, PromiseTerms, RefusalReason, RobotQueue, RoleReply, Timelines, clear_auction, explain,
 };
 use consort_protocol::ensemble::{Ensembles, Membership};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::knowledge::{Knowledge, KnowledgeBase, Record, RecordStamp, RobotKnowledge};
+use consort_protocol::knowledge::{Availability, Knowledge, KnowledgeBase, Record, RecordStamp, RobotKnowledge};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, Ledger, Submission};
 use consort_protocol::mission::{Mission, Role};
 use consort_protocol::plan::Division;
-use consort_protocol::units::{Energy, NodeTime};
+use consort_protocol::units::{Energy, NodeTime, Seconds};
 use consort_protocol::versions::VersionRange;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -46,6 +48,10 @@ pub(crate) struct DryRunOutcome {
     pub bids: BTreeMap<RoleId, Vec<WorkerBid>>,
     /// Robot of each role. Roles of spread loops may be left open. Empty after a failure.
     pub holders: BTreeMap<RoleId, RobotId>,
+    /// Roles that are promised to busy robots, with the estimated time until each robot is free.
+    pub promised: BTreeMap<RoleId, Seconds>,
+    /// Explanation of each promised role.
+    pub why: Vec<String>,
     /// Reason if no role is assigned.
     pub failure: Option<String>,
 }
@@ -58,6 +64,8 @@ pub(crate) struct AssumedFleet {
     pub limits: BidLimits,
     /// Its chargers, if robots must be able to reach a charger after a role.
     pub charging: Option<Arc<ChargingSettings>>,
+    /// Limits of what its robots promise.
+    pub promises: PromiseTerms,
     /// Its ensembles. `None`: every worker is a member of every ensemble.
     pub ensembles: Option<Arc<Ensembles>>,
 }
@@ -138,15 +146,28 @@ pub(crate) fn simulate_auction(
     let respond = |worker: &WorkerEntry| response(worker, &call, memberships.of_worker(&call, worker), fleet);
     let tenders: Vec<BidResponse> = workers.iter().map(respond).collect();
     let invitation = memberships.invitation(&call, workers);
-    let unavailable = BTreeMap::new();
-    let excluded = BTreeMap::new();
+    let queues: BTreeMap<RobotId, RobotQueue> = workers
+        .iter()
+        .filter(|worker| worker.busy_s.is_some())
+        .map(|worker| (worker.name.clone(), busy_queue()))
+        .collect();
+    let unavailable = queues.iter().map(|(robot, queue)| (robot.clone(), queue.reason.clone())).collect();
+    let (unpromisable, excluded) = (BTreeMap::new(), BTreeMap::new());
+    let startable = startable_roles(mission, division);
+    let promises = PromiseContext {
+        queues: &queues,
+        unavailable: &unpromisable,
+        startable: &startable,
+        is_under_way: false,
+        terms: fleet.promises,
+    };
     let circumstances = AuctionContext {
         invitation: &invitation,
         unavailable: &unavailable,
         excluded: &excluded,
         limits,
         energy: mission.energy_max.map(|limit| EnergyBudget { limit, used: Energy::ZERO }),
-        promises: None,
+        promises: Some(promises).filter(|promises| promises.terms.promises_max > 0),
         window_ms: 0,
         at_ms: 0,
     };
@@ -157,12 +178,52 @@ pub(crate) fn simulate_auction(
         let (role, bid_of) = bid_of(answer, limits);
         bids.entry(role).or_default().push(bid_of);
     }
-    DryRunOutcome { bids, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
+    let record = conclusion.record;
+    let explained = explain(&record).roles.into_iter().filter(|role| record.promised.contains_key(&role.role));
+    let why = explained.map(|role| format!("{}: {}", role.role, role.why)).collect();
+    let (holders, promised) = (conclusion.holders.unwrap_or_default(), record.promised);
+    DryRunOutcome { bids, holders, promised, why, failure: record.failure }
+}
+
+/// Returns the roles that can start before any step of another role has ended.
+fn startable_roles(mission: &Mission, division: &Division) -> BTreeSet<RoleId> {
+    let mut ledger = Ledger::default();
+    let request = "dry-run".parse().expect("the id of a request");
+    let submission = Submission::of(request, mission.clone(), division.clone());
+    ledger.apply(Epoch::default(), Command::Submit(Box::new(submission)));
+    let roles = ledger.missions().flat_map(|entry| entry.roles.keys().filter(move |role| entry.can_proceed(role)));
+    roles.cloned().collect()
+}
+
+/// Returns the role that a busy worker holds.
+fn other_role() -> (MissionId, RoleId) {
+    (MissionId::new("another-mission").expect("a slug"), RoleId::new("another-role").expect("a slug"))
+}
+
+fn busy_queue() -> RobotQueue {
+    let (mission, role) = other_role();
+    RobotQueue {
+        is_held: true,
+        promised: 0,
+        preceding: 0,
+        time: Seconds::ZERO,
+        energy: Energy::ZERO,
+        yields: false,
+        reason: RefusalReason::Busy { mission, role },
+    }
 }
 
 fn response(worker: &WorkerEntry, call: &CallForBids, membership: Membership, fleet: &AssumedFleet) -> BidResponse {
     let AssumedFleet { equipment, limits, charging, .. } = fleet;
-    let own = worker.worker(&equipment.places);
+    let (mission, role) = other_role();
+    let present = worker.busy_s.map(|time| {
+        let role = PresentRole { mission: mission.clone(), role: role.clone(), time };
+        PresentWork::ending_at(role, worker.place.clone())
+    });
+    let mut own = worker.worker(&equipment.places);
+    if present.is_some() {
+        own.availability = Availability::Holding { mission, role, suspended: false };
+    }
     let chargers = charging.as_ref().and_then(|settings| ChargerReserve::of(settings, *limits, &worker.name, &own));
     let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator)).with_chargers(chargers);
     let context = BidContext {
@@ -173,7 +234,7 @@ fn response(worker: &WorkerEntry, call: &CallForBids, membership: Membership, fl
         readings: None,
         age_ms: 0,
         membership,
-        present: None,
+        present,
     };
     bidder.respond(call, &context)
 }

@@ -7,7 +7,7 @@ use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskId, TaskType};
 use consort_protocol::knowledge::{Attributes, Availability, RobotKnowledge};
 use consort_protocol::mission::{Format, IhtnFields, MissionDocument, MissionErrors, MissionFileError, is_flat_ihtn};
 use consort_protocol::pose::Pose;
-use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
 use consort_skills::descriptor::ESTIMATOR_VERSION;
 use consort_skills::missions::NamedMissions;
 use schemars::{JsonSchema, Schema, schema_for};
@@ -145,6 +145,7 @@ pub(crate) fn parse_any_format<T: DeserializeOwned>(text: &str, file: &str) -> R
 /// discharge_share_per_s = 0.0004    # default 0
 /// useful_charge = 0.08              # the default
 /// attributes = { section = "icu" }  # default: none
+/// busy_s = 60                       # left out: it holds no role
 /// ```
 ///
 /// In JSON and YAML the file is an object with a list `worker`, or just the list.
@@ -172,6 +173,9 @@ pub struct WorkerEntry {
     /// Charge below which it takes no work, as a share.
     #[serde(default = "crate::config::useful_charge")]
     pub useful_charge: BatteryShare,
+    /// Time for which it still holds a role of another mission, in seconds; none if it is free.
+    #[serde(default)]
+    pub busy_s: Option<Seconds>,
 }
 
 fn full() -> BatteryShare {
@@ -293,6 +297,7 @@ pub fn scenarios(text: &str, file: &str) -> Result<Vec<PublishedScenario>, Diagn
             battery: robot.battery_charge,
             discharge_share_per_s: robot.battery_discharge_rate,
             useful_charge: crate::config::useful_charge(),
+            busy_s: None,
         };
         let workers = entry.robots.into_iter().map(worker).collect();
         Ok(PublishedScenario { code: entry.code, room: nurse.location, workers })

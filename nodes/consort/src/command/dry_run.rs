@@ -44,7 +44,8 @@ A workers file, in TOML (in JSON and YAML: a list of the same):
   speed_mps = 0.15                 # left out: it does not drive
   battery = 0.9                    # default 1
   discharge_share_per_s = 0.0004   # default 0
-  useful_charge = 0.08             # the default")]
+  useful_charge = 0.08             # the default
+  busy_s = 60                      # it holds another role for that time; left out: it is free")]
 pub(crate) struct Args {
     /// The mission: the name of a bundled mission (lab-samples, …), a mission file, a file in the flat iHTN form (JSON),
     /// or else the name of a mission of the fleet file
@@ -99,6 +100,8 @@ struct MissionLine<'a> {
     people: &'a [ExpectedRequest],
     roles: Vec<RoleLine<'a>>,
     selected: &'a BTreeMap<RoleId, RobotId>,
+    /// Time until each robot of a promised role is free, in seconds.
+    promised: &'a BTreeMap<RoleId, Seconds>,
     failure: Option<&'a str>,
 }
 
@@ -151,7 +154,8 @@ fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<(AssumedFleet, A
         }
         None => (None, None, Arc::default()),
     };
-    Ok((AssumedFleet { equipment, limits, charging, ensembles }, missions))
+    let promises = config.auction.promise_terms();
+    Ok((AssumedFleet { equipment, limits, charging, promises, ensembles }, missions))
 }
 
 fn mission(
@@ -178,6 +182,7 @@ fn mission(
             people: &people,
             roles: roles.collect(),
             selected: &result.holders,
+            promised: &result.promised,
             failure: result.failure.as_deref(),
         })?;
     } else {
@@ -281,6 +286,9 @@ fn readable(result: &DryRunOutcome) -> String {
             };
             text.push_str(&format!("  assignment: {} ({why})", holders.collect::<Vec<_>>().join(", ")));
         }
+    }
+    for why in &result.why {
+        text.push_str(&format!("\n  {why}"));
     }
     text
 }

@@ -68,6 +68,27 @@ fn every_role_is_auctioned_among_the_workers_of_a_file() {
 }
 
 #[test]
+fn a_busy_worker_is_promised_a_role_with_its_planned_start() {
+    let workers = std::fs::read_to_string(crate_file("../../examples/workers.toml")).expect("the example");
+    let dry_run = |name: &str, busy_s: u32, more: &[&str]| {
+        // The last worker is the arm.
+        let workers = test_file(name, &format!("{workers}busy_s = {busy_s}\n"));
+        run(&[&["dry-run", "lab-samples", "--workers", &workers, "--set", "room=IC Room 6"], more].concat())
+    };
+    let ran = dry_run("busy.toml", 100, &[]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let why = "  lab_arm: lab-arm gets the role in about 100 s with ";
+    assert!(ran.out.contains(why), "{why:?} is missing in\n{}", ran.out);
+    let ran = dry_run("busy_json.toml", 100, &["--json"]);
+    let answer = &lines(&ran.out)[0];
+    assert_eq!(answer["promised"], serde_json::json!({ "lab_arm": 100.0 }));
+    assert_eq!(answer["selected"], serde_json::json!({ "lab_arm": "lab-arm", "r1": "ada" }));
+    let ran = dry_run("too_busy.toml", 500, &[]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    assert!(ran.err.contains("the mission would stay pending: no viable bid for lab_arm"), "{}", ran.err);
+}
+
+#[test]
 fn a_mission_without_viable_bids_fails_with_the_reason() {
     let workers = test_file("arm_only.json", r#"[{ "name": "arm", "place": "Laboratory", "skills": ["pick_up"] }]"#);
     let ran = run(&["dry-run", "lab-samples", "--workers", &workers]);

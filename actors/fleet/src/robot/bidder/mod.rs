@@ -61,6 +61,11 @@ pub struct PresentWork {
 }
 
 impl PresentWork {
+    /// Returns the work of a robot that ends its role at a place, and needs no charge for it.
+    pub fn ending_at(role: PresentRole, ends_at: PlaceId) -> PresentWork {
+        PresentWork { role, energy: 0.0, ends_at }
+    }
+
     /// Estimates the rest of a role. Returns `None` if it cannot be estimated.
     pub(super) fn of(award: &Award, rest: &LocalPlan, estimator: &Estimator, now: &EstimateContext) -> Option<Self> {
         let budget = estimator.budget(rest, now).ok()?;
