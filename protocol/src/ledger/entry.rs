@@ -361,15 +361,9 @@ impl MissionEntry {
         self.division()?.plans.get(role)
     }
 
-    /// Returns the call for bids for the open roles; `None` if there are none to be auctioned now, or a plan is
-    /// missing.
-    pub fn call_for_bids(&self, auction: AuctionId) -> Option<CallForBids> {
-        self.call_for_roles(&self.roles_to_auction(), auction)
-    }
-
     /// Returns the call for bids for these roles; `None` if there are none, or a plan is missing.
-    pub fn call_for_roles(&self, open: &BTreeSet<RoleId>, auction: AuctionId) -> Option<CallForBids> {
-        if open.is_empty() {
+    pub fn call_for_roles(&self, called: &BTreeSet<RoleId>, auction: AuctionId) -> Option<CallForBids> {
+        if called.is_empty() {
             return None;
         }
         let Mission { roles, ensembles, .. } = self.mission();
@@ -378,9 +372,9 @@ impl MissionEntry {
         Some(CallForBids {
             auction,
             ensembles: ensembles.clone(),
-            roles: open.iter().map(plan).collect::<Option<_>>()?,
-            eligible: open.iter().filter_map(condition).collect(),
-            spread: open.iter().filter(|role| self.is_spread(role)).cloned().collect(),
+            roles: called.iter().map(plan).collect::<Option<_>>()?,
+            eligible: called.iter().filter_map(condition).collect(),
+            spread: called.iter().filter(|role| self.is_spread(role)).cloned().collect(),
             timelines: Timelines::default(),
         })
     }

@@ -21,8 +21,12 @@ use std::time::Duration;
 /// Minimum time between two calls for promised roles, whatever their number. Raised: fewer messages, later changes.
 const CALL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Minimum time between two calls for the same promise, and from the promise to the first. A guess: tasks take about as long.
+/// Time from a promise to the first call for it; doubled after each call, unless the promise is late. A guess: tasks take about as
+/// long.
 const REPEAT_INTERVAL: Duration = Duration::from_secs(30);
+
+/// Maximum number of doublings: the longest interval is 16 minutes.
+const DOUBLINGS_MAX: u32 = 5;
 
 /// Promises of a session, as far as they are auctioned again. The next coordinator starts without them.
 #[derive(Default)]
@@ -38,6 +42,15 @@ struct PromiseTimes {
     startable_since: Option<NodeTime>,
     /// Time of the latest call for the role, or of the promise.
     called_at: NodeTime,
+    /// Number of calls.
+    calls: u32,
+}
+
+impl PromiseTimes {
+    fn is_call_due(&self, is_late: bool, now: NodeTime) -> bool {
+        let doublings = if is_late { 0 } else { self.calls.min(DOUBLINGS_MAX) };
+        now.since(self.called_at) >= REPEAT_INTERVAL * 2_u32.pow(doublings)
+    }
 }
 
 impl Reauctions {
@@ -57,7 +70,7 @@ impl Reauctions {
         for (entry, role, promise) in ledger.promises_in_order() {
             let can_proceed = entry.can_proceed(role);
             let key = (promise.epoch, role.clone());
-            let first = PromiseTimes { startable_since: None, called_at: now };
+            let first = PromiseTimes { startable_since: None, called_at: now, calls: 0 };
             let times = self.promises.entry(key.clone()).or_insert(first);
             times.startable_since = can_proceed.then(|| times.startable_since.unwrap_or(now));
             let could_start = times.startable_since.is_some_and(|since| now.since(since) >= late_max);
@@ -67,7 +80,7 @@ impl Reauctions {
             // A free robot is about to get the role.
             let is_free = can_proceed && ledger.check_promise(&entry.id, role, promise.epoch).is_ok();
             let is_auctioned = rounds.contains_key(&entry.id) || !entry.open_roles().is_empty();
-            if !is_free && !is_auctioned && now.since(times.called_at) >= REPEAT_INTERVAL {
+            if !is_free && !is_auctioned && times.is_call_due(is_late, now) {
                 let reauction = Reauction { promised: AwardedRole::of(entry, role, promise), is_late };
                 candidates.push(((!is_late, !can_proceed, times.called_at), reauction));
             }
@@ -80,7 +93,7 @@ impl Reauctions {
         let (_, reauction) = candidates.into_iter().min_by_key(|(order, _)| *order)?;
         let AwardedRole { role, epoch, .. } = &reauction.promised;
         if let Some(times) = self.promises.get_mut(&(*epoch, role.clone())) {
-            times.called_at = now;
+            (times.called_at, times.calls) = (now, times.calls.saturating_add(1));
         }
         self.called_at = Some(now);
         Some(CoordinatorAction::AuctionAgain(reauction))
@@ -177,7 +190,8 @@ mod tests {
         assert_eq!(session.due_after(0, &log.0), None, "one call a second");
         assert_eq!(session.due_after(1, &log.0), Some((second, false)));
         assert_eq!(session.due_after(1, &log.0), None);
-        assert_eq!(session.due_after(28, &log.0), Some((first, false)));
+        assert_eq!(session.due_after(28, &log.0), None, "the interval doubles");
+        assert_eq!(session.due_after(30, &log.0), Some((first, false)));
     }
 
     #[test]

@@ -20,7 +20,7 @@
 
 use super::apply::Ledger;
 use super::command::{CommandError, CommandOutcome, Reassignment};
-use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
+use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase, RoleRelease, later_ms};
 use crate::auction::{CallForBids, PlannedRole, PromisedRole, RoleOfMission};
 use crate::codec;
 use crate::ids::{MissionId, RobotId, RoleId};
@@ -161,6 +161,17 @@ fn passed_steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>, passes: impl Fn(&
     passed
 }
 
+/// Returns the time by which a promise may still be delayed: up to `delay_max` in all, and not beyond the deadline of its
+/// mission.
+fn slack_of(entry: &MissionEntry, promise: &RoleAssignment, delay_max: Seconds) -> Seconds {
+    let time = promise.span.as_ref().map_or(promise.time, |span| span.time);
+    let ends_ms = later_ms(promise.planned_ms, time);
+    let until_s = |deadline_ms: u64| deadline_ms.saturating_sub(ends_ms) as f64 / 1000.0;
+    let until_s = entry.submission.deadline_ms.map_or(f64::INFINITY, until_s);
+    let slack_s = (delay_max.get() - promise.delayed.get()).min(until_s);
+    Seconds::new(slack_s.max(0.0)).unwrap_or(Seconds::ZERO)
+}
+
 impl Ledger {
     /// Returns the promised roles of active missions, those of each robot in their order.
     pub fn promises_in_order(&self) -> Vec<(&MissionEntry, &RoleId, &RoleAssignment)> {
@@ -188,8 +199,8 @@ impl Ledger {
     /// Returns the promised roles of these robots for a call for bids, except for the roles of the call. It contains all
     /// promises of a robot or none: those of a robot are left out if the estimate of one is unknown, or if there is no room;
     /// the robots that have promised the least time come first, since they are likely to get the role. A promise may be
-    /// delayed up to `delay_max` in all; by a mission of higher priority without a bound, and by one of lower priority not
-    /// at all.
+    /// delayed up to `delay_max` in all, and not beyond the deadline of its mission; by a mission of higher priority without a
+    /// bound, and by one of lower priority not at all.
     pub fn promised_roles(
         &self,
         call: &CallForBids,
@@ -206,14 +217,14 @@ impl Ledger {
             }
             let slack = match entry.submission.priority.cmp(&called.submission.priority) {
                 Ordering::Less => None,
-                Ordering::Equal => Some(delay_max.get() - promise.delayed.get()),
-                Ordering::Greater => Some(0.0),
+                Ordering::Equal => Some(slack_of(entry, promise, delay_max)),
+                Ordering::Greater => Some(Seconds::ZERO),
             };
             let promised = promise.span.clone().map(|span| PromisedRole {
                 robot: promise.robot.clone(),
                 role: RoleOfMission { mission: entry.id.clone(), role: role.clone() },
                 span,
-                slack: slack.map(|slack_s| Seconds::new(slack_s.max(0.0)).unwrap_or(Seconds::ZERO)),
+                slack,
             });
             queues.entry(&promise.robot).or_default().push(promised);
         }
@@ -244,9 +255,9 @@ impl Ledger {
         let follows = |planned: &PlannedRole| {
             let next = planned.before.as_ref()?;
             let next = promises.iter().position(|(entry, role, _)| entry.id == next.mission && **role == next.role)?;
-            let (delay_s, max_s) = (planned.delay.get(), planned.delay_max.get() + TOLERANCE_S);
             let is_late = |(entry, _, promise): &(&MissionEntry, &RoleId, &RoleAssignment)| {
-                entry.submission.priority >= priority && promise.delayed.get() + delay_s > max_s
+                let slack_s = slack_of(entry, promise, planned.delay_max).get() + TOLERANCE_S;
+                entry.submission.priority >= priority && planned.delay.get() > slack_s
             };
             (!promises[next..].iter().any(is_late)).then_some((next, planned.delay))
         };

@@ -80,7 +80,8 @@ impl Log {
     /// Returns the promised roles in a call of a mission to these robots; 60 s of delay are permitted.
     fn promised_roles(&self, mission: &MissionId, invited: &[&str]) -> Vec<PromisedRole> {
         let invited = invited.iter().map(|name| robot(name)).collect();
-        let call = self.0.mission(mission).unwrap().call_for_bids(record(mission, &[]).auction).unwrap();
+        let entry = self.0.mission(mission).unwrap();
+        let call = entry.call_for_roles(&entry.open_roles(), record(mission, &[]).auction).unwrap();
         self.0.promised_roles(&call, Seconds::new(60.0).unwrap(), &invited)
     }
 
@@ -213,6 +214,23 @@ fn a_call_for_bids_contains_the_promises_in_their_order() {
     assert!(sent.iter().all(|promise| promise.robot.as_str() == "arm"));
     assert_eq!(sent[1].span.time.get(), 20.0);
     assert_eq!(log.promised_roles(third, &["ada"]), [], "the arm is not called");
+}
+
+#[test]
+fn an_insertion_keeps_the_deadlines_of_promises() {
+    let (mut log, missions) = Log::with_missions(4);
+    let [first, second, third, fourth] = &missions[..] else { panic!() };
+    log.insert(first, "arm", fourth, 20.0);
+    // Its role takes 20 s.
+    log.0.missions.get_mut(first).unwrap().submission.deadline_ms = Some(30_000);
+    let slack = |log: &Log| log.promised_roles(fourth, &["arm"]).last().unwrap().slack.map(Seconds::get);
+    assert_eq!(slack(&log), Some(10.0));
+    log.insert(second, "arm", first, 8.0);
+    assert_eq!(log.promises_of("arm"), [(second.clone(), 0.0), (first.clone(), 8.0)]);
+    assert_eq!(slack(&log), Some(2.0));
+    log.insert(third, "arm", first, 3.0);
+    let missions: Vec<_> = log.promises_of("arm").into_iter().map(|(mission, _)| mission).collect();
+    assert_eq!(missions, [second.clone(), first.clone(), third.clone()], "the first would end too late");
 }
 
 #[test]
