@@ -136,7 +136,9 @@ impl Auctions {
                 RoundPhase::BackingOff { since, .. } => waiting.push((mission.clone(), *since)),
                 RoundPhase::Proposing { .. } => {}
                 RoundPhase::BiddingClosed(closed) => {
-                    if !allocated.contains_key(mission) {
+                    let is_followed = self.is_followed(&open[index..], *priority, called);
+                    let may_wait = now < closed.deadline;
+                    if !(may_wait && (calling || is_followed)) && !allocated.contains_key(mission) {
                         allocated.extend(self.allocate_with(&open[index..], called, context));
                     }
                     let reserved = robots_of_others(&allocated, mission);
@@ -144,12 +146,12 @@ impl Auctions {
                     let mut inputs = AuctionInputs::read(&closed.bids, &self.rounds, context);
                     inputs.reserve(reserved);
                     let outcome = inputs.clear(&closed.bids, context);
-                    if (outcome.holders.is_some() || is_joint) && now < closed.deadline {
+                    if (outcome.holders.is_some() || is_joint) && may_wait {
                         for (better_ranked, _) in waiting.iter().filter(|(_, since)| *since < called) {
                             self.call_for_bids(better_ranked, context, now);
                             calling = true;
                         }
-                        calling |= self.is_followed(&open[index..], *priority, called);
+                        calling |= is_followed;
                         if calling {
                             continue; // lower-ranked missions wait, too
                         }

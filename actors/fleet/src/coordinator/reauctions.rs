@@ -66,6 +66,7 @@ impl Reauctions {
     ) -> Option<CoordinatorAction> {
         let late_max = Duration::try_from_secs_f64(terms.late_max.get()).unwrap_or(Duration::MAX);
         let late_max_ms = u64::try_from(late_max.as_millis()).unwrap_or(u64::MAX);
+        let may_call = self.called_at.is_none_or(|at| now.since(at) >= CALL_INTERVAL);
         let (mut known, mut candidates) = (BTreeSet::new(), vec![]);
         for (entry, role, promise) in ledger.promises_in_order() {
             let can_proceed = entry.can_proceed(role);
@@ -78,18 +79,15 @@ impl Reauctions {
                 confirmed_ms.is_some_and(|now_ms| now_ms >= promise.planned_ms.saturating_add(late_max_ms));
             let is_late = could_start && is_after_plan;
             // A free robot is about to get the role.
-            let is_free = can_proceed && ledger.check_promise(&entry.id, role, promise.epoch).is_ok();
-            let is_auctioned = rounds.contains_key(&entry.id) || !entry.open_roles().is_empty();
-            if !is_free && !is_auctioned && times.is_call_due(is_late, now) {
+            let is_free = || can_proceed && ledger.check_promise(&entry.id, role, promise.epoch).is_ok();
+            let is_auctioned = || rounds.contains_key(&entry.id) || !entry.open_roles().is_empty();
+            if may_call && times.is_call_due(is_late, now) && !is_auctioned() && !is_free() {
                 let reauction = Reauction { promised: AwardedRole::of(entry, role, promise), is_late };
                 candidates.push(((!is_late, !can_proceed, times.called_at), reauction));
             }
             known.insert(key);
         }
         self.promises.retain(|key, _| known.contains(key));
-        if self.called_at.is_some_and(|at| now.since(at) < CALL_INTERVAL) {
-            return None;
-        }
         let (_, reauction) = candidates.into_iter().min_by_key(|(order, _)| *order)?;
         let AwardedRole { role, epoch, .. } = &reauction.promised;
         if let Some(times) = self.promises.get_mut(&(*epoch, role.clone())) {
