@@ -147,8 +147,11 @@ impl Auctions {
                     inputs.reserve(reserved);
                     let outcome = inputs.clear(&closed.bids, context);
                     if (outcome.holders.is_some() || is_joint) && may_wait {
-                        for (better_ranked, _) in waiting.iter().filter(|(_, since)| *since < called) {
-                            self.call_for_bids(better_ranked, context, now);
+                        let (due, others): (Vec<_>, Vec<_>) =
+                            waiting.into_iter().partition(|(_, since)| *since < called);
+                        waiting = others;
+                        for (better_ranked, _) in due {
+                            self.call_for_bids(&better_ranked, context, now);
                             calling = true;
                         }
                         calling |= is_followed;
