@@ -235,7 +235,7 @@ fn an_insertion_keeps_the_deadlines_of_promises() {
 
 #[test]
 fn a_call_has_a_bounded_size_and_names_the_shortest_queues() {
-    const ROBOTS: usize = 1000;
+    const ROBOTS: usize = 400;
     let (mut log, missions) = Log::with_missions(ROBOTS + 1);
     let names: Vec<String> = (0..ROBOTS).map(|number| format!("arm-with-a-name-of-some-length-{number:04}")).collect();
     let (called, promised) = missions.split_last().unwrap();

@@ -284,8 +284,7 @@ fn progress(report: &Report) -> Command {
 /// Checks whether the robot returns a role for now in which it could only wait. A role that can start is
 /// released instead, so that a robot cannot postpone it again and again.
 fn is_postponed(entry: &MissionEntry, report: &Report, failure: &TaskFailure) -> bool {
-    let is_untouched = entry.roles.get(&report.role).is_some_and(|role| role.ended.is_empty());
-    failure.kind == FailureKind::Postponed && is_untouched && !entry.can_proceed(&report.role)
+    failure.kind == FailureKind::Postponed && entry.only_waits(&report.role)
 }
 
 fn postpone(report: &Report) -> Command {
