@@ -158,7 +158,7 @@ pub(crate) fn simulate_auction(
         queues: &queues,
         unavailable: &unpromisable,
         startable: &startable,
-        is_under_way: false,
+        may_wait: false,
         terms: fleet.promises,
     };
     let circumstances = AuctionContext {

@@ -15,6 +15,8 @@ pub(super) struct AuctionRound {
     pub(super) number: u32,
     /// Branch of the auctioned roles.
     pub(super) branch: Branch,
+    /// Start of the first round.
+    pub(super) since: NodeTime,
     /// Start of the current round.
     pub(super) called_at: NodeTime,
     /// Number of consecutive rounds without any possible robot for some role.
@@ -29,8 +31,9 @@ impl AuctionRound {
     /// rounds is meaningless.
     pub(super) fn follow_branch(&mut self, branch: Branch, now: NodeTime) {
         if self.branch != branch {
+            let AuctionRound { number, called_at, .. } = *self;
             let phase = RoundPhase::BackingOff { until: now, since: now };
-            *self = AuctionRound { number: self.number, branch, called_at: self.called_at, hopeless_rounds: 0, phase };
+            *self = AuctionRound { number, branch, since: now, called_at, hopeless_rounds: 0, phase };
         }
     }
 }
@@ -115,6 +118,7 @@ mod tests {
         let round = AuctionRound {
             number: 4,
             branch: Branch::Main,
+            since: NodeTime::ZERO,
             called_at: NodeTime::ZERO,
             hopeless_rounds: 2,
             phase: proposing.clone(),
@@ -127,10 +131,7 @@ mod tests {
         let phase = RoundPhase::BackingOff { until: now, since: now };
         // The number stays, so that a late reply to the void round is not taken for a reply to the
         // next round.
-        let called = NodeTime::ZERO;
-        assert_eq!(
-            other,
-            AuctionRound { number: 4, branch: Branch::Recovery, called_at: called, hopeless_rounds: 0, phase }
-        );
+        let (number, branch, called_at) = (4, Branch::Recovery, NodeTime::ZERO);
+        assert_eq!(other, AuctionRound { number, branch, since: now, called_at, hopeless_rounds: 0, phase });
     }
 }

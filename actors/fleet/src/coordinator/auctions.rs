@@ -76,9 +76,9 @@ impl Auctions {
         let Some(branch) = context.read_ledger(|ledger| Some(ledger.mission(mission)?.branch)) else { return };
         let previous = self.rounds.get_mut(mission).map(|round| {
             round.follow_branch(branch, now);
-            (round.number + 1, round.hopeless_rounds)
+            (round.number + 1, round.since, round.hopeless_rounds)
         });
-        let (number, hopeless) = previous.unwrap_or((1, 0));
+        let (number, since, hopeless_rounds) = previous.unwrap_or((1, now, 0));
         let open = context.read_ledger(|ledger| ledger.mission(mission).map(MissionEntry::roles_to_auction));
         let auction = AuctionId { mission: mission.clone(), term: context.term, round: number };
         let roles = open.unwrap_or_default();
@@ -89,10 +89,9 @@ impl Auctions {
             round: number,
             asked: invitation.robots.len(),
         });
-        self.rounds.insert(
-            mission.clone(),
-            AuctionRound { number, branch, called_at: now, hopeless_rounds: hopeless, phase: RoundPhase::Bidding },
-        );
+        let phase = RoundPhase::Bidding;
+        let round = AuctionRound { number, branch, since, called_at: now, hopeless_rounds, phase };
+        self.rounds.insert(mission.clone(), round);
         send_call(call, invitation, None, context);
     }
 

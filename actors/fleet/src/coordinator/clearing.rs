@@ -11,6 +11,7 @@ use consort_protocol::auction::{
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::MissionEntry;
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// Inputs of the clearing of an auction, from the ledger and the other auctions.
 pub(super) struct AuctionInputs {
@@ -25,7 +26,8 @@ pub(super) struct AuctionInputs {
     failed: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
     /// Robots that have lost or returned each role.
     released: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
-    is_under_way: bool,
+    /// The robots of the mission may wait for each other.
+    may_wait: bool,
     energy: Option<EnergyBudget>,
 }
 
@@ -38,6 +40,9 @@ impl AuctionInputs {
     ) -> AuctionInputs {
         let CollectedBids { call, again, .. } = bids;
         let mission = &call.auction.mission;
+        // A mission that has waited for as long as others may be delayed would otherwise never start in a busy fleet.
+        let waited = rounds.get(mission).map_or(Duration::ZERO, |round| context.now().since(round.since));
+        let is_overdue = waited.as_secs_f64() >= context.settings.auctions.promises.delay_max.get();
         context.read_ledger(|ledger| {
             let entry = ledger.mission(mission);
             let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {
@@ -53,7 +58,7 @@ impl AuctionInputs {
                 startable: call.roles.keys().filter(can_proceed).cloned().collect(),
                 failed: of_roles(&MissionEntry::excluded),
                 released: of_roles(&MissionEntry::former_robots),
-                is_under_way: entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
+                may_wait: is_overdue || entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
                 energy: entry.and_then(MissionEntry::energy_budget),
             }
         })
@@ -65,7 +70,7 @@ impl AuctionInputs {
             queues: &self.queues,
             unavailable: &self.unpromisable,
             startable: &self.startable,
-            is_under_way: self.is_under_way,
+            may_wait: self.may_wait,
             terms,
         }
     }

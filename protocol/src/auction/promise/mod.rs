@@ -6,7 +6,7 @@
 //! promised roles (the module `insertion`). The result counts if
 //! another role starts at once and takes longer than that time, so that nobody waits for long, or if the mission
 //! is under way, or if all its robots have promises. Otherwise the mission waits, and gets the robots that are
-//! free first.
+//! free first; once it has waited for the time by which promises may be delayed, its robots wait for each other.
 //!
 //! A mission of a higher priority comes before the promised roles of others, and may be promised a robot whose queue is
 //! full: the last promise is then released. It may also be promised a robot that only waits in a role of a lower priority.
@@ -87,8 +87,8 @@ pub struct PromiseContext<'a> {
     pub unavailable: &'a BTreeMap<RobotId, RefusalReason>,
     /// Roles that can start now: no step of another robot must end first.
     pub startable: &'a BTreeSet<RoleId>,
-    /// Robots hold other roles of the mission.
-    pub is_under_way: bool,
+    /// The robots of the mission may wait for each other: some hold other roles of it, or it has waited for too long.
+    pub may_wait: bool,
     /// Limits of promises.
     pub terms: PromiseTerms,
 }
@@ -195,7 +195,7 @@ impl PromiseContext<'_> {
         let promised: BTreeMap<_, _> = later.into_iter().map(|bid| (bid.role.clone(), self.start_of(bid))).collect();
         let serves_in_turn = |robot| self.queues.get(robot).is_some_and(RobotQueue::serves_in_turn);
         let is_in_time = !now.is_empty() && promised.values().all(|start| *start <= longest);
-        let is_accepted = is_in_time || self.is_under_way || holders.values().all(serves_in_turn);
+        let is_accepted = is_in_time || self.may_wait || holders.values().all(serves_in_turn);
         is_accepted.then_some(promised)
     }
 }

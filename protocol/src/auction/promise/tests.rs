@@ -54,7 +54,7 @@ fn queue(is_held: bool, promised: u32) -> RobotQueue {
 struct Case<'a> {
     queues: &'a [(&'a str, RobotQueue)],
     startable: &'a [&'a str],
-    is_under_way: bool,
+    may_wait: bool,
 }
 
 /// Clears an auction of the roles `arm` and `cart`.
@@ -74,7 +74,7 @@ fn clear(case: &Case<'_>, responses: &[BidResponse]) -> AuctionOutcome {
     let busy = queues.iter().map(|(robot, queue)| (robot.clone(), queue.reason.clone())).collect();
     let startable = case.startable.iter().map(|id| role(id)).collect();
     let none = BTreeMap::new();
-    let (is_under_way, unavailable) = (case.is_under_way, &none);
+    let (may_wait, unavailable) = (case.may_wait, &none);
     let robots = responses.iter().map(|response| response.robot.clone()).collect();
     let context = AuctionContext {
         invitation: &Invitation { robots, preferred: vec![] },
@@ -86,7 +86,7 @@ fn clear(case: &Case<'_>, responses: &[BidResponse]) -> AuctionOutcome {
             queues: &queues,
             unavailable,
             startable: &startable,
-            is_under_way,
+            may_wait,
             terms: PromiseTerms { promises_max: 3, ..PromiseTerms::default() },
         }),
         window_ms: 200,
@@ -102,7 +102,7 @@ fn promised(outcome: &AuctionOutcome) -> Vec<(&str, f64)> {
 #[test]
 fn a_busy_robot_is_promised_a_role_beside_one_that_starts() {
     let responses = [bid("arm-1", "arm", Some(30.0)), bid("ada", "cart", None)];
-    let case = Case { queues: &[("arm-1", queue(true, 2))], startable: &["cart"], is_under_way: false };
+    let case = Case { queues: &[("arm-1", queue(true, 2))], startable: &["cart"], may_wait: false };
     let outcome = clear(&case, &responses);
     assert_eq!(outcome.holders.as_ref().map(BTreeMap::len), Some(2), "{outcome:?}");
     assert_eq!(promised(&outcome), [("arm", 70.0)], "30 s for its role, 20 s for each of two promises");
@@ -114,7 +114,7 @@ fn a_busy_robot_is_promised_a_role_beside_one_that_starts() {
 #[test]
 fn a_free_robot_comes_first() {
     let responses = [bid("arm-1", "arm", Some(1.0)), bid("arm-2", "arm", None), bid("ada", "cart", None)];
-    let case = Case { queues: &[("arm-1", queue(true, 0))], startable: &["cart"], is_under_way: false };
+    let case = Case { queues: &[("arm-1", queue(true, 0))], startable: &["cart"], may_wait: false };
     let outcome = clear(&case, &responses);
     assert_eq!(outcome.holders.as_ref().unwrap()[&role("arm")].as_str(), "arm-2");
     assert_eq!(promised(&outcome), []);
@@ -125,32 +125,33 @@ fn a_mission_that_cannot_start_waits_for_whichever_robot_is_free_first() {
     let responses = [bid("arm-1", "arm", None), bid("ada", "cart", Some(60.0))];
     let queues = [("ada", queue(true, 0))];
     let no_cart = Some("no viable bid for cart");
-    for is_under_way in [false, true] {
-        let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way }, &responses);
+    for may_wait in [false, true] {
+        let outcome = clear(&Case { queues: &queues, startable: &["cart"], may_wait }, &responses);
         assert_eq!((outcome.record.failure.as_deref(), promised(&outcome)), (no_cart, vec![]));
     }
     // Both roles wait for others of a mission that is under way.
-    let outcome = clear(&Case { queues: &queues, startable: &[], is_under_way: true }, &responses);
+    let outcome = clear(&Case { queues: &queues, startable: &[], may_wait: true }, &responses);
     assert_eq!(promised(&outcome), [("arm", 0.0), ("cart", 60.0)]);
-    let outcome = clear(&Case { queues: &queues, startable: &[], is_under_way: false }, &responses);
+    let outcome = clear(&Case { queues: &queues, startable: &[], may_wait: false }, &responses);
     assert_eq!(promised(&outcome), []);
 }
 
 #[test]
 fn no_robot_waits_for_longer_than_it_works() {
-    let waits = |busy_s| {
+    let waits = |busy_s, may_wait| {
         let responses = [bid("arm-1", "arm", Some(busy_s)), bid("ada", "cart", None)];
-        let case = Case { queues: &[("arm-1", queue(true, 0))], startable: &["cart"], is_under_way: false };
+        let case = Case { queues: &[("arm-1", queue(true, 0))], startable: &["cart"], may_wait };
         clear(&case, &responses).holders.is_none()
     };
-    assert_eq!([99.0, 100.0, 101.0].map(waits), [false, false, true]);
+    assert_eq!([99.0, 100.0, 101.0].map(|busy_s| waits(busy_s, false)), [false, false, true]);
+    assert!(!waits(101.0, true), "the mission has waited for too long");
 }
 
 #[test]
 fn robots_with_promises_are_promised_in_turn() {
     let responses = [bid("arm-1", "arm", None), bid("ada", "cart", Some(9.0))];
     let queues = [("ada", queue(true, 1)), ("arm-1", queue(false, 1))];
-    let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way: false }, &responses);
+    let outcome = clear(&Case { queues: &queues, startable: &["cart"], may_wait: false }, &responses);
     assert_eq!(promised(&outcome), [("arm", 20.0), ("cart", 29.0)]);
 }
 
@@ -158,8 +159,7 @@ fn robots_with_promises_are_promised_in_turn() {
 fn a_long_queue_is_full() {
     let responses = [bid("arm-1", "arm", Some(9.0)), bid("ada", "cart", None)];
     let full = |queue| {
-        let outcome =
-            clear(&Case { queues: &[("arm-1", queue)], startable: &["cart"], is_under_way: true }, &responses);
+        let outcome = clear(&Case { queues: &[("arm-1", queue)], startable: &["cart"], may_wait: true }, &responses);
         outcome.record.failure
     };
     let no_arm = Some("no viable bid for arm".to_owned());
@@ -173,7 +173,7 @@ fn a_robot_that_only_waits_in_a_role_of_a_lower_priority_yields() {
     let responses = [bid("arm-1", "arm", Some(300.0)), bid("ada", "cart", None)];
     let cleared = |yields| {
         let queues = [("arm-1", RobotQueue { yields, ..queue(true, 0) })];
-        let outcome = clear(&Case { queues: &queues, startable: &["arm", "cart"], is_under_way: false }, &responses);
+        let outcome = clear(&Case { queues: &queues, startable: &["arm", "cart"], may_wait: false }, &responses);
         outcome.record.promised
     };
     assert_eq!(cleared(false), BTreeMap::new());
@@ -203,7 +203,7 @@ fn a_role_is_inserted_where_its_bid_states() {
     let responses = [inserting_bid("arm-1", "arm"), bid("ada", "cart", None)];
     let promise_after = |promised| {
         let queues = [("arm-1", queue(true, promised))];
-        let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way: false }, &responses);
+        let outcome = clear(&Case { queues: &queues, startable: &["cart"], may_wait: false }, &responses);
         let PlannedRole { before, delay_max, .. } = outcome.record.planned[&role("arm")].clone();
         let start = outcome.record.promised[&role("arm")];
         (start.get(), before.map(|next| next.mission.to_string()), delay_max.get())
@@ -217,7 +217,7 @@ fn a_role_is_inserted_where_its_bid_states() {
 fn a_bid_that_delays_others_costs_more() {
     let responses = [inserting_bid("arm-1", "arm"), bid("arm-2", "arm", Some(55.0)), bid("ada", "cart", None)];
     let queues = [("arm-1", queue(true, 2)), ("arm-2", queue(true, 0))];
-    let outcome = clear(&Case { queues: &queues, startable: &["cart"], is_under_way: false }, &responses);
+    let outcome = clear(&Case { queues: &queues, startable: &["cart"], may_wait: false }, &responses);
     let winner = outcome.holders.as_ref().unwrap()[&role("arm")].as_str();
     assert_eq!(winner, "arm-2", "it ends after 65 s; the other after 60 s, which delays a promise by 10 s");
 }
@@ -230,8 +230,7 @@ fn the_gain_of_another_robot_is_the_difference_of_the_costs() {
     let (unavailable, none, startable) = (BTreeMap::new(), BTreeSet::new(), BTreeSet::from([role("arm")]));
     let gain = |startable: &BTreeSet<RoleId>, from: &str, to: &str| {
         let terms = PromiseTerms { promises_max: 1, ..PromiseTerms::default() };
-        let context =
-            PromiseContext { queues: &queues, unavailable: &unavailable, startable, is_under_way: true, terms };
+        let context = PromiseContext { queues: &queues, unavailable: &unavailable, startable, may_wait: true, terms };
         context.gain(&responses, &role("arm"), &from.parse().unwrap(), &to.parse().unwrap())
     };
     for startable in [&none, &startable] {
