@@ -40,9 +40,10 @@ impl AuctionInputs {
     ) -> AuctionInputs {
         let CollectedBids { call, again, .. } = bids;
         let mission = &call.auction.mission;
-        // A mission that has waited for as long as others may be delayed would otherwise never start in a busy fleet.
+        // A mission that has waited for as long as a promise may be delayed and late might never start in a busy fleet.
+        let PromiseTerms { delay_max, late_max, .. } = context.settings.auctions.promises;
         let waited = rounds.get(mission).map_or(Duration::ZERO, |round| context.now().since(round.since));
-        let is_overdue = waited.as_secs_f64() >= context.settings.auctions.promises.delay_max.get();
+        let is_overdue = waited.as_secs_f64() >= (delay_max + late_max).get();
         context.read_ledger(|ledger| {
             let entry = ledger.mission(mission);
             let of_roles = |robots: &dyn Fn(&MissionEntry, &RoleId) -> BTreeMap<RobotId, String>| {

@@ -6,7 +6,7 @@
 //! promised roles (the module `insertion`). The result counts if
 //! another role starts at once and takes longer than that time, so that nobody waits for long, or if the mission
 //! is under way, or if all its robots have promises. Otherwise the mission waits, and gets the robots that are
-//! free first; once it has waited for the time by which promises may be delayed, its robots wait for each other.
+//! free first; once it has waited for as long as a promise may be delayed and late, its robots wait for each other.
 //!
 //! A mission of a higher priority comes before the promised roles of others, and may be promised a robot whose queue is
 //! full: the last promise is then released. It may also be promised a robot that only waits in a role of a lower priority.
