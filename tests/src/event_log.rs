@@ -129,6 +129,11 @@ impl EventLog {
         self.lock().get(count..).map_or(vec![], <[_]>::to_vec)
     }
 
+    /// Returns and removes all entries, in order.
+    pub(crate) fn take(&self) -> Vec<(Duration, Observation)> {
+        std::mem::take(&mut *self.lock())
+    }
+
     /// Returns the number of entries.
     pub fn len(&self) -> usize {
         self.lock().len()

@@ -10,6 +10,7 @@ pub mod published_format;
 pub mod report;
 pub mod results;
 pub mod seeds;
+pub mod shift;
 pub mod stats;
 pub mod success_estimate;
 pub mod travel;

@@ -1,5 +1,6 @@
 //! `consort-lab experiment`: runs the published evaluation and others on whole fleets.
 
+use super::named_value::named;
 use super::workload_flags::WorkloadFlags;
 use super::{legs, shift};
 use crate::design_file::DesignFile;
@@ -137,15 +138,6 @@ struct Common {
     /// drawn
     #[arg(long, value_name = "FILE")]
     legs: Option<PathBuf>,
-}
-
-/// Finds the value with a name.
-fn named<T: Copy>(text: &str, all: &[T], name: impl Fn(T) -> &'static str) -> Result<T, InvalidValue> {
-    let known = || all.iter().map(|one| name(*one)).collect::<Vec<_>>().join(", ");
-    all.iter()
-        .copied()
-        .find(|one| name(*one) == text)
-        .ok_or_else(|| InvalidValue::new(format_args!("there are: {}", known())))
 }
 
 fn policy(text: &str) -> Result<Policy, InvalidValue> {

@@ -6,6 +6,7 @@ pub(crate) mod chaos;
 pub(crate) mod check;
 pub(crate) mod experiment;
 mod legs;
+mod named_value;
 pub(crate) mod png;
 pub mod schema;
 mod shift;

@@ -224,3 +224,29 @@ fn a_design_of_a_domain_runs() {
     assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
     assert!(ran.out.contains("there is no mission \"water-plants\""), "{}", ran.out);
 }
+
+#[test]
+fn policies_of_a_shift_are_compared_with_the_first() {
+    let flags = ["--robots", "2", "--missions", "2", "--repetitions", "2", "--policies", "instantaneous,oracle"];
+    let ran = run(&[&["experiment", "shift", "--json"], &flags[..]].concat());
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let policies: Vec<Value> = ran.out.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    assert_eq!(policies.len(), 2, "{}", ran.out);
+    for (figures, policy) in policies.iter().zip(["instantaneous", "oracle"]) {
+        assert_eq!(figures["policy"], policy);
+        assert_eq!((&figures["runs"][0]["seed"], &figures["runs"][1]["seed"]), (&Value::from(1), &Value::from(2)));
+        assert_eq!(figures["runs"][1]["completed"], 2, "{figures}");
+        assert!(figures["means"]["completion_s"]["interval"]["low"].is_number(), "{figures}");
+    }
+    assert!(policies[0]["differences"].is_null(), "{}", policies[0]);
+    assert!(policies[1]["differences"]["distance_m"]["mean"].is_number(), "{}", policies[1]);
+}
+
+#[test]
+fn hours_of_a_shift_need_a_rate() {
+    let ran = run(&["experiment", "shift", "--hours", "1"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{}", ran.err);
+    assert!(ran.err.contains("--hours needs a rate of requests: --per-hour or --load"), "{}", ran.err);
+    let ran = run(&["experiment", "shift", "--load", "70"]);
+    assert!(ran.err.contains("\"70\", allowed is a number from 0.01 to 2"), "{}", ran.err);
+}

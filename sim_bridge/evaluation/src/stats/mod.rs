@@ -16,6 +16,7 @@ pub(crate) use describe::{density, quantile};
 pub(crate) use effect::{EffectSize, hedges_g, hedges_g_paired};
 pub(crate) use permutation::{PermutationTest, permute_paired, permute_two_samples};
 pub(crate) use risk::{risk_difference, wilson};
+pub use ttest::MeanEstimate;
 pub(crate) use ttest::{TTest, paired, welch};
 
 use serde::Serialize;
@@ -28,7 +29,6 @@ pub(crate) const CONFIDENCE: f64 = 0.95;
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Alternative {
     /// The two differ.
-    #[cfg_attr(not(test), expect(dead_code, reason = "the published reference values of the tests are two-sided"))]
     TwoSided,
     /// The first is greater.
     Greater,

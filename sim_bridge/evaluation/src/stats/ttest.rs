@@ -21,6 +21,24 @@ pub(crate) struct TTest {
     pub alternative: Alternative,
 }
 
+/// Mean of a sample with its confidence interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct MeanEstimate {
+    /// The mean; 0 for no values.
+    pub mean: f64,
+    /// Its confidence interval by Student's t-distribution; `None` for fewer than two values.
+    pub interval: Option<ConfidenceInterval>,
+}
+
+impl MeanEstimate {
+    /// Estimates the mean of the values' distribution.
+    pub fn of(values: &[f64]) -> MeanEstimate {
+        let zeros = vec![0.0; values.len()];
+        let interval = paired(values, &zeros, Alternative::TwoSided).ok().map(|test| test.interval);
+        MeanEstimate { mean: mean(values), interval }
+    }
+}
+
 /// Tests pairs with Student's t-test: whether the mean of first minus second is 0. The thesis uses
 /// it for successes and battery failures, with a pair for each scenario.
 ///
@@ -69,6 +87,16 @@ mod tests {
     use super::*;
 
     // The expected figures are those of scipy 1.17 (ttest_rel, ttest_ind with equal_var=False).
+
+    #[test]
+    fn a_mean_has_the_interval_of_the_t_distribution() {
+        // scipy 1.17: t.interval(0.95, 9, loc=mean, scale=sem)
+        let differences: Vec<f64> = SLEEP[0].iter().zip(&SLEEP[1]).map(|(one, other)| one - other).collect();
+        let estimate = MeanEstimate::of(&differences);
+        close(estimate.mean, -1.58);
+        close(estimate.interval.unwrap().low, -2.459885763276983);
+        assert_eq!(MeanEstimate::of(&[7.0]), MeanEstimate { mean: 7.0, interval: None });
+    }
 
     #[test]
     fn the_paired_test_agrees_with_scipy() {
