@@ -6,6 +6,7 @@
 
 mod injected_bugs;
 mod seeds;
+mod shift;
 
 use consort_tests::chaos::{RunConfig, RunOutcome, Schedule, SeedSweep};
 use std::thread;

@@ -87,11 +87,19 @@ impl Observation {
     }
 }
 
+#[derive(Default)]
+struct Entries {
+    /// Number of entries that were forgotten.
+    forgotten: usize,
+    /// The later entries.
+    kept: Vec<(Duration, Observation)>,
+}
+
 /// The log. Clones share the same entries.
 #[derive(Clone)]
 pub struct EventLog {
     started: Instant,
-    entries: Arc<Mutex<Vec<(Duration, Observation)>>>,
+    entries: Arc<Mutex<Entries>>,
     grown: watch::Sender<usize>,
 }
 
@@ -107,7 +115,7 @@ impl EventLog {
 
     /// Appends an observation with the current time.
     pub(crate) fn add(&self, entry: Observation) {
-        self.lock().push((self.elapsed(), entry));
+        self.lock().kept.push((self.elapsed(), entry));
         self.grown.send_modify(|count| *count += 1);
     }
 
@@ -115,28 +123,36 @@ impl EventLog {
         self.grown.subscribe()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<(Duration, Observation)>> {
+    fn lock(&self) -> MutexGuard<'_, Entries> {
         self.entries.lock().expect("no panic while it is locked")
     }
 
     /// Returns all entries in order.
     pub fn entries(&self) -> Vec<(Duration, Observation)> {
-        self.lock().clone()
+        self.lock().kept.clone()
     }
 
     /// Returns the entries after the first `count`, in order.
     pub fn since(&self, count: usize) -> Vec<(Duration, Observation)> {
-        self.lock().get(count..).map_or(vec![], <[_]>::to_vec)
+        let entries = self.lock();
+        entries.kept.get(count.saturating_sub(entries.forgotten)..).map_or(vec![], <[_]>::to_vec)
     }
 
-    /// Returns and removes all entries, in order.
-    pub(crate) fn take(&self) -> Vec<(Duration, Observation)> {
-        std::mem::take(&mut *self.lock())
+    /// Forgets the entries before the latest `kept` once there are twice as many, so that the log of a long run fits
+    /// into memory.
+    pub(crate) fn forget_before_latest(&self, kept: usize) {
+        let mut entries = self.lock();
+        if entries.kept.len() >= 2 * kept {
+            let old = entries.kept.len() - kept;
+            entries.kept.drain(..old);
+            entries.forgotten += old;
+        }
     }
 
-    /// Returns the number of entries.
+    /// Returns the number of entries ever added.
     pub fn len(&self) -> usize {
-        self.lock().len()
+        let entries = self.lock();
+        entries.forgotten + entries.kept.len()
     }
 
     /// Checks whether the log is empty.
@@ -147,7 +163,7 @@ impl EventLog {
     /// Returns the times of all events of a kind.
     pub fn times(&self, what: impl Fn(&EventKind) -> bool) -> Vec<Duration> {
         let entries = self.lock();
-        let wanted = entries.iter().filter(|(_, entry)| entry.event_kind().is_some_and(&what));
+        let wanted = entries.kept.iter().filter(|(_, entry)| entry.event_kind().is_some_and(&what));
         wanted.map(|(at, _)| *at).collect()
     }
 
@@ -182,14 +198,14 @@ impl EventLog {
             what.truncate(what.char_indices().nth(260).map_or(what.len(), |(index, _)| index));
             Some((*at, format!("{:8.3} {:>8} {what}", at.as_secs_f64(), entry.node().to_string())))
         };
-        self.lock().iter().filter(|(_, entry)| select(entry)).filter_map(line).collect()
+        self.lock().kept.iter().filter(|(_, entry)| select(entry)).filter_map(line).collect()
     }
 
     /// Returns, for each task of a mission, the nodes at which it began and the nodes at which it
     /// ended well, in order.
     pub fn task_executors(&self, mission: &MissionId) -> BTreeMap<String, (Vec<String>, Vec<String>)> {
         let mut doers: BTreeMap<String, (Vec<String>, Vec<String>)> = BTreeMap::new();
-        for (_, entry) in self.lock().iter() {
+        for (_, entry) in &self.lock().kept {
             match entry.event_kind() {
                 Some(EventKind::TaskBegan { mission: of, task, .. }) if of == mission => {
                     doers.entry(task.to_string()).or_default().0.push(entry.node().to_string());

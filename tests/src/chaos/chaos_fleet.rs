@@ -47,8 +47,17 @@ const CARRIERS: [(&str, &str); 6] = [
     ("linden", "Dock"),
 ];
 
-/// The only robot that takes samples out of drawers.
+/// The robot that takes samples out of drawers; the only one, except in a shift.
 pub(crate) const ARM: &str = "lab-arm";
+
+/// Arms of a shift, in the order of use.
+pub const SHIFT_ARMS: [&str; 3] = [ARM, "lab-arm-2", "lab-arm-3"];
+
+/// Carriers of a shift, in the order of use.
+pub const SHIFT_CARRIERS: [&str; 20] = [
+    "garnet", "hazel", "indigo", "jasper", "kelp", "linden", "moss", "nettle", "oxalis", "poppy", "quince", "reed",
+    "sage", "thyme", "umber", "violet", "willow", "yarrow", "zinnia", "agate",
+];
 
 /// The node that hosts the simulated robots and the people. It is not part of the node count.
 pub(crate) const WORLD: &str = "world";
@@ -59,17 +68,19 @@ pub const NODES_MIN: usize = 4;
 /// Number of available node names.
 pub const NODES_MAX: usize = 13;
 
-/// Composition of a fleet: an arm, and carriers and stations in equal parts.
+/// Composition of a fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChaosFleet {
     /// Stationary nodes that vote.
     pub stations: Vec<&'static str>,
     /// Robots with a drawer.
     pub carriers: Vec<&'static str>,
+    /// Robots that take samples out of drawers.
+    pub arms: Vec<&'static str>,
 }
 
 impl ChaosFleet {
-    /// Returns a fleet of `nodes` nodes, without the world host.
+    /// Returns a fleet of `nodes` nodes, without the world host: an arm, and carriers and stations in equal parts.
     ///
     /// # Panics
     /// If `nodes` is outside [`NODES_MIN`] to [`NODES_MAX`]. The caller has checked it.
@@ -80,18 +91,31 @@ impl ChaosFleet {
         ChaosFleet {
             stations: STATIONS[..stations].to_vec(),
             carriers: CARRIERS[..carriers].iter().map(|(name, _)| *name).collect(),
+            arms: vec![ARM],
+        }
+    }
+
+    /// Returns the fleet of a shift, with three stations.
+    ///
+    /// # Panics
+    /// If there are more carriers than [`SHIFT_CARRIERS`], or more arms than [`SHIFT_ARMS`]. The caller has checked it.
+    pub(crate) fn of_shift(carriers: usize, arms: usize) -> ChaosFleet {
+        ChaosFleet {
+            stations: STATIONS[..3].to_vec(),
+            carriers: SHIFT_CARRIERS[..carriers].to_vec(),
+            arms: SHIFT_ARMS[..arms].to_vec(),
         }
     }
 
     /// Returns all nodes, the world host last.
     pub fn nodes(&self) -> Vec<&'static str> {
-        let robots = self.carriers.iter().chain([&ARM, &WORLD]);
+        let robots = self.carriers.iter().chain(&self.arms).chain([&WORLD]);
         self.stations.iter().chain(robots).copied().collect()
     }
 
     /// Returns the first voters: at most five, an odd number, stationary nodes first.
     pub(crate) fn voters(&self) -> Vec<&'static str> {
-        let mut all: Vec<_> = self.stations.iter().copied().chain([ARM]).collect();
+        let mut all: Vec<_> = self.stations.iter().chain(&self.arms).copied().collect();
         all.sort_unstable();
         all.extend(&self.carriers);
         let most = all.len().min(consort_fleet::autopilot::VOTERS);

@@ -77,6 +77,8 @@ pub(super) struct ActionExecutor {
     flat: BTreeSet<String>,
     /// All faults have ended.
     are_faults_over: bool,
+    /// Clients repeat some requests that were acknowledged.
+    repeats: bool,
 }
 
 impl ActionExecutor {
@@ -104,7 +106,14 @@ impl ActionExecutor {
             bodies_stop_at: None,
             flat: BTreeSet::new(),
             are_faults_over: false,
+            repeats: true,
         }
+    }
+
+    /// Lets no client repeat a request that was acknowledged: in a long run there would be more and more of them.
+    #[must_use]
+    pub(super) fn without_repetitions(self) -> ActionExecutor {
+        ActionExecutor { repeats: false, ..self }
     }
 
     /// Returns the acknowledged requests.
@@ -526,6 +535,7 @@ impl ActionExecutor {
         let mut chance = ChaCha8Rng::seed_from_u64(fleet.seed ^ fleet.elapsed().as_nanos() as u64);
         let repetition =
             chance.random_bool(REPEATED).then(|| Duration::from_secs(chance.random_range(REPEATED_AFTER_S)));
+        let repetition = repetition.filter(|_| self.repeats);
         tokio::spawn(async move {
             loop {
                 let (node, mission) = (slug("client"), client.submit(&body).await);

@@ -1,6 +1,6 @@
 //! Fault injection before nodes start: disks that lose writes, clocks that drift, skills that fail.
 
-use super::chaos_fleet::{ARM, ChaosFleet, DATE_MS};
+use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::generate::lease_terms;
 use super::mutants::Mutant;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
@@ -8,6 +8,7 @@ use crate::AdjustNode;
 use crate::disk::VirtualDisk;
 use consort_bus::BootInstant;
 use consort_bus::clock::Clock;
+use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::units::{Seconds, WorldTime};
 use consort_protocol::versions::VersionRange;
@@ -77,7 +78,7 @@ impl FaultInjector {
         let rates = schedule.steps.iter().filter_map(|step| drift(&step.action)).collect();
         let map = map::shipped("hospital").expect("the shipped map is sound");
         let environment = map.environment().expect("the shipped map is sound");
-        let robots = composition.carriers.iter().copied().chain([ARM]);
+        let robots = composition.carriers.iter().chain(&composition.arms).copied();
         let faults: BTreeMap<String, FaultQueue> =
             robots.map(|robot| (robot.to_owned(), FaultQueue::default())).collect();
         let library = |faults: &FaultQueue| Arc::new(faulty_library(extensions, environment.clone(), faults));
@@ -149,6 +150,13 @@ impl FaultInjector {
         if let (Some(robot), Some(library)) = (&mut settings.robot, parts.libraries.get(&node)) {
             robot.library = Arc::clone(library);
         }
+    }
+
+    /// Lets the fleet accept any number of missions and take snapshots seldom, as a fleet in operation does.
+    pub(super) fn use_limits_of_operation(&self) {
+        let mut parts = self.0.borrow_mut();
+        parts.log_retention = (consort_raft::SNAPSHOT_EVERY, consort_raft::LOG_ENTRIES_KEPT);
+        parts.mission_limits.1 = RequestLimits::default().missions_max;
     }
 
     /// Returns the number of ended missions that the fleet keeps whole.

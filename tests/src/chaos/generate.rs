@@ -1,6 +1,6 @@
 //! Generation of schedules from a seed.
 
-use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
+use super::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::chargers::charger_count;
 use super::closures::add_closures;
 use super::control_flow::replace_missions;
@@ -300,8 +300,8 @@ impl Draw<'_> {
                 ChaosAction::Battery { robot: robot.to_owned() }
             }
             FaultKind::Skill => {
-                let robots: Vec<_> = self.composition.carriers.iter().copied().chain([ARM]).collect();
-                let robot = (*robots.choose(&mut self.chance).expect("there is the arm")).to_owned();
+                let robots: Vec<_> = self.composition.carriers.iter().chain(&self.composition.arms).copied().collect();
+                let robot = (*robots.choose(&mut self.chance).expect("there is an arm")).to_owned();
                 let how = *[SkillFault::Fails, SkillFault::Panics, SkillFault::Hangs]
                     .choose(&mut self.chance)
                     .expect("three");

@@ -1,6 +1,6 @@
 //! Orders of people to robots, which some runs contain: hold and maintenance.
 
-use super::chaos_fleet::{ARM, ChaosFleet};
+use super::chaos_fleet::ChaosFleet;
 use super::fault_kind::FaultKind;
 use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, OrderAction, ScheduledAction};
 use consort_protocol::keys::ApiCall;
@@ -45,7 +45,7 @@ pub(super) fn add_orders(
     }
     let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x0a5d_e5ed);
     let (is_held, is_maintained) = (chance.random_bool(HELD), chance.random_bool(MAINTAINED));
-    let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
+    let robots: Vec<&str> = composition.carriers.iter().chain(&composition.arms).copied().collect();
     let requests: Vec<(u64, String)> =
         steps.iter().filter_map(|step| Some((step.at_ms, step.action.submitted_request()?))).collect();
     let (first_ms, end_ms) = (period_ms.start, period_ms.end);
@@ -99,6 +99,7 @@ pub(super) fn request(robot: &str, change: OrderAction) -> (ApiCall, Value) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::chaos_fleet::ARM;
     use super::super::generate::generate;
     use super::*;
     use consort_protocol::api::{HoldRequest, MaintenanceRequest, ReleaseRequest};

@@ -1,6 +1,6 @@
 //! Check of a schedule against its fleet.
 
-use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE};
+use super::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE};
 use super::closures::parts_of_map;
 use super::control_flow::CONTROL_FLOW_MISSIONS;
 use super::poison::POISON_MISSIONS;
@@ -14,7 +14,7 @@ impl Schedule {
     /// A name is unknown, or a number is outside its range.
     pub fn check(&self, composition: &ChaosFleet, workload: &Workload) -> Result<(), ScheduleError> {
         let nodes = composition.nodes();
-        let robots: Vec<&str> = composition.carriers.iter().copied().chain([ARM]).collect();
+        let robots: Vec<&str> = composition.carriers.iter().chain(&composition.arms).copied().collect();
         let check_known = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
             let known: Vec<&str> = known.iter().chain(extra).copied().collect();
             if known.contains(&name) || name.starts_with(CARRIER_OF) {

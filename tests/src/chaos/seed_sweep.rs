@@ -1,15 +1,12 @@
 //! Many runs on all cores.
 
+use super::quiet_thread::quiet_thread;
 use super::run::{RunConfig, RunOutcome, run};
 use super::schedule::Schedule;
 use std::ops::RangeInclusive;
-use std::panic;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Once, mpsc};
+use std::sync::mpsc;
 use std::thread;
-
-/// Name of the threads that run fleets.
-const THREAD: &str = "chaos";
 
 /// Sweep over seeds. Each of the `jobs` threads executes its runs in sequence.
 pub struct SeedSweep<'a> {
@@ -26,7 +23,6 @@ impl SeedSweep<'_> {
     /// begins, and the violation of the smallest seed is returned. So the result does not depend on
     /// the speed of the threads.
     pub fn run(&self, mut each: impl FnMut(&RunOutcome)) -> Option<RunOutcome> {
-        silence_panics();
         let next = AtomicU64::new(*self.seeds.start());
         let last = AtomicU64::new(*self.seeds.end());
         let (sender, outcomes) = mpsc::channel();
@@ -47,8 +43,7 @@ impl SeedSweep<'_> {
                         return;
                     }
                 };
-                let thread = thread::Builder::new().name(THREAD.to_owned());
-                thread.spawn_scoped(scope, work).expect("a thread can be started");
+                quiet_thread().spawn_scoped(scope, work).expect("a thread can be started");
             }
             drop(sender);
             let mut found: Option<RunOutcome> = None;
@@ -61,18 +56,4 @@ impl SeedSweep<'_> {
             found
         })
     }
-}
-
-/// Silences panics on the threads of runs. Injected skill panics are expected, and a panic of a run
-/// is reported as its violation.
-fn silence_panics() {
-    static ONCE: Once = Once::new();
-    ONCE.call_once(|| {
-        let default_hook = panic::take_hook();
-        panic::set_hook(Box::new(move |info| {
-            if thread::current().name() != Some(THREAD) {
-                default_hook(info);
-            }
-        }));
-    });
 }

@@ -1,23 +1,22 @@
 //! A shift: robots of the hospital carry lab samples, many missions at a time, on virtual time.
 
 mod dispatcher;
-mod record;
-mod work;
+pub(crate) mod record;
+pub(crate) mod work;
 
 pub use work::{CHARGERS, requests_per_hour};
 
-use crate::fleet::{Fleet, NodeOptions, nurse_in};
-use crate::percentiles::Percentiles;
+use crate::fleet::{Fleet, NodeOptions};
 use crate::{RobotSpec, paused_runtime, slug};
-use consort_evaluation::shift::{ShiftFigures, ShiftJob, ShiftMetrics, ShiftPolicy};
+use consort_evaluation::shift::{ShiftFigures, ShiftJob, ShiftPolicy};
+use consort_fleet::observe::SharedObserver;
 use consort_protocol::auction::Allocator;
 use consort_protocol::ids::PlaceId;
-use consort_world::world::{PersonSetup, World, WorldEvent};
+use consort_world::world::World;
 use dispatcher::Dispatcher;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use record::{CarrierMeters, MissionRecord};
-use std::collections::BTreeSet;
+use record::{INTERVAL, RecordedEvents, ShiftRecord};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use work::{LABORATORY, ShiftRequest, WorkModel};
@@ -63,12 +62,6 @@ const STATIONS: [&str; 3] = ["base-1", "base-2", "base-3"];
 /// World time after the last request in which the missions end.
 const LIMIT_S: f64 = 24.0 * 3600.0;
 
-/// Interval of measurements, in node time.
-const INTERVAL: Duration = Duration::from_secs(1);
-
-/// World time from the request after which a completed mission is late.
-const LATE_S: f64 = 1800.0;
-
 /// Runs a shift. `progress` receives the number of missions that have ended.
 ///
 /// # Panics
@@ -85,9 +78,8 @@ async fn run_on_virtual_time(setup: ShiftSetup, progress: impl Fn(usize)) -> Shi
     let requests = work::draw_requests(&setup, &rooms, &mut chance);
     let dispatcher = dispatcher(&setup, &rooms, &carriers, &requests);
     let fleet = start(&setup, &rooms, &carriers, dispatcher.clone()).await;
-    let meters = CarrierMeters::new(&fleet, carriers.iter().map(|carrier| carrier.name.as_str()));
-    let mut shift =
-        Shift { setup, fleet, record: MissionRecord::default(), meters, stranded: BTreeSet::new(), progress };
+    let record = ShiftRecord::new(&fleet, carriers.iter().map(|carrier| carrier.name.as_str()));
+    let mut shift = Shift { fleet, record, seen: 0, progress };
     let began = shift.fleet.elapsed();
     for (number, request) in requests.iter().enumerate() {
         shift.pass_until(began + Duration::from_secs_f64(request.at_s / setup.world_speed)).await;
@@ -100,7 +92,7 @@ async fn run_on_virtual_time(setup: ShiftSetup, progress: impl Fn(usize)) -> Shi
     while shift.record.ended < setup.missions && shift.fleet.elapsed() < end {
         shift.pass_until((shift.fleet.elapsed() + INTERVAL).min(end)).await;
     }
-    shift.figures(began, wall)
+    shift.record.figures(&setup, &shift.fleet, began, wall)
 }
 
 /// Returns the queues of a policy that assigns carriers in advance.
@@ -128,14 +120,15 @@ async fn start(
 ) -> Fleet {
     let arms = (0..setup.arms).map(|number| RobotSpec::arm(&format!("lab-arm-{number}"), LABORATORY));
     let robots = carriers.iter().cloned().chain(arms).collect();
-    let nurse = |room: &PlaceId| PersonSetup { endless_samples: true, ..nurse_in(room.as_str()) };
-    let people = rooms.iter().map(nurse).collect();
+    let people = work::nurses(rooms);
     let policy = setup.policy;
     let allocator = dispatcher.map(|dispatcher| -> Arc<dyn Allocator> { dispatcher });
     let options = NodeOptions {
         world_speed: setup.world_speed,
         charging: work::charging(setup.chargers),
         adjust: Box::new(move |settings| {
+            let observer = settings.observer.take();
+            settings.observer = observer.map(|observer| -> SharedObserver { Arc::new(RecordedEvents(observer)) });
             if policy == ShiftPolicy::Instantaneous {
                 settings.fleet.promises.promises_max = 0;
             }
@@ -151,18 +144,16 @@ async fn start(
 }
 
 struct Shift<F> {
-    setup: ShiftSetup,
     fleet: Fleet,
-    record: MissionRecord,
-    meters: CarrierMeters,
-    /// Carriers whose battery fell to the charge at which they stop.
-    stranded: BTreeSet<String>,
+    record: ShiftRecord,
+    /// Number of observed entries of the event log.
+    seen: usize,
     progress: F,
 }
 
 impl<F: Fn(usize)> Shift<F> {
-    /// Lets time pass, and observes the fleet. A long shift is observed at intervals: it has too many events to check
-    /// all missions after each, or to keep them all.
+    /// Lets time pass, and observes the fleet at intervals: a long shift has too many events to check all missions
+    /// after each, or to keep them all.
     async fn pass_until(&mut self, end: Duration) {
         loop {
             self.observe();
@@ -176,56 +167,17 @@ impl<F: Fn(usize)> Shift<F> {
 
     fn observe(&mut self) {
         let ended = self.record.ended;
-        for (at, entry) in self.fleet.event_log.take() {
+        for (at, entry) in self.fleet.event_log.since(self.seen) {
             self.record.observe(at, &entry);
+            self.seen += 1;
         }
+        self.fleet.event_log.forget_before_latest(0);
         for entry in self.fleet.world.with(World::drain_event_log) {
-            if let WorldEvent::Stranded { robot } = entry.event {
-                self.stranded.insert(robot.to_string());
-            }
+            self.record.observe_world(&entry.event);
         }
-        self.meters.measure(&self.fleet);
+        self.record.measure(&self.fleet);
         if self.record.ended > ended {
             (self.progress)(self.record.ended);
         }
     }
-
-    fn figures(&self, began: Duration, wall: Instant) -> ShiftFigures {
-        let speed = self.setup.world_speed;
-        let missions = || self.record.missions.values();
-        let seconds = |times: &Duration| times.as_secs_f64() * speed;
-        let waiting: Vec<f64> = missions().filter_map(|times| Some(seconds(&times.waiting()?))).collect();
-        let completion: Vec<f64> = missions().filter_map(|times| Some(seconds(&times.completion()?))).collect();
-        let completed = completion.len();
-        let last = missions().filter(|times| times.is_completed).filter_map(|times| times.ended).max();
-        let all_s = last.map_or(0.0, |last| seconds(&last.saturating_sub(began)));
-        let (waiting_s, waiting_p95_s) = mean_and_p95(&waiting);
-        let (completion_s, completion_p95_s) = mean_and_p95(&completion);
-        let metrics = ShiftMetrics {
-            per_hour: if all_s > 0.0 { completed as f64 * 3600.0 / all_s } else { 0.0 },
-            waiting_s,
-            waiting_p95_s,
-            completion_s,
-            completion_p95_s,
-            distance_m: self.meters.distance_m,
-            energy: self.meters.energy,
-            messages: self.fleet.network.counters().delivered as f64,
-            wall_s: wall.elapsed().as_secs_f64(),
-        };
-        ShiftFigures {
-            seed: self.setup.seed,
-            missions: self.setup.missions,
-            completed,
-            late: completion.iter().filter(|time| **time > LATE_S).count(),
-            stranded: self.stranded.len(),
-            charge_min: self.meters.charge_min,
-            metrics,
-        }
-    }
-}
-
-/// Returns mean and 95th percentile; 0 without values.
-fn mean_and_p95(values: &[f64]) -> (f64, f64) {
-    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-    (mean, Percentiles::of(values.to_vec()).map_or(0.0, |percentiles| percentiles.p95))
 }

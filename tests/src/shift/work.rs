@@ -1,6 +1,7 @@
 //! Work of a shift: its requests, and the time and charge that they need by the robots' own estimates.
 
 use super::ShiftSetup;
+use crate::fleet::nurse_in;
 use crate::{ChargingSetup, RobotSpec, slug};
 use consort_evaluation::shift::ShiftJob;
 use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
@@ -13,17 +14,18 @@ use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator}
 use consort_skills::domain::hospital;
 use consort_skills::environment::Routes;
 use consort_world::map::{Map, shipped};
+use consort_world::world::PersonSetup;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 
 /// Mission of all requests, and the role of its carrier.
-pub(super) const MISSION: &str = "lab-samples";
-pub(super) const CARRIER: &str = "r1";
+pub(crate) const MISSION: &str = "lab-samples";
+pub(crate) const CARRIER: &str = "r1";
 
 /// Place of the arms, where each mission ends.
-pub(super) const LABORATORY: &str = "Laboratory";
+pub(crate) const LABORATORY: &str = "Laboratory";
 
 /// Places of chargers, in the order of use. No sample is fetched from a room with a charger.
 pub const CHARGERS: [&str; 6] = ["Dock", "PC Room 8", "IC Room 3", "PC Room 4", "IC Room 5", "PC Room 6"];
@@ -38,23 +40,29 @@ const CAPACITY_WH: f64 = 100.0;
 
 /// Request of a shift.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct ShiftRequest {
+pub(crate) struct ShiftRequest {
     /// Time since the first request in seconds of world time.
-    pub(super) at_s: f64,
+    pub(crate) at_s: f64,
     /// Room with the sample.
-    pub(super) room: PlaceId,
+    pub(crate) room: PlaceId,
 }
 
 /// Returns the rooms from which samples are fetched.
-pub(super) fn rooms(chargers: usize) -> Vec<PlaceId> {
+pub(crate) fn rooms(chargers: usize) -> Vec<PlaceId> {
     let map = shipped("hospital").expect("it is shipped");
     let is_room = |place: &PlaceId| ["IC Room", "PC Room"].iter().any(|kind| place.as_str().starts_with(kind));
     let has_charger = |place: &PlaceId| CHARGERS[..chargers].contains(&place.as_str());
     map.topology().places.into_keys().filter(|place| is_room(place) && !has_charger(place)).collect()
 }
 
+/// Returns a nurse for each room, who has a sample for each request.
+pub(crate) fn nurses(rooms: &[PlaceId]) -> Vec<PersonSetup> {
+    let nurse = |room: &PlaceId| PersonSetup { endless_samples: true, ..nurse_in(room.as_str()) };
+    rooms.iter().map(nurse).collect()
+}
+
 /// Draws the carriers, each in a room and with a full battery.
-pub(super) fn draw_carriers(count: usize, rooms: &[PlaceId], chance: &mut ChaCha8Rng) -> Vec<RobotSpec> {
+pub(crate) fn draw_carriers(count: usize, rooms: &[PlaceId], chance: &mut ChaCha8Rng) -> Vec<RobotSpec> {
     let carrier = |number: usize| {
         let room = rooms.choose(chance).expect("the hospital has rooms");
         RobotSpec::carrier(&format!("robot-{number:02}"), room.as_str()).with_charge(1.0)
@@ -63,7 +71,7 @@ pub(super) fn draw_carriers(count: usize, rooms: &[PlaceId], chance: &mut ChaCha
 }
 
 /// Draws the requests in the order of their times.
-pub(super) fn draw_requests(setup: &ShiftSetup, rooms: &[PlaceId], chance: &mut ChaCha8Rng) -> Vec<ShiftRequest> {
+pub(crate) fn draw_requests(setup: &ShiftSetup, rooms: &[PlaceId], chance: &mut ChaCha8Rng) -> Vec<ShiftRequest> {
     let mut at_s = 0.0;
     let mut draw = |number: usize| {
         if let Some(per_hour) = setup.per_hour.filter(|_| number > 0) {
@@ -77,7 +85,7 @@ pub(super) fn draw_requests(setup: &ShiftSetup, rooms: &[PlaceId], chance: &mut 
 }
 
 /// Returns the chargers; `None` for none.
-pub(super) fn charging(chargers: usize) -> Option<ChargingSetup> {
+pub(crate) fn charging(chargers: usize) -> Option<ChargingSetup> {
     let share = |share| BatteryShare::new(share).expect("a share");
     let thresholds = ChargeThresholds { below: share(BELOW), until: share(UNTIL), opportunistic: None };
     let places = CHARGERS[..chargers].iter();
@@ -91,7 +99,7 @@ pub(super) fn charging(chargers: usize) -> Option<ChargingSetup> {
 
 /// Estimates of the carriers' work.
 #[derive(Debug)]
-pub(super) struct WorkModel {
+pub(crate) struct WorkModel {
     routes: Routes,
     speed: MetresPerSecond,
     /// Duration of the work of a carrier in each room, without the drive to the room.
@@ -100,7 +108,7 @@ pub(super) struct WorkModel {
 
 impl WorkModel {
     /// Returns the estimates for these rooms, with the speed of [`RobotSpec::carrier`].
-    pub(super) fn new(rooms: &[PlaceId]) -> WorkModel {
+    pub(crate) fn new(rooms: &[PlaceId]) -> WorkModel {
         let map = shipped("hospital").expect("it is shipped");
         let environment = map.environment().expect("the shipped map is sound");
         let routes = environment.find::<Routes>().expect("a map has routes").clone();
@@ -112,7 +120,7 @@ impl WorkModel {
     }
 
     /// Returns the job of the carrier for a request.
-    pub(super) fn job(&self, request: &ShiftRequest) -> ShiftJob<PlaceId> {
+    pub(crate) fn job(&self, request: &ShiftRequest) -> ShiftJob<PlaceId> {
         ShiftJob {
             requested_s: request.at_s,
             from: request.room.clone(),

@@ -7,7 +7,10 @@ use consort_evaluation::stats::MeanEstimate;
 use consort_nodes::command::flag_values::InvalidValue;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
+use consort_tests::chaos::{SHIFT_ARMS, SHIFT_CARRIERS, Violation, run_shift as run_shift_under_faults};
 use consort_tests::shift::{CHARGERS, ShiftSetup, requests_per_hour, run as run_shift};
+use consort_text::count;
+use serde::Serialize;
 use std::cell::RefCell;
 
 /// Measures a fleet during a shift, under policies of allocation: many missions at a time, on virtual time
@@ -29,15 +32,21 @@ Examples:
   consort-lab experiment shift --robots 6 --arms 3 --chargers 3 --hours 24 --per-hour 84 --repetitions 5 \\
     --policies instantaneous,tessi,consort,oracle             # a day, with confidence intervals
   consort-lab experiment shift --robots 20 --arms 3 --chargers 6 --hours 24 --load 0.7 --speed 10 --policies consort
+  consort-lab experiment shift --robots 20 --arms 3 --chargers 6 --hours 24 --load 0.7 --speed 10 --policies consort --faults
 
 With --json: an object for each policy, with its runs, the means of the runs with confidence intervals of 95 %, and the mean
 differences to the first policy. Times are in seconds of world time; wall_s is the duration of the run. A mission is late if it
-is completed more than half an hour after its request. energy is the discharge of all carriers, in full batteries.
+is completed more than half an hour after its request. energy is the discharge of all carriers, in full batteries. Distances
+are measured each second of node time, so they lack the corners at a higher speed.
 
 The load is the time that the requested missions take their carriers, as a share of the time that the carriers have and do not
 charge, by the estimates of the robots.
 
-The same seed gives the same figures on any machine, except wall_s.")]
+With --faults the object has the number of faults and the violation, too.
+
+The same seed gives the same figures on any machine, except wall_s.
+
+Exit codes: 0 success, even if missions are not completed; 1 an invariant is violated; 2 the flags are wrong.")]
 pub(super) struct Args {
     /// Number of robots that carry samples
     #[arg(long, value_name = "N", default_value_t = 12,
@@ -77,6 +86,9 @@ pub(super) struct Args {
     /// Seed of all random numbers of the first run
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Inject the faults of chaos while missions are requested, and check all invariants; with `consort` only
+    #[arg(long)]
+    faults: bool,
     /// Print a JSON object for each policy
     #[arg(long)]
     json: bool,
@@ -106,13 +118,67 @@ fn policy(text: &str) -> Result<ShiftPolicy, InvalidValue> {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for hours without a rate; [`Failure`] if the output cannot be written.
+/// [`Failure::Usage`] for hours without a rate, or for flags with which there are no faults;
+/// [`Failure::Unsuccessful`] if an invariant is violated, or if the output cannot be written.
 pub(super) fn run(args: &Args) -> Result<(), Failure> {
     let setup = args.setup()?;
-    let mut first: Option<PolicyFigures> = None;
+    if args.faults {
+        args.check_faults()?;
+    }
     if !args.json {
         output::line(HEADER)?;
     }
+    if args.faults { run_with_faults(args, setup) } else { run_policies(args, setup) }
+}
+
+/// Figures of a policy under faults.
+#[derive(Serialize)]
+struct FiguresUnderFaults<'a> {
+    #[serde(flatten)]
+    figures: &'a PolicyFigures,
+    /// Number of faults of all runs.
+    faults: usize,
+    /// The violated invariant, if any.
+    violation: Option<&'a Violation>,
+}
+
+/// Runs shifts under faults until an invariant is violated.
+fn run_with_faults(args: &Args, setup: ShiftSetup) -> Result<(), Failure> {
+    let mut progress = Progress::on_terminal();
+    let (mut runs, mut faults, mut violated) = (vec![], 0, None);
+    for repetition in 0..args.repetitions {
+        let seed = setup.seed.wrapping_add(repetition);
+        progress.show(format_args!("seed {seed}: {} missions under faults", setup.missions));
+        let shift = run_shift_under_faults(&ShiftSetup { seed, ..setup });
+        faults += shift.faults;
+        runs.push(shift.figures);
+        if let Some(violation) = shift.violation {
+            violated = Some((seed, violation));
+            break;
+        }
+    }
+    progress.clear();
+    let figures = PolicyFigures::of(setup.policy, setup.per_hour, runs, None);
+    let violation = violated.as_ref().map(|(_, violation)| violation);
+    if args.json {
+        output::json(&FiguresUnderFaults { figures: &figures, faults, violation })?;
+    } else {
+        output::line(row(&figures))?;
+        let outcome = if violation.is_some() { "an invariant was violated" } else { "all invariants held" };
+        output::line(format_args!("{}; {outcome}", count(faults, "fault", "faults")))?;
+    }
+    match violated {
+        None => Ok(()),
+        Some((seed, Violation { invariant, at_ms, reason, events_before })) => Err(Failure::Unsuccessful(format!(
+            "seed {seed}: {invariant} was violated after {:.3} s: {reason}\n{}",
+            at_ms as f64 / 1000.0,
+            events_before.join("\n")
+        ))),
+    }
+}
+
+fn run_policies(args: &Args, setup: ShiftSetup) -> Result<(), Failure> {
+    let mut first: Option<PolicyFigures> = None;
     for &policy in &args.policies {
         let progress = RefCell::new(Progress::on_terminal());
         let run = |repetition: u64| {
@@ -136,6 +202,19 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
 }
 
 impl Args {
+    /// Checks that a shift with these flags can have faults.
+    fn check_faults(&self) -> Result<(), Failure> {
+        let wrong = |what: String| Err(Failure::Usage(what));
+        if self.policies != [ShiftPolicy::Consort] {
+            return wrong("--faults needs --policies consort".to_owned());
+        }
+        let most = [("--robots", self.robots, SHIFT_CARRIERS.len()), ("--arms", self.arms, SHIFT_ARMS.len())];
+        match most.into_iter().find(|(_, count, most)| count > most) {
+            Some((flag, count, most)) => wrong(format!("{flag} {count} with --faults; at most {most} are allowed")),
+            None => Ok(()),
+        }
+    }
+
     fn setup(&self) -> Result<ShiftSetup, Failure> {
         let &Args { robots, arms, chargers, missions, seed, .. } = self;
         let of_load = self.load.map(|load| requests_per_hour(robots, chargers, load));

@@ -243,6 +243,29 @@ fn policies_of_a_shift_are_compared_with_the_first() {
 }
 
 #[test]
+fn a_shift_under_faults_checks_invariants() {
+    let small = ["--robots", "4", "--missions", "4", "--per-hour", "200", "--speed", "10"];
+    let faults = ["--policies", "consort", "--faults", "--json"];
+    let ran = run(&[&["experiment", "shift"], &small[..], &faults].concat());
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let figures: Value = serde_json::from_str(&ran.out).expect("JSON");
+    assert!(figures["violation"].is_null() && figures["faults"].is_number(), "{figures}");
+    assert_eq!(figures["runs"][0]["missions"], 4, "{figures}");
+    for (flags, problem) in [
+        (&["--faults"][..], "--faults needs --policies consort"),
+        (
+            &["--faults", "--policies", "consort", "--robots", "21"][..],
+            "--robots 21 with --faults; at most 20 are allowed",
+        ),
+        (&["--faults", "--policies", "consort", "--arms", "4"][..], "--arms 4 with --faults; at most 3 are allowed"),
+    ] {
+        let ran = run(&[&["experiment", "shift"], flags].concat());
+        assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{flags:?}: {}", ran.err);
+        assert!(ran.err.contains(problem), "{flags:?}: {}", ran.err);
+    }
+}
+
+#[test]
 fn hours_of_a_shift_need_a_rate() {
     let ran = run(&["experiment", "shift", "--hours", "1"]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{}", ran.err);

@@ -1,4 +1,5 @@
-//! A sample moves along its path once: from a person into a drawer, and from there to an arm.
+//! A sample moves along its path once: from a person into a drawer, and from there to an arm. A person with endless
+//! samples takes a used sample again, for another path.
 
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
@@ -26,6 +27,7 @@ impl Invariant for Custody {
         let counts = self.samples.entry(sample.clone()).or_default();
         match (from, to) {
             (SampleHolder::Person(_), _) => counts.0 += 1,
+            (SampleHolder::Table(_), SampleHolder::Person(_)) => *counts = (0, 0),
             (SampleHolder::Drawer(_), SampleHolder::Arm(_)) => counts.1 += 1,
             _ => {}
         }

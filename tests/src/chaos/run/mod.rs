@@ -5,6 +5,10 @@
 //!  ─────────┴──────── invariants at every step ─────────────┴─────── liveness ─────────────────┴──────── relay ───────▶
 //! ```
 
+mod shift;
+
+pub use shift::{FaultyShift, run_shift};
+
 use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::chargers;
 use super::executor::ActionExecutor;
@@ -445,6 +449,8 @@ struct Checker {
     grown: tokio::sync::watch::Receiver<usize>,
     actions: Vec<(Duration, String)>,
     counters: RunCounters,
+    /// Number of checked entries of the event log that are kept for the report of a violation; `None` for all.
+    kept: Option<usize>,
 }
 
 /// Number of lines in the log of a violation.
@@ -460,6 +466,7 @@ impl Checker {
             grown,
             actions: vec![],
             counters: RunCounters::default(),
+            kept: None,
         }
     }
 
@@ -486,6 +493,9 @@ impl Checker {
                     return Err(self.violation(name, reason, fleet));
                 }
             }
+        }
+        if let Some(kept) = self.kept {
+            fleet.event_log.forget_before_latest(kept);
         }
         // After everything that the node published before.
         for node in fleet.ended_nodes() {

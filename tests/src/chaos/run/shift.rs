@@ -1,0 +1,230 @@
+//! A shift under faults: the requests of a [`shift`](crate::shift), the faults of chaos, and the check of all
+//! invariants.
+//!
+//! Faults begin and end as long as missions are requested. Meanwhile a person resolves missions that need
+//! intervention, and another replaces empty batteries: otherwise fewer and fewer robots would be left. There are no
+//! faults that end missions (drained batteries, missions that cannot be completed) or remove nodes for good. No client
+//! reads missions, because the check of a history compares each read of a list with all missions.
+
+use super::{CONVERGENCE_LIMIT, Checker, MISSION_LIMIT, Run, Violation, has_converged, panic_text};
+use crate::chaos::chaos_fleet::{ChaosFleet, DATE_MS, MISSIONS};
+use crate::chaos::executor::ActionExecutor;
+use crate::chaos::fault_injector::FaultInjector;
+use crate::chaos::fault_kind::FaultKind;
+use crate::chaos::generate::{FIRST_MS, LIFTED, generate, lease_terms};
+use crate::chaos::invariants::{Invariant, InvariantViolation};
+use crate::chaos::quiet_thread::quiet_thread;
+use crate::chaos::schedule::{ChaosAction, Schedule, ScheduledAction};
+use crate::fleet::NodeOptions;
+use crate::shift::record::{INTERVAL, ShiftRecord};
+use crate::shift::{ShiftSetup, work};
+use crate::{Fleet, Observation, RobotSpec, paused_runtime};
+use consort_evaluation::shift::ShiftFigures;
+use consort_protocol::ledger::Ledger;
+use consort_skills::actions::RobotBackend as _;
+use consort_skills::workload::Workload;
+use consort_world::SharedWorld;
+use consort_world::world::LoggedEvent;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Number of entries of the event log that are kept.
+const KEPT: usize = 2_000;
+
+/// Interval at which a person replaces empty batteries.
+const BATTERY_INTERVAL: Duration = Duration::from_secs(10);
+
+/// A shift under faults.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FaultyShift {
+    /// Its figures.
+    pub figures: ShiftFigures,
+    /// Number of faults.
+    pub faults: usize,
+    /// The violated invariant, if any. The shift ends with it.
+    pub violation: Option<Violation>,
+}
+
+/// Runs a shift under faults, with the policy of the fleet. The seed determines requests and faults.
+///
+/// # Panics
+/// If the fleet has more than 20 carriers, 3 arms or 6 chargers, or if the run panics.
+pub fn run_shift(setup: &ShiftSetup) -> FaultyShift {
+    thread::scope(|scope| {
+        let shift = quiet_thread().spawn_scoped(scope, || paused_runtime().block_on(execute(setup)));
+        let shift = shift.expect("a thread can be started").join();
+        shift.unwrap_or_else(|problem| panic!("seed {}: {}", setup.seed, panic_text(&*problem)))
+    })
+}
+
+async fn execute(setup: &ShiftSetup) -> FaultyShift {
+    let wall = Instant::now();
+    let mut chance = ChaCha8Rng::seed_from_u64(setup.seed);
+    let rooms = work::rooms(setup.chargers);
+    let composition = ChaosFleet::of_shift(setup.robots, setup.arms);
+    let carriers = work::draw_carriers(setup.robots, &rooms, &mut chance).into_iter().zip(&composition.carriers);
+    let carriers = carriers.map(|(carrier, name)| RobotSpec { name: (*name).to_owned(), ..carrier });
+    let arms = composition.arms.iter().map(|arm| RobotSpec::arm(arm, work::LABORATORY));
+    let members: Vec<RobotSpec> = carriers.chain(arms).collect();
+    let schedule = schedule(setup, &composition, work::draw_requests(setup, &rooms, &mut chance));
+    let faults = schedule.steps.iter().filter(|step| step.action.submitted_request().is_none()).count();
+    let workload = Workload::default();
+    let injector = FaultInjector::new(setup.seed, None, &composition, &schedule, workload.extensions);
+    injector.use_limits_of_operation();
+    let options = NodeOptions {
+        world_speed: setup.world_speed,
+        charging: work::charging(setup.chargers),
+        adjust: injector.adjust(),
+        date_ms: DATE_MS,
+        ..NodeOptions::default()
+    };
+    let people = work::nurses(&rooms);
+    let fleet = Fleet::hospital_with(setup.seed, members, &composition.stations, people, options).await;
+    let record = Rc::new(RefCell::new(ShiftRecord::new(&fleet, composition.carriers.iter().copied())));
+    let mut checker = Checker::new(injector.ended_missions_max(), lease_terms(setup.seed).lease);
+    checker.invariants.push(Box::new(Recorded { record: Rc::clone(&record), due: Duration::ZERO }));
+    checker.kept = Some(KEPT);
+    let executor = ActionExecutor::new(composition.clone(), injector, workload).without_repetitions();
+    let mut run = Run { fleet, executor, checker };
+    for node in composition.nodes() {
+        run.fleet.record_leadership(node);
+    }
+    run.executor.spawn_resolver(&run.fleet);
+    tokio::spawn(replace_batteries(run.fleet.world.clone()));
+    let violation = run.shift_phases(&schedule, setup).await.err();
+    let began = Duration::from_millis(FIRST_MS);
+    let figures = record.borrow().figures(setup, &run.fleet, began, wall);
+    FaultyShift { figures, faults, violation }
+}
+
+/// Returns the requests with faults among them.
+fn schedule(setup: &ShiftSetup, composition: &ChaosFleet, requests: Vec<work::ShiftRequest>) -> Schedule {
+    let node_s = |request: &work::ShiftRequest| request.at_s / setup.world_speed;
+    let last_s = requests.last().map_or(0.0, node_s);
+    let submit = |(number, request): (usize, work::ShiftRequest)| ScheduledAction {
+        at_ms: FIRST_MS + (node_s(&request) * 1000.0) as u64,
+        action: ChaosAction::Submit {
+            request: format!("r{number}"),
+            unnamed: false,
+            mission: MISSIONS[0].to_owned(),
+            room: request.room.to_string(),
+            priority: 0,
+            deadline_s: None,
+        },
+    };
+    // Of the generated actions only the faults: the requests are those of the shift.
+    let kinds: Vec<FaultKind> = FaultKind::FAULTS.into_iter().filter(|kind| !ends_missions(*kind)).collect();
+    let generated = generate(setup.seed, composition, last_s / 60.0 / LIFTED, &kinds).steps;
+    let faults = generated.into_iter().filter(|step| is_fault(&step.action));
+    Schedule::of(requests.into_iter().enumerate().map(submit).chain(faults).collect()).in_order()
+}
+
+/// Checks whether faults of a kind end missions by themselves, remove nodes for good, or need certificates.
+fn ends_missions(kind: FaultKind) -> bool {
+    matches!(kind, FaultKind::Battery | FaultKind::Poison | FaultKind::CircularWait | FaultKind::Hostile)
+}
+
+fn is_fault(action: &ChaosAction) -> bool {
+    let is_request = matches!(
+        action,
+        ChaosAction::Submit { .. }
+            | ChaosAction::Cancel { .. }
+            | ChaosAction::ChangeSchedule { .. }
+            | ChaosAction::Order { .. }
+    );
+    !is_request
+}
+
+/// Gives stranded robots new batteries, for ever.
+async fn replace_batteries(world: SharedWorld) {
+    loop {
+        tokio::time::sleep(BATTERY_INTERVAL).await;
+        for robot in world.robots() {
+            if world.telemetry(&robot).is_some_and(|telemetry| !telemetry.able) {
+                world.with(|world| world.replace_battery(&robot));
+            }
+        }
+    }
+}
+
+impl Run {
+    async fn shift_phases(&mut self, schedule: &Schedule, setup: &ShiftSetup) -> Result<(), Violation> {
+        let last_ms = schedule.steps.last().map_or(FIRST_MS, |step| step.at_ms);
+        self.schedule(schedule, Duration::from_millis(last_ms)).await?;
+        self.executor.end_all_faults(&mut self.fleet).await;
+        self.fleet.heal();
+        let is_upgraded = self.executor.upgrade_check();
+        let what = "a single coordinator, all nodes alive in all views, and the latest version";
+        self.until(what, CONVERGENCE_LIMIT, |fleet| has_converged(fleet) && is_upgraded(fleet)).await?;
+        let (acknowledged, missions) = (self.executor.acknowledged_receiver(), setup.missions);
+        self.until("an end of every mission", MISSION_LIMIT, |fleet| {
+            let have_ended = |ledger: &Ledger| ledger.active_missions().is_empty();
+            acknowledged.borrow().len() == missions && fleet.ledger(have_ended) == Some(true)
+        })
+        .await?;
+        self.checker.end(&self.fleet)
+    }
+}
+
+/// Records the shift as an invariant that always holds.
+struct Recorded {
+    record: Rc<RefCell<ShiftRecord>>,
+    /// Time of the next measurement.
+    due: Duration,
+}
+
+impl Invariant for Recorded {
+    fn name(&self) -> &'static str {
+        "shift"
+    }
+
+    fn observe(&mut self, at: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
+        self.record.borrow_mut().observe(at, entry);
+        Ok(())
+    }
+
+    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
+        self.record.borrow_mut().observe_world(&entry.event);
+        Ok(())
+    }
+
+    fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
+        if at >= self.due {
+            self.due = at + INTERVAL;
+            self.record.borrow_mut().measure(fleet);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_faults_of_a_shift_are_spread_over_its_requests() {
+        let setup = ShiftSetup { missions: 200, per_hour: Some(100.0), world_speed: 10.0, ..ShiftSetup::default() };
+        let rooms = work::rooms(0);
+        let composition = ChaosFleet::of_shift(12, 2);
+        let mut faults = 0;
+        for seed in 1..=10 {
+            let setup = ShiftSetup { seed, ..setup };
+            let mut chance = ChaCha8Rng::seed_from_u64(seed);
+            let steps = schedule(&setup, &composition, work::draw_requests(&setup, &rooms, &mut chance)).steps;
+            assert_eq!(steps.iter().filter(|step| step.action.submitted_request().is_some()).count(), 200);
+            assert!(steps.is_sorted_by_key(|step| step.at_ms));
+            let last_ms = steps.iter().rfind(|step| step.action.submitted_request().is_some()).map(|step| step.at_ms);
+            for step in steps.iter().filter(|step| step.action.submitted_request().is_none()) {
+                assert!(is_fault(&step.action), "{step}");
+                assert!(Some(step.at_ms) <= last_ms, "{step}");
+                assert!(!matches!(step.action, ChaosAction::Battery { .. } | ChaosAction::Remove { .. }), "{step}");
+                faults += 1;
+            }
+        }
+        assert!(faults > 50, "{faults}");
+    }
+}
