@@ -16,7 +16,7 @@ use consort_world::world::World;
 use dispatcher::Dispatcher;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use record::{INTERVAL, RecordedEvents, ShiftRecord};
+use record::{RecordedEvents, ShiftRecord};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use work::{LABORATORY, ShiftRequest, WorkModel};
@@ -57,6 +57,13 @@ impl Default for ShiftSetup {
     }
 }
 
+impl ShiftSetup {
+    /// Returns the interval of measurements: a second of world time.
+    pub(crate) fn interval(&self) -> Duration {
+        Duration::from_secs_f64(1.0 / self.world_speed)
+    }
+}
+
 const STATIONS: [&str; 3] = ["base-1", "base-2", "base-3"];
 
 /// World time after the last request in which the missions end.
@@ -79,7 +86,7 @@ async fn run_on_virtual_time(setup: ShiftSetup, progress: impl Fn(usize)) -> Shi
     let dispatcher = dispatcher(&setup, &rooms, &carriers, &requests);
     let fleet = start(&setup, &rooms, &carriers, dispatcher.clone()).await;
     let record = ShiftRecord::new(&fleet, carriers.iter().map(|carrier| carrier.name.as_str()));
-    let mut shift = Shift { fleet, record, seen: 0, progress };
+    let mut shift = Shift { interval: setup.interval(), fleet, record, seen: 0, progress };
     let began = shift.fleet.elapsed();
     for (number, request) in requests.iter().enumerate() {
         shift.pass_until(began + Duration::from_secs_f64(request.at_s / setup.world_speed)).await;
@@ -90,7 +97,7 @@ async fn run_on_virtual_time(setup: ShiftSetup, progress: impl Fn(usize)) -> Shi
     }
     let end = shift.fleet.elapsed() + Duration::from_secs_f64(LIMIT_S / setup.world_speed);
     while shift.record.ended < setup.missions && shift.fleet.elapsed() < end {
-        shift.pass_until((shift.fleet.elapsed() + INTERVAL).min(end)).await;
+        shift.pass_until((shift.fleet.elapsed() + shift.interval).min(end)).await;
     }
     shift.record.figures(&setup, &shift.fleet, began, wall)
 }
@@ -144,6 +151,7 @@ async fn start(
 }
 
 struct Shift<F> {
+    interval: Duration,
     fleet: Fleet,
     record: ShiftRecord,
     /// Number of observed entries of the event log.
@@ -161,7 +169,7 @@ impl<F: Fn(usize)> Shift<F> {
             if left.is_zero() {
                 return;
             }
-            tokio::time::sleep(left.min(INTERVAL)).await; // virtual time
+            tokio::time::sleep(left.min(self.interval)).await; // virtual time
         }
     }
 

@@ -15,9 +15,6 @@ use consort_world::world::WorldEvent;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-/// Interval of measurements, in node time.
-pub(crate) const INTERVAL: Duration = Duration::from_secs(1);
-
 /// World time from the request after which a completed mission is late.
 const LATE_S: f64 = 1800.0;
 

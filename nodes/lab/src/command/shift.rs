@@ -36,8 +36,7 @@ Examples:
 
 With --json: an object for each policy, with its runs, the means of the runs with confidence intervals of 95 %, and the mean
 differences to the first policy. Times are in seconds of world time; wall_s is the duration of the run. A mission is late if it
-is completed more than half an hour after its request. energy is the discharge of all carriers, in full batteries. Distances
-are measured each second of node time, so they lack the corners at a higher speed.
+is completed more than half an hour after its request. energy is the discharge of all carriers, in full batteries.
 
 The load is the time that the requested missions take their carriers, as a share of the time that the carriers have and do not
 charge, by the estimates of the robots.

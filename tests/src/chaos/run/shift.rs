@@ -16,7 +16,7 @@ use crate::chaos::invariants::{Invariant, InvariantViolation};
 use crate::chaos::quiet_thread::quiet_thread;
 use crate::chaos::schedule::{ChaosAction, Schedule, ScheduledAction};
 use crate::fleet::NodeOptions;
-use crate::shift::record::{INTERVAL, ShiftRecord};
+use crate::shift::record::ShiftRecord;
 use crate::shift::{ShiftSetup, work};
 use crate::{Fleet, Observation, RobotSpec, paused_runtime};
 use consort_evaluation::shift::ShiftFigures;
@@ -86,7 +86,11 @@ async fn execute(setup: &ShiftSetup) -> FaultyShift {
     let fleet = Fleet::hospital_with(setup.seed, members, &composition.stations, people, options).await;
     let record = Rc::new(RefCell::new(ShiftRecord::new(&fleet, composition.carriers.iter().copied())));
     let mut checker = Checker::new(injector.ended_missions_max(), lease_terms(setup.seed).lease);
-    checker.invariants.push(Box::new(Recorded { record: Rc::clone(&record), due: Duration::ZERO }));
+    checker.invariants.push(Box::new(Recorded {
+        record: Rc::clone(&record),
+        interval: setup.interval(),
+        due: Duration::ZERO,
+    }));
     checker.kept = Some(KEPT);
     let executor = ActionExecutor::new(composition.clone(), injector, workload).without_repetitions();
     let mut run = Run { fleet, executor, checker };
@@ -173,6 +177,8 @@ impl Run {
 /// Records the shift as an invariant that always holds.
 struct Recorded {
     record: Rc<RefCell<ShiftRecord>>,
+    /// Interval of measurements.
+    interval: Duration,
     /// Time of the next measurement.
     due: Duration,
 }
@@ -194,7 +200,7 @@ impl Invariant for Recorded {
 
     fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if at >= self.due {
-            self.due = at + INTERVAL;
+            self.due = at + self.interval;
             self.record.borrow_mut().measure(fleet);
         }
         Ok(())
