@@ -295,3 +295,23 @@ impl RoleInterval {
         self.from < ends(other) && other.from < ends(self)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slug;
+
+    #[test]
+    fn a_log_forgets_old_entries_and_counts_them() {
+        let log = EventLog::new();
+        let nodes = |since| log.since(since).iter().map(|(_, entry)| entry.node().to_string()).collect::<Vec<_>>();
+        let add = |name: &str| log.add(Observation::TestAction { node: slug(name), action: "killed" });
+        ["a", "b", "c"].into_iter().for_each(add);
+        log.forget_before_latest(2);
+        assert_eq!((nodes(0).len(), log.len()), (3, 3), "there are not yet twice as many");
+        add("d");
+        log.forget_before_latest(2);
+        assert_eq!((nodes(0), log.len()), (vec!["c".to_owned(), "d".to_owned()], 4));
+        assert_eq!((nodes(3), nodes(4).len()), (vec!["d".to_owned()], 0));
+    }
+}

@@ -13,6 +13,10 @@ use consort_text::count;
 use serde::Serialize;
 use std::cell::RefCell;
 
+/// Least speed with faults: the limits of invariants assume that a robot drives to a charger within a minute of node
+/// time.
+const SPEED_MIN_WITH_FAULTS: u32 = 2;
+
 /// Measures a fleet during a shift, under policies of allocation: many missions at a time, on virtual time
 ///
 /// Robots carry lab samples from nurses in random rooms of the hospital to the arms in the laboratory. The policies run
@@ -206,6 +210,9 @@ impl Args {
         let wrong = |what: String| Err(Failure::Usage(what));
         if self.policies != [ShiftPolicy::Consort] {
             return wrong("--faults needs --policies consort".to_owned());
+        }
+        if self.speed < SPEED_MIN_WITH_FAULTS {
+            return wrong(format!("--speed {} with --faults; at least {SPEED_MIN_WITH_FAULTS} is needed", self.speed));
         }
         let most = [("--robots", self.robots, SHIFT_CARRIERS.len()), ("--arms", self.arms, SHIFT_ARMS.len())];
         match most.into_iter().find(|(_, count, most)| count > most) {

@@ -252,14 +252,13 @@ fn a_shift_under_faults_checks_invariants() {
     assert!(figures["violation"].is_null() && figures["faults"].is_number(), "{figures}");
     assert_eq!(figures["runs"][0]["missions"], 4, "{figures}");
     for (flags, problem) in [
-        (&["--faults"][..], "--faults needs --policies consort"),
-        (
-            &["--faults", "--policies", "consort", "--robots", "21"][..],
-            "--robots 21 with --faults; at most 20 are allowed",
-        ),
-        (&["--faults", "--policies", "consort", "--arms", "4"][..], "--arms 4 with --faults; at most 3 are allowed"),
+        ("--faults", "--faults needs --policies consort"),
+        ("--faults --policies consort", "--speed 1 with --faults; at least 2 is needed"),
+        ("--faults --policies consort --speed 2 --robots 21", "--robots 21 with --faults; at most 20 are allowed"),
+        ("--faults --policies consort --speed 2 --arms 4", "--arms 4 with --faults; at most 3 are allowed"),
     ] {
-        let ran = run(&[&["experiment", "shift"], flags].concat());
+        let flags: Vec<&str> = ["experiment", "shift"].into_iter().chain(flags.split(' ')).collect();
+        let ran = run(&flags);
         assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{flags:?}: {}", ran.err);
         assert!(ran.err.contains(problem), "{flags:?}: {}", ran.err);
     }

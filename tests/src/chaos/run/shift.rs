@@ -35,6 +35,10 @@ use std::time::{Duration, Instant};
 /// Number of entries of the event log that are kept.
 const KEPT: usize = 2_000;
 
+/// Factor by which a fleet of a shift may converge later than others: it has more nodes, which an upgrade restarts in
+/// turn.
+const SIZE_FACTOR: u32 = 4;
+
 /// Interval at which a person replaces empty batteries.
 const BATTERY_INTERVAL: Duration = Duration::from_secs(10);
 
@@ -124,7 +128,8 @@ fn schedule(setup: &ShiftSetup, composition: &ChaosFleet, requests: Vec<work::Sh
     let kinds: Vec<FaultKind> = FaultKind::FAULTS.into_iter().filter(|kind| !ends_missions(*kind)).collect();
     let generated = generate(setup.seed, composition, last_s / 60.0 / LIFTED, &kinds).steps;
     let faults = generated.into_iter().filter(|step| is_fault(&step.action));
-    Schedule::of(requests.into_iter().enumerate().map(submit).chain(faults).collect()).in_order()
+    let steps = requests.into_iter().enumerate().map(submit).chain(faults).collect();
+    Schedule { world_speed: setup.world_speed as u32, ..Schedule::of(steps) }.in_order()
 }
 
 /// Checks whether faults of a kind end missions by themselves, remove nodes for good, or need certificates.
@@ -163,9 +168,9 @@ impl Run {
         self.fleet.heal();
         let is_upgraded = self.executor.upgrade_check();
         let what = "a single coordinator, all nodes alive in all views, and the latest version";
-        self.until(what, CONVERGENCE_LIMIT, |fleet| has_converged(fleet) && is_upgraded(fleet)).await?;
+        self.until(what, CONVERGENCE_LIMIT * SIZE_FACTOR, |fleet| has_converged(fleet) && is_upgraded(fleet)).await?;
         let (acknowledged, missions) = (self.executor.acknowledged_receiver(), setup.missions);
-        self.until("an end of every mission", MISSION_LIMIT, |fleet| {
+        self.until("an end of every mission", MISSION_LIMIT * schedule.slowdown(), |fleet| {
             let have_ended = |ledger: &Ledger| ledger.active_missions().is_empty();
             acknowledged.borrow().len() == missions && fleet.ledger(have_ended) == Some(true)
         })
