@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard};
 use tokio::time::Instant;
 
-/// Missions of a carrier that it has not begun.
+/// Missions that a carrier has not been awarded yet.
 #[derive(Debug)]
 struct CarrierQueue {
     /// Place where it is free for the first of them.
@@ -24,12 +24,19 @@ struct CarrierQueue {
     jobs: Vec<usize>,
 }
 
+/// Latest assignment of a mission to its carrier. An award follows, unless the mission waits for another robot.
+#[derive(Debug)]
+struct Assignment {
+    carrier: RobotId,
+    /// Estimated time at which the carrier is free again.
+    free_s: f64,
+}
+
 #[derive(Debug)]
 struct State {
     queues: BTreeMap<RobotId, CarrierQueue>,
     numbers: BTreeMap<MissionId, usize>,
-    /// Carriers of the missions that were assigned. A mission that loses its carrier gets it again.
-    begun: BTreeMap<usize, RobotId>,
+    assigned: BTreeMap<usize, Assignment>,
 }
 
 /// Allocator that follows queues. See the [module](self).
@@ -55,7 +62,7 @@ impl Dispatcher {
     ) -> Dispatcher {
         let queue = |(robot, place)| (robot, CarrierQueue { place, free_s: 0.0, jobs: vec![] });
         let queues = carriers.into_iter().map(queue).collect();
-        let state = State { queues, numbers: BTreeMap::new(), begun: BTreeMap::new() };
+        let state = State { queues, numbers: BTreeMap::new(), assigned: BTreeMap::new() };
         Dispatcher { jobs, model, inserts: true, created: Instant::now(), world_speed, state: Mutex::new(state) }
     }
 
@@ -100,6 +107,28 @@ impl Dispatcher {
         state.queues.values_mut().nth(carrier).expect("a timeline for each").jobs.insert(position, number);
     }
 
+    /// Notes the award of a carrier.
+    pub(super) fn note_award(&self, mission: &MissionId) {
+        let mut state = self.state();
+        let State { queues, numbers, assigned } = &mut *state;
+        let number = numbers.get(mission).copied();
+        let Some((number, assignment)) = number.and_then(|number| Some((number, assigned.get(&number)?))) else {
+            return;
+        };
+        if let Some(queue) = queues.get_mut(&assignment.carrier) {
+            queue.jobs.retain(|other| *other != number);
+            (queue.place, queue.free_s) = (self.jobs[number].to.clone(), assignment.free_s);
+        }
+    }
+
+    /// Notes the end of a mission, with or without a carrier.
+    pub(super) fn note_end(&self, mission: &MissionId) {
+        let mut state = self.state();
+        if let Some(number) = state.numbers.get(mission).copied() {
+            state.queues.values_mut().for_each(|queue| queue.jobs.retain(|other| *other != number));
+        }
+    }
+
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().expect("no panic while it is locked")
     }
@@ -110,11 +139,13 @@ impl Dispatcher {
 }
 
 impl State {
-    /// Returns the carrier of a mission, if it is its turn.
+    /// Returns the carrier of a mission, if it is its turn. A mission that has lost its carrier gets it again.
     fn carrier_of(&self, number: usize) -> Option<RobotId> {
-        let is_next = |queue: &CarrierQueue| queue.jobs.first() == Some(&number);
-        let next = || self.queues.iter().find(|(_, queue)| is_next(queue)).map(|(robot, _)| robot);
-        self.begun.get(&number).or_else(next).cloned()
+        let carrier = match self.queues.iter().find(|(_, queue)| queue.jobs.contains(&number)) {
+            Some((carrier, queue)) => (queue.jobs.first() == Some(&number)).then_some(carrier),
+            None => self.assigned.get(&number).map(|assignment| &assignment.carrier),
+        };
+        carrier.cloned()
     }
 }
 
@@ -133,11 +164,7 @@ impl Allocator for Dispatcher {
         let holders = OptimalAssignment.allocate(&AllocatorInput { viable: &viable, ..*input })?;
         let bid = viable.iter().find(|bid| bid.role == role && bid.robot == carrier);
         let work_s = bid.map_or(0.0, |bid| bid.time.get());
-        if let Some(queue) = state.queues.get_mut(&carrier) {
-            queue.jobs.retain(|other| *other != number);
-            (queue.place, queue.free_s) = (self.jobs[number].to.clone(), self.now_s() + work_s);
-        }
-        state.begun.insert(number, carrier);
+        state.assigned.insert(number, Assignment { carrier, free_s: self.now_s() + work_s });
         Ok(holders)
     }
 }
@@ -216,6 +243,8 @@ mod tests {
             assert_eq!(allocate(&dispatcher, 2, &both), None, "it is not its turn");
             assert_eq!(allocate(&dispatcher, 0, &both).as_deref(), Some("ada"));
             assert_eq!(allocate(&dispatcher, 1, &both).as_deref(), Some("bob"));
+            assert_eq!(allocate(&dispatcher, 2, &both), None, "no robot was awarded");
+            [0, 1].map(mission).iter().for_each(|mission| dispatcher.note_award(mission));
             assert_eq!(allocate(&dispatcher, 2, &both).as_deref(), Some("bob"));
             assert_eq!(allocate(&dispatcher, 0, &both).as_deref(), Some("ada"), "it lost its carrier");
         });
@@ -230,6 +259,7 @@ mod tests {
             assert_eq!(allocate(&dispatcher, 1, &["ada", "bob"]), None, "it is not requested yet");
             dispatcher.add(1, mission(1));
             assert_eq!(allocate(&dispatcher, 1, &["ada", "bob"]).as_deref(), Some("ada"));
+            dispatcher.note_end(&mission(1));
             assert_eq!(allocate(&dispatcher, 0, &["ada", "bob"]).as_deref(), Some("bob"));
         });
     }

@@ -11,7 +11,8 @@ use crate::{RobotSpec, paused_runtime, slug};
 use consort_evaluation::shift::{ShiftFigures, ShiftJob, ShiftPolicy};
 use consort_fleet::observe::SharedObserver;
 use consort_protocol::auction::Allocator;
-use consort_protocol::ids::PlaceId;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{PlaceId, RoleId};
 use consort_world::world::World;
 use dispatcher::Dispatcher;
 use rand::SeedableRng;
@@ -19,7 +20,7 @@ use rand_chacha::ChaCha8Rng;
 use record::{RecordedEvents, ShiftRecord};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use work::{LABORATORY, ShiftRequest, WorkModel};
+use work::{CARRIER, LABORATORY, ShiftRequest, WorkModel};
 
 /// Work of a shift.
 #[derive(Debug, Clone, Copy)]
@@ -86,12 +87,12 @@ async fn run_on_virtual_time(setup: ShiftSetup, progress: impl Fn(usize)) -> Shi
     let dispatcher = dispatcher(&setup, &rooms, &carriers, &requests);
     let fleet = start(&setup, &rooms, &carriers, dispatcher.clone()).await;
     let record = ShiftRecord::new(&fleet, carriers.iter().map(|carrier| carrier.name.as_str()));
-    let mut shift = Shift { interval: setup.interval(), fleet, record, seen: 0, progress };
+    let mut shift = Shift { interval: setup.interval(), fleet, dispatcher, record, seen: 0, progress };
     let began = shift.fleet.elapsed();
     for (number, request) in requests.iter().enumerate() {
         shift.pass_until(began + Duration::from_secs_f64(request.at_s / setup.world_speed)).await;
         let mission = shift.fleet.submit(&format!("shift-{number}"), request.room.as_str()).await;
-        if let Some(dispatcher) = &dispatcher {
+        if let Some(dispatcher) = &shift.dispatcher {
             dispatcher.add(number, mission);
         }
     }
@@ -153,6 +154,7 @@ async fn start(
 struct Shift<F> {
     interval: Duration,
     fleet: Fleet,
+    dispatcher: Option<Arc<Dispatcher>>,
     record: ShiftRecord,
     /// Number of observed entries of the event log.
     seen: usize,
@@ -178,6 +180,14 @@ impl<F: Fn(usize)> Shift<F> {
         for (at, entry) in self.fleet.event_log.since(self.seen) {
             self.record.observe(at, &entry);
             self.seen += 1;
+            let Some(dispatcher) = &self.dispatcher else { continue };
+            match entry.event_kind() {
+                Some(EventKind::Awarded { mission, holders, .. }) if holders.contains_key(&slug::<RoleId>(CARRIER)) => {
+                    dispatcher.note_award(mission);
+                }
+                Some(EventKind::Mission { mission, state, .. }) if state.is_final() => dispatcher.note_end(mission),
+                _ => {}
+            }
         }
         self.fleet.event_log.forget_before_latest(0);
         for entry in self.fleet.world.with(World::drain_event_log) {

@@ -18,14 +18,19 @@ use std::time::{Duration, Instant};
 /// World time from the request after which a completed mission is late.
 const LATE_S: f64 = 1800.0;
 
-/// Passes the events that a [`ShiftRecord`] observes. To copy all events and all entries of the log would take much of
+/// Passes the events that a shift observes. To copy all events and all entries of the log would take much of
 /// the time of a long run.
 pub(super) struct RecordedEvents(pub(super) SharedObserver);
 
 impl Observer for RecordedEvents {
     fn on_event(&self, event: &Event) {
-        let is_recorded =
-            matches!(event.kind, EventKind::Submitted { .. } | EventKind::TaskBegan { .. } | EventKind::Mission { .. });
+        let is_recorded = matches!(
+            event.kind,
+            EventKind::Submitted { .. }
+                | EventKind::Awarded { .. }
+                | EventKind::TaskBegan { .. }
+                | EventKind::Mission { .. }
+        );
         if is_recorded {
             self.0.on_event(event);
         }
