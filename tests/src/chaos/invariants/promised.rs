@@ -1,8 +1,8 @@
 //! A promised role is neither lost nor doubled.
 //!
-//! A promise lasts until its robot gets the role, the promise is released, or the mission ends or changes to its recovery
-//! branch. It is released only if its robot could not take a role shortly before. A robot begins a promised role only under
-//! the award that follows the promise.
+//! A promise lasts until its robot gets the role, another robot gets the promise, the promise is released, or the mission
+//! ends or changes to its recovery branch. It is released only if its robot could not take a role shortly before, or has
+//! promised a role of a higher priority. A robot begins a promised role only under the award that follows the promise.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
@@ -57,7 +57,7 @@ impl Promised {
             let promises = promises(&self.reference.ledger);
             for (part, promise) in self.promises.iter().filter(|(part, promise)| promises.get(*part) != Some(*promise))
             {
-                self.check_end(now, part, promise, command)?;
+                self.check_ended(now, part, promise, command)?;
             }
             if matches!(command, Command::Award { .. }) {
                 let new = promises.iter().filter(|(part, _)| !self.promises.contains_key(*part));
@@ -70,7 +70,7 @@ impl Promised {
     }
 
     /// Checks that `command` may have ended a promise.
-    fn check_end(
+    fn check_ended(
         &self,
         now: Duration,
         (mission, role): &Part,
@@ -94,13 +94,17 @@ impl Promised {
                     false => Err(format!("{of_role} was not kept: another robot got the role").into()),
                 }
             }
+            Command::Reassign(change) if (&change.mission, &change.role) == (mission, role) => Ok(()),
             Command::Release { mission: of, role: released, epoch: under, cause, .. }
                 if (of, released, under) == (mission, role, epoch) =>
             {
                 // A returned role may have been about to be released because of its lease.
                 let was_returned = !self.unawarded.contains(&((mission.clone(), role.clone()), *epoch));
                 let was_unfit = self.unfit_at.get(robot).is_some_and(|at| now <= *at + RELEASED_WITHIN);
-                match was_returned || was_unfit || ledger.orders_of(robot).is_some() {
+                let is_displaced = ledger.promises_in_order().any(|(other, _, promised)| {
+                    promised.robot == *robot && other.submission.priority > entry.submission.priority
+                });
+                match was_returned || was_unfit || is_displaced || ledger.orders_of(robot).is_some() {
                     true => Ok(()),
                     false => Err(format!("{of_role} was released, although the robot could take it: {cause}").into()),
                 }
