@@ -101,7 +101,7 @@ impl Promised {
                 // A returned role may have been about to be released because of its lease.
                 let was_returned = !self.unawarded.contains(&((mission.clone(), role.clone()), *epoch));
                 let was_unfit = self.unfit_at.get(robot).is_some_and(|at| now <= *at + RELEASED_WITHIN);
-                let is_displaced = ledger.promises_in_order().any(|(other, _, promised)| {
+                let is_displaced = ledger.promises_in_order().into_iter().any(|(other, _, promised)| {
                     promised.robot == *robot && other.submission.priority > entry.submission.priority
                 });
                 match was_returned || was_unfit || is_displaced || ledger.orders_of(robot).is_some() {
