@@ -12,7 +12,7 @@ use std::ops::{Range, RangeInclusive};
 
 /// First seed with orders and with chargers. Smaller seeds keep their schedules: mutation checks, the scoreboard and
 /// the sweeps of closed fleets use them.
-pub const FIRST_SEED: u64 = 121;
+pub(super) const FIRST_SEED: u64 = 121;
 
 /// Shares of the runs with holds and with a maintenance.
 const HELD: f64 = 0.6;
