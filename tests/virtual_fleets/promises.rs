@@ -200,7 +200,7 @@ fn a_robot_inserts_a_role_on_its_way_before_an_earlier_promise() {
         assert_eq!(fleet.ledger(in_order), Some(vec![near.clone(), far.clone()]), "seed {seed}");
         let last_leg = format!("leg-{}", LEGS - 1);
         let is_last = |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == last_leg);
-        fleet.wait_until("both carts to arrive", 5 * SOON, |fleet| fleet.event_log.count(&is_last) == 2).await;
+        fleet.wait_until("both carts to arrive", 5 * SOON, |fleet| fleet.event_log.count(is_last) == 2).await;
         let reply = fleet.request_answered(ApiCall::Release, &json!({ "robots": ["gorse"] })).await;
         assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
         for mission in &missions {

@@ -93,7 +93,7 @@ pub struct Bid {
     pub present: Option<PresentRole>,
     /// Position of the role in the timeline of the robot, if it states it.
     #[serde(default)]
-    pub planned: Option<PlannedRole>,
+    pub planned: Option<Box<PlannedRole>>,
 }
 
 /// Role that a robot holds while it bids for a role of another mission.

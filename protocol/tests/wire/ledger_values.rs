@@ -82,7 +82,7 @@ pub(crate) fn timelines() -> impl Strategy<Value = Timelines> {
 
 pub(crate) fn bid() -> impl Strategy<Value = Bid> {
     let present = (name(), name(), seconds()).prop_map(|(mission, role, time)| PresentRole { mission, role, time });
-    let of_plan = (vec(part(), 0..4), option::of(present), option::of(planned()));
+    let of_plan = (vec(part(), 0..4), option::of(present), option::of(planned().prop_map(Box::new)));
     (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), of_plan).prop_map(
         |(robot, role, time, energy, remaining, useful_charge, from, age_ms, (parts, present, planned))| Bid {
             robot,

@@ -125,7 +125,7 @@ fn bid() -> Bid {
             energy: 0.1,
         }],
         present: Some(PresentRole { mission: slug("lab-samples-2"), role: slug("r1"), time: seconds(20.0) }),
-        planned: Some(planned()),
+        planned: Some(Box::new(planned())),
     }
 }
 

@@ -118,7 +118,7 @@ fn clear_among(
     let chosen = holders.clone().unwrap_or_default();
     keep_parts(&mut entries, &chosen, |role, robot| bid_of(replies, role, robot).map_or(&[], |bid| &bid.parts));
     let planned_by =
-        |(role, robot): (&RoleId, &RobotId)| Some((role.clone(), bid_of(replies, role, robot)?.planned.clone()?));
+        |(role, robot): (&RoleId, &RobotId)| Some((role.clone(), *bid_of(replies, role, robot)?.planned.clone()?));
     let mut record = AuctionRecord {
         planned: chosen.iter().filter_map(planned_by).collect(),
         auction: call.auction.clone(),

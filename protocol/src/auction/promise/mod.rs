@@ -129,8 +129,8 @@ impl PromiseContext<'_> {
         let (queue, plan, start) = (self.queues.get(&bid.robot), self.plan_of(bid), self.start_of(bid));
         let energy = plan.map(|plan| plan.energy).or(queue.map(|queue| queue.energy)).unwrap_or(Energy::ZERO);
         let planned = match plan {
-            Some(plan) => Some(PlannedRole { delay_max: self.terms.delay_max, ..plan.clone() }),
-            None => bid.planned.clone().map(|planned| PlannedRole::alone(planned.span, start)),
+            Some(plan) => Some(Box::new(PlannedRole { delay_max: self.terms.delay_max, ..plan.clone() })),
+            None => bid.planned.clone().map(|planned| Box::new(PlannedRole::alone(planned.span, start))),
         };
         let (time, remaining) = (start + bid.time, bid.remaining - energy.get());
         Bid { time, remaining, present: None, planned, ..bid.clone() }
@@ -154,7 +154,7 @@ impl PromiseContext<'_> {
     /// promised meanwhile.
     fn plan_of<'b>(&self, bid: &'b Bid) -> Option<&'b PlannedRole> {
         let promised = self.queues.get(&bid.robot).map_or(0, |queue| queue.promised);
-        bid.planned.as_ref().filter(|planned| planned.promised == promised)
+        bid.planned.as_deref().filter(|planned| planned.promised == promised)
     }
 
     /// Returns the estimated time until the robot has ended what comes before the role.

@@ -194,7 +194,7 @@ fn inserting_bid(robot: &str, id: &str) -> BidResponse {
     };
     let mut response = bid(robot, id, Some(30.0));
     let Some(RoleReply::Bid(bid)) = response.replies.first_mut() else { panic!("a bid") };
-    bid.planned = Some(planned);
+    bid.planned = Some(Box::new(planned));
     response
 }
 

@@ -42,7 +42,7 @@ mod tests {
         let busy = |jobs: &[Job<u8, f64>]| Timeline::new(0.0, 0.0).with_jobs(jobs.to_vec(), &Line);
         // The way to 30 leads past 10: the timeline ends at 40 with the job before, and at 60 with the job behind.
         let far = busy(&[job(1, 30.0)]);
-        assert_eq!(tessi_insertion(&[far.clone()], &job(2, 10.0), &Line), Some((0, 0)));
+        assert_eq!(tessi_insertion(std::slice::from_ref(&far), &job(2, 10.0), &Line), Some((0, 0)));
         // Another robot would end at 45, or at 35.
         assert_eq!(tessi_insertion(&[far.clone(), Timeline::new(50.0, 0.0)], &job(2, 10.0), &Line), Some((0, 0)));
         assert_eq!(tessi_insertion(&[far, Timeline::new(40.0, 0.0)], &job(2, 10.0), &Line), Some((1, 0)));

@@ -177,7 +177,7 @@ impl Bidder {
             age_ms: *age_ms,
             parts: budget.parts,
             present: present.map(|present| present.role.clone()),
-            planned: Some(planned),
+            planned: Some(Box::new(planned)),
         })
     }
 
