@@ -163,6 +163,8 @@ names! {
     EnsembleId, "ensemble", SLUG;
     /// Place on the map, as people write it (`IC Room 6`).
     PlaceId, "place", LABEL;
+    /// Zone, as named in the fleet file: a name for several places.
+    ZoneId, "zone", LABEL;
 }
 
 impl RequestId {
@@ -239,6 +241,13 @@ impl<'de> Deserialize<'de> for ClusterId {
         } else {
             u64::deserialize(deserializer).map(ClusterId)
         }
+    }
+}
+
+impl From<PlaceId> for ZoneId {
+    /// Requests name places and zones alike.
+    fn from(place: PlaceId) -> ZoneId {
+        ZoneId(place.0)
     }
 }
 

@@ -16,6 +16,8 @@ const BEFORE: &str = "IC Corridor 3";
 /// Positions of these places in metres.
 const BEFORE_AT: (f64, f64) = (6.0, 29.0);
 const GATE_Y_M: f64 = 31.0;
+/// The room and the places before it, except `BEFORE`.
+const ZONE: &str = "isolation";
 const SOON: Duration = Duration::from_secs(60);
 /// Longer than the drive of the slow carriers to the room.
 const DRIVE: Duration = Duration::from_secs(180);
@@ -32,7 +34,7 @@ async fn open(fleet: &Fleet, places: &[&str]) {
 }
 
 async fn fleet(seed: u64) -> Fleet {
-    slow_fleet(seed, &[ROOM], Duration::from_secs(900)).await
+    slow_fleet(seed, &[ROOM], Duration::from_secs(900), (ZONE, &[GATE, ROOM])).await
 }
 
 /// Starts a mission. Returns the carrier that drives to the room.
@@ -130,6 +132,27 @@ fn the_next_coordinator_keeps_a_place_closed() {
 }
 
 #[test]
+fn a_zone_is_closed_and_opened_by_its_name_also_after_a_takeover() {
+    for_each_seed([1425, 1426], async |seed| {
+        let (mut fleet, mission, carrier) = under_way(seed).await;
+        let reply = close(&fleet, json!({ "places": [ZONE] }), 3600).await;
+        let zone = json!({ "zone": { "name": ZONE, "places": [GATE, ROOM] } });
+        assert_eq!(reply["closures"][0]["part"], zone, "seed {seed}: {reply}");
+        assert_waits(&mut fleet, &carrier, Duration::from_secs(2)).await;
+        assert_eq!(fleet.kill_coordinator().await.as_str(), "aster", "seed {seed}");
+        fleet.wait_for_coordinator().await;
+        assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
+        open(&fleet, &[ZONE]).await;
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
+        let trail = request(&fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
+        let entries = trail["entries"].as_array().expect("entries").iter();
+        let zones = entries.filter(|entry| entry["subject"] == format!("zone {ZONE}"));
+        let actions: Vec<_> = zones.map(|entry| &entry["action"]).collect();
+        assert_eq!(json!(actions), json!(["close", "open"]), "seed {seed}: {trail}");
+    });
+}
+
+#[test]
 fn a_robot_restarts_and_still_does_not_enter_a_closed_place() {
     for_each_seed([1431, 1432], async |seed| {
         let (mut fleet, mission, carrier) = under_way(seed).await;
@@ -181,8 +204,8 @@ fn a_closure_without_a_place_is_rejected() {
     for_each_seed([1461], async |seed| {
         let fleet = fleet(seed).await;
         for (call, payload, expected) in [
-            (ApiCall::Close, json!({}), "name a place in `places`, or a lane in `lanes`"),
-            (ApiCall::Open, json!({}), "name a place in `places`, or a lane in `lanes`"),
+            (ApiCall::Close, json!({}), "name a place or a zone in `places`, or a lane in `lanes`"),
+            (ApiCall::Open, json!({}), "name a place or a zone in `places`, or a lane in `lanes`"),
             (ApiCall::Close, json!({ "places": [ROOM], "for_s": 0 }), "for_s is 0; allowed are 1 to "),
             (
                 ApiCall::Close,

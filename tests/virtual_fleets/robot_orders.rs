@@ -14,6 +14,8 @@ use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";
 const OTHER: &str = "IC Room 5";
+/// The dock of `fern`, and a place through which `gorse` drives to the rooms.
+const ZONE: &str = "entrance";
 const SOON: Duration = Duration::from_secs(60);
 
 async fn hold(fleet: &Fleet, robots: Value, for_s: u32) -> Value {
@@ -33,7 +35,7 @@ async fn maintenance(fleet: &Fleet, payload: Value) {
 const STALL_AFTER: Duration = Duration::from_secs(60);
 
 async fn fleet(seed: u64) -> Fleet {
-    slow_fleet(seed, &[ROOM, OTHER], STALL_AFTER).await
+    slow_fleet(seed, &[ROOM, OTHER], STALL_AFTER, (ZONE, &["Dock", "Crossing"])).await
 }
 
 /// Starts a mission. Returns the carrier that drives to the room.
@@ -177,6 +179,28 @@ fn a_hold_of_all_robots_stops_each_of_them_and_none_takes_a_role() {
 }
 
 #[test]
+fn a_hold_of_a_zone_holds_the_robots_that_are_in_it_now() {
+    for_each_seed([1255, 1256], async |seed| {
+        let mut fleet = fleet(seed).await;
+        fleet.wait_for_audit_trail().await;
+        let known = |fleet: &Fleet| fleet.knowledge_of("aster", &slug("fern")).is_some();
+        fleet.wait_until("the record of fern", SOON, known).await;
+        let reply = hold(&fleet, json!({ "zone": ZONE }), 3600).await;
+        let held = reply["robots"].as_object().map(|robots| robots.keys().cloned().collect::<Vec<_>>());
+        assert_eq!(held, Some(vec!["fern".to_owned()]), "seed {seed}: {reply}");
+        let place = fleet.position("fern");
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.assert_completes(&mission).await;
+        assert_eq!(fleet.position("fern"), place, "seed {seed}");
+        // It has entered the zone since.
+        assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
+        release(&fleet, json!({ "zone": ZONE })).await;
+        let is_released = |fleet: &Fleet| fleet.ledger(|ledger| ledger.robot_orders().count()) == Some(0);
+        fleet.wait_until("the release", SOON, is_released).await;
+    });
+}
+
+#[test]
 fn a_robot_in_maintenance_finishes_its_role_and_takes_no_other() {
     for_each_seed([1261, 1262], async |seed| {
         let (mut fleet, mission, carrier) = under_way(seed).await;
@@ -213,6 +237,11 @@ fn an_order_to_an_unknown_robot_is_rejected() {
         for (call, payload, expected) in [
             (ApiCall::Hold, json!({ "robots": ["ferm"] }), "there is no robot ferm; there are "),
             (ApiCall::Release, json!({ "robots": ["fern", "ferm"] }), "there is no robot ferm; there are "),
+            (
+                ApiCall::Hold,
+                json!({ "robots": { "zone": "exit" } }),
+                "there is no zone exit in the fleet file; allowed: ",
+            ),
             (ApiCall::Hold, json!({ "robots": ["fern"], "for_s": 0 }), "for_s is 0; allowed are 1 to 86400"),
             (
                 ApiCall::Maintenance,

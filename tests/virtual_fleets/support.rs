@@ -6,9 +6,12 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::LeaseTerms;
+use consort_protocol::mission::Domain;
 use consort_protocol::view::PersonRequestView;
 use consort_tests::{Fleet, RobotSpec, slug};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Starts two carriers and three stations; `aster` coordinates.
@@ -20,13 +23,22 @@ pub(crate) async fn fleet(seed: u64, room: &'static str) -> Fleet {
 }
 
 /// Starts two slow carriers, far from the rooms, and three stations; `aster` coordinates, and takes a role from a robot
-/// that ends no step for `stall_timeout`.
-pub(crate) async fn slow_fleet(seed: u64, rooms: &[&str], stall_timeout: Duration) -> Fleet {
+/// that ends no step for `stall_timeout`. The fleet file declares one zone, by its name and places.
+pub(crate) async fn slow_fleet(
+    seed: u64,
+    rooms: &[&str],
+    stall_timeout: Duration,
+    (zone, places): (&str, &[&str]),
+) -> Fleet {
     let robots = vec![
         RobotSpec::carrier("fern", "Dock").with_speed(0.6),
         RobotSpec::carrier("gorse", "PC Room 8").with_speed(0.7),
     ];
-    let adjust = Box::new(move |settings: &mut NodeSettings| settings.fleet.stall_timeout = stall_timeout);
+    let zones = BTreeMap::from([(slug(zone), places.iter().map(|place| slug(place)).collect())]);
+    let adjust = Box::new(move |settings: &mut NodeSettings| {
+        settings.fleet.stall_timeout = stall_timeout;
+        settings.fleet.domain = Arc::new(Domain::clone(&settings.fleet.domain).with_zones(zones.clone()));
+    });
     let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster", "basil", "clove"], rooms, adjust).await;
     assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
     fleet

@@ -2,7 +2,7 @@
 //! demo's virtual fleet uses the virtual bus.
 
 use crate::config::{
-    self, BusConfig, ChargerConfig, ChargingConfig, FleetConfig, RobotConfig, StationConfig, WorldConfig,
+    self, BusConfig, ChargerConfig, ChargingConfig, FleetConfig, RobotConfig, StationConfig, WorldConfig, zone_problems,
 };
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
@@ -123,7 +123,7 @@ pub(crate) struct SkillResources {
 /// coordinator accepts missions to its places only, and the fleet's missions.
 ///
 /// # Errors
-/// [`Diagnostics`] of the ensembles, of the map, of trees that read what no ensemble exchanges, or of the missions.
+/// [`Diagnostics`] of the ensembles, of the map, of zones, of trees that read what no ensemble exchanges, or of the missions.
 pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
     let floor = map_loader::load(&config.map)?;
     let charging = match &config.charging {
@@ -131,6 +131,8 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         None => None,
     };
     let TopologicalMap { places, edges } = floor.topology;
+    let wrong = zone_problems(&config.zones, &places).into_iter();
+    Diagnostics::into_result(wrong.map(|problem| Diagnostic::for_file("", problem)).collect())?;
     let domain = extensions.domain();
     let ensembles =
         Ensembles::compile(config.ensembles(&domain)).map_err(|problem| Diagnostic::for_file("", problem))?;
@@ -138,7 +140,8 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
     let wrong = trees.flat_map(|tree| member_value_errors(tree, &ensembles));
     Diagnostics::into_result(wrong.map(|error| Diagnostic::for_file("", error)).collect())?;
     let lanes = edges.into_iter().map(|edge| (edge.a, edge.b));
-    let domain = domain.with_places(places.into_keys()).with_lanes(lanes).with_ensembles(ensembles.names().cloned());
+    let domain = domain.with_places(places.into_keys()).with_lanes(lanes).with_zones(config.zones.clone());
+    let domain = domain.with_ensembles(ensembles.names().cloned());
     let missions = mission_files::of_fleet(&config.missions, &domain, &domains::library(extensions)?)?;
     Ok(FleetSettings {
         fleet: config.name.clone(),

@@ -6,10 +6,10 @@
 //! | `cancel` | `{"mission": "vital-signs-1", "by": "a clerk"}` | `{"mission": …, "state": …}` |
 //! | `resolve` | `{"mission": "vital-signs-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
 //! | `answer` | `{"request": "vital-signs-1.1", "answer": "done", "results": {"dust_g": 3}, "by": "Nia"}`; `answer` may also be `declined`, `cannot` or `later` (with `minutes`); optional: `note` | `{"request": …, "phase": …}` |
-//! | `hold` | `{"robots": ["ada"], "for_s": 600, "reason": "a spill", "by": "Nia"}`; `robots` may also be `"all"` or `{"where": "robot.attributes.section == \"icu\""}`; optional: `for_s` (600), `reason` | `{"robots": {"ada": {"hold": {…}, "maintenance": null}}}` |
+//! | `hold` | `{"robots": ["ada"], "for_s": 600, "reason": "a spill", "by": "Nia"}`; `robots` may also be `"all"`, `{"where": "robot.attributes.section == \"icu\""}` or `{"zone": "icu"}`; optional: `for_s` (600), `reason` | `{"robots": {"ada": {"hold": {…}, "maintenance": null}}}` |
 //! | `release` | `{"robots": ["ada"], "by": "Nia"}` | as of `hold` |
 //! | `maintenance` | `{"robots": ["ada"], "action": "begin", "reason": "new tyres", "by": "Nia"}`; `action` may also be `end`; optional: `until` (RFC 3339) | as of `hold` |
-//! | `close` | `{"places": ["IC Room 6"], "lanes": [["IC Corridor 5", "IC Room 5"]], "for_s": 3600, "reason": "wet floor", "by": "Nia"}`; optional: `places` or `lanes`, `for_s` or `until` (RFC 3339), `reason` | `{"closures": […]}`: all that are in force |
+//! | `close` | `{"places": ["IC Room 6"], "lanes": [["IC Corridor 5", "IC Room 5"]], "for_s": 3600, "reason": "wet floor", "by": "Nia"}`; `places` may contain zones; optional: `places` or `lanes`, `for_s` or `until` (RFC 3339), `reason` | `{"closures": […]}`: all that are in force |
 //! | `open` | `{"places": ["IC Room 6"], "by": "Nia"}`; optional: `places` or `lanes` | as of `close` |
 //! | `backup` | nothing | a copy of the ledger, with everything acknowledged before the request: with key figures as plain text |
 //! | `upgrade` | `{"finish": false}`: the wire versions that each node reads; with `true` the fleet writes the next version from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
@@ -55,6 +55,6 @@ pub use reply::{
 pub use request::{
     AllRobots, AnswerRequest, AnswerWord, CLOSE_S_MAX, CloseRequest, HOLD_S, HOLD_S_MAX, HoldRequest,
     LATER_MINUTES_MAX, MaintenanceAction, MaintenanceRequest, MissionChangeRequest, MissionQuery, MissionSource,
-    OpenRequest, ReadOptions, ReleaseRequest, RobotCondition, RobotSelection, ScheduleAction, ScheduleRequest,
-    StartTime, SubmitRequest, UpgradeRequest,
+    OpenRequest, ReadOptions, ReleaseRequest, RobotCondition, RobotSelection, RobotZone, ScheduleAction,
+    ScheduleRequest, StartTime, SubmitRequest, UpgradeRequest,
 };

@@ -1,6 +1,6 @@
 //! Payloads of requests.
 
-use crate::ids::{MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId, TaskId};
+use crate::ids::{MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId, TaskId, ZoneId};
 use crate::ledger::{MissedOccurrences, PersonRequestId};
 use crate::mission::IhtnFields;
 use crate::scalar::Scalar;
@@ -261,9 +261,9 @@ order_requests! {
         reason: String,
     }
 
-    /// Closes places or lanes: no robot enters them.
+    /// Closes zones, places or lanes: no robot enters them.
     CloseRequest {
-        /// Places of the map. Every lane to them is closed, too.
+        /// Places of the map, and zones of the fleet file. Every lane to them is closed, too.
         #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
         places: BTreeSet<PlaceId>,
         /// Lanes of the map, each by its two ends. They are closed in both directions.
@@ -282,9 +282,9 @@ order_requests! {
         reason: String,
     }
 
-    /// Opens closed places or lanes.
+    /// Opens closed zones, places or lanes.
     OpenRequest {
-        /// Places. Places that are not closed stay as they are.
+        /// Places and zones. Those that are not closed stay as they are. A place stays closed while a zone with it is closed.
         #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
         places: BTreeSet<PlaceId>,
         /// Lanes, each by its two ends. A lane stays closed while a place at its end is closed.
@@ -314,12 +314,17 @@ pub const CLOSE_S_MAX: u32 = 366 * 24 * 60 * 60;
 
 /// The robots of a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "robots must be a list of names, \"all\", or an object with a condition as `where`")]
+#[serde(
+    untagged,
+    expecting = "robots must be a list of names, \"all\", or an object with a condition as `where` or a zone as `zone`"
+)]
 pub enum RobotSelection {
     /// Robots by name.
     Named(BTreeSet<RobotId>),
     /// The robots for which a condition holds, as that of a role: `robot.attributes.section == "icu"`.
     Where(RobotCondition),
+    /// The robots that are in a zone now.
+    Zone(RobotZone),
     /// All robots with a known record.
     All(AllRobots),
 }
@@ -331,6 +336,14 @@ pub struct RobotCondition {
     /// The condition, in CEL.
     #[serde(rename = "where")]
     pub condition: String,
+}
+
+/// Zone of the robots of a request.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotZone {
+    /// The zone, as named in the fleet file. A robot is in it if the place that it has passed last is.
+    pub zone: ZoneId,
 }
 
 /// All robots.

@@ -45,9 +45,9 @@ pub enum AuditAction {
     BeginMaintenance,
     /// Robots were returned to service.
     EndMaintenance,
-    /// Places or lanes were closed.
+    /// Zones, places or lanes were closed.
     Close,
-    /// Places or lanes were opened.
+    /// Zones, places or lanes were opened.
     Open,
     /// The wire version of the fleet was raised.
     RaiseWireVersion,
@@ -71,7 +71,7 @@ pub struct AuditEntry {
     pub by: String,
     /// Kind of change.
     pub action: AuditAction,
-    /// What was changed: a mission, a request to a person, a schedule, robots, places and lanes, or the wire version.
+    /// What was changed: a mission, a request to a person, a schedule, robots, zones, places and lanes, or the wire version.
     pub subject: String,
     /// Details, such as the reason; may be empty.
     pub details: String,

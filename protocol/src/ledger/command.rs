@@ -1,9 +1,10 @@
 //! Commands of the ledger and their outcomes.
 
 use super::branch::Branch;
-use super::closure::{CLOSURES_BYTES_MAX, ClosedPart, ClosureChange};
+use super::closure::{CLOSURES_BYTES_MAX, ClosureChange};
 use super::entry::MissionState;
 use super::history_limits::HistoryLimits;
+use super::map_part::MapPart;
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
 use super::robot_order::{ORDERS_BYTES_MAX, OrderRequest};
 use super::schedule::{Schedule, SchedulePause};
@@ -277,10 +278,10 @@ pub enum Command {
         /// Time that a majority of the voters confirms, in milliseconds since 1970.
         now_ms: u64,
     },
-    /// Closes or opens places and lanes, all or none.
+    /// Closes or opens zones, places and lanes, all or none.
     ChangeClosures {
-        /// The places and lanes.
-        parts: BTreeSet<ClosedPart>,
+        /// The zones, places and lanes.
+        parts: BTreeSet<MapPart>,
         /// The change of the closures, with the person who requests it.
         order: OrderRequest<ClosureChange>,
     },

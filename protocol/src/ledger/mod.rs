@@ -47,6 +47,7 @@ mod history_limits;
 mod layout;
 mod limits;
 mod loss;
+mod map_part;
 mod order_book;
 mod people;
 mod person_request;
@@ -63,11 +64,12 @@ mod test_values;
 pub use apply::Ledger;
 pub use audit_trail::{AuditAction, AuditEntry};
 pub use branch::Branch;
-pub use closure::{ClosedPart, Closure, ClosureChange};
+pub use closure::{Closure, ClosureChange};
 pub use command::{Command, CommandError, CommandOutcome, Reassignment};
 pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, RoleRelease};
 pub use history::Tombstone;
 pub use history_limits::HistoryLimits;
+pub use map_part::{MapPart, Zone};
 pub use person_request::{
     AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
     PersonRequestIdError, PersonRequestPhase, Postponement, RequestEscalation, RequestSubject, TaskQuestion,

@@ -1,6 +1,6 @@
 //! The orders of people in force, as the ledger stores them.
 
-use super::closure::ClosedPart;
+use super::map_part::MapPart;
 use super::robot_order::{RobotOrder, RobotOrders};
 use crate::ids::{RequestId, RobotId};
 use crate::lease::Epoch;
@@ -30,8 +30,8 @@ pub(super) struct OrderBook {
 pub(super) struct Orders {
     /// Orders of each robot that has any.
     pub(super) robots: BTreeMap<RobotId, RobotOrders>,
-    /// Closed places and lanes.
-    pub(super) closures: BTreeMap<ClosedPart, RobotOrder>,
+    /// Closed zones, places and lanes. No zone is contained twice.
+    pub(super) closures: BTreeMap<MapPart, RobotOrder>,
 }
 
 impl Orders {

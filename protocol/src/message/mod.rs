@@ -24,7 +24,7 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::{ClosedPart, Closure, HeldItem, Ledger, RobotOrder, TaskQuestion};
+use crate::ledger::{Closure, HeldItem, Ledger, MapPart, RobotOrder, TaskQuestion};
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -206,18 +206,18 @@ pub struct OrdersNotice {
     pub hold: Option<OrderNotice>,
     /// Present while the robot is in maintenance.
     pub maintenance: Option<OrderNotice>,
-    /// The closed places and lanes.
+    /// The closed zones, places and lanes.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub closures: Vec<ClosureNotice>,
     /// Present while people look for an item at the robot: it does not leave its place by itself.
     pub stay: Option<OrderNotice>,
 }
 
-/// A closed place or lane.
+/// A closed zone, place or lane.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClosureNotice {
-    /// The place or lane.
-    pub part: ClosedPart,
+    /// The zone, place or lane.
+    pub part: MapPart,
     /// The order, as text: `closed by Nia: a spill`.
     pub order: OrderNotice,
     /// Its end, for display, in milliseconds since 1970; `None` for no end.

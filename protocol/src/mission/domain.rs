@@ -8,7 +8,7 @@
 use super::diagnostic::MissionErrorKind;
 use super::domain_reference::DomainReference;
 use super::ihtn_names::IhtnNames;
-use crate::ids::{EnsembleId, PlaceId, TaskType};
+use crate::ids::{EnsembleId, PlaceId, TaskType, ZoneId};
 use crate::scalar::{SCALAR_BYTES_MAX, Scalar};
 use consort_text::AllowedNames;
 use schemars::JsonSchema;
@@ -28,6 +28,9 @@ pub struct Domain {
     /// Lanes of the fleet's map, each with the end first whose name comes first; `None` without a map.
     #[serde(skip)]
     lanes: Option<Arc<BTreeSet<(PlaceId, PlaceId)>>>,
+    /// Zones of the fleet.
+    #[serde(skip)]
+    zones: Arc<BTreeMap<ZoneId, BTreeSet<PlaceId>>>,
     /// Ensembles of the fleet; `None` if they are not known, and then every name is accepted.
     #[serde(skip)]
     ensembles: Option<Arc<BTreeSet<EnsembleId>>>,
@@ -310,6 +313,17 @@ impl Domain {
     /// Returns the lanes of the fleet's map, if it is known: each with the end first whose name comes first.
     pub fn lanes(&self) -> Option<&BTreeSet<(PlaceId, PlaceId)>> {
         self.lanes.as_deref()
+    }
+
+    /// Sets the zones, each with its places. No zone has the name of a place.
+    #[must_use]
+    pub fn with_zones(self, zones: BTreeMap<ZoneId, BTreeSet<PlaceId>>) -> Self {
+        Self { zones: Arc::new(zones), ..self }
+    }
+
+    /// Returns the zones of the fleet, each with its places.
+    pub fn zones(&self) -> &BTreeMap<ZoneId, BTreeSet<PlaceId>> {
+        &self.zones
     }
 
     /// Sets the complete list of ensembles.

@@ -22,7 +22,7 @@ pub struct FleetView {
     /// Ensembles of the fleet.
     #[serde(default, deserialize_with = "readable")]
     pub ensembles: Vec<EnsembleView>,
-    /// Places and lanes that people have closed; none if the replying node has no ledger.
+    /// Zones, places and lanes that people have closed; none if the replying node has no ledger.
     #[serde(default, deserialize_with = "readable")]
     pub closures: Vec<Closure>,
 }

@@ -284,7 +284,7 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(robots, order)| Command::OrderRobots { robots, order }),
         any::<u64>().prop_map(|now_ms| Command::ExpireOrders { now_ms }),
         btree_set(name(), 0..3).prop_map(|robots| Command::EndOrders { robots }),
-        (btree_set(closed_part(), 0..3), order_request(closure_change()))
+        (btree_set(map_part(), 0..3), order_request(closure_change()))
             .prop_map(|(parts, order)| Command::ChangeClosures { parts, order }),
         (any::<u8>(), text(), any::<u64>()).prop_map(|(wire, by, at_ms)| Command::RaiseWireVersion { wire, by, at_ms }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {

@@ -41,7 +41,7 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
 
 fn orders() -> impl Strategy<Value = OrdersNotice> {
     let order = || (text(), any::<Option<u64>>()).prop_map(|(text, remaining_ms)| OrderNotice { text, remaining_ms });
-    let closure = (closed_part(), order(), any::<Option<u64>>()).prop_map(|(part, order, until_ms)| ClosureNotice {
+    let closure = (map_part(), order(), any::<Option<u64>>()).prop_map(|(part, order, until_ms)| ClosureNotice {
         part,
         order,
         until_ms,

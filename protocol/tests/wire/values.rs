@@ -6,7 +6,7 @@ use consort_protocol::knowledge::{
     Attributes, Availability, ChargerClaim, Charging, Knowledge, Proof, Record, RecordStamp, RobotKnowledge,
 };
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::ClosedPart;
+use consort_protocol::ledger::{MapPart, Zone};
 use consort_protocol::mission::{
     AlternativeMethod, DomainHash, DomainReference, Escalation, Method, Mission, OnLoss, ResultReference, Role,
     RoleKind, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskOutcomes, TaskSpec,
@@ -39,8 +39,13 @@ pub(crate) fn cause_class() -> impl Strategy<Value = CauseClass> {
     ]
 }
 
-pub(crate) fn closed_part() -> impl Strategy<Value = ClosedPart> {
-    (place(), option::of(place())).prop_map(|(place, to)| ClosedPart { place, to })
+pub(crate) fn map_part() -> impl Strategy<Value = MapPart> {
+    prop_oneof![
+        (place(), btree_set(place(), 0..3))
+            .prop_map(|(name, places)| MapPart::Zone(Zone { name: name.into(), places })),
+        place().prop_map(MapPart::Place),
+        (place(), place()).prop_map(|(a, b)| MapPart::of_lane(a, b)),
+    ]
 }
 
 pub(crate) fn text() -> impl Strategy<Value = String> {

@@ -18,7 +18,7 @@ use consort_protocol::knowledge::{
 };
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, ClosedPart, ClosureChange, Command, Ledger, MissedOccurrences, OrderChange, OrderRequest,
+    AnswerContent, Branch, ClosureChange, Command, Ledger, MapPart, MissedOccurrences, OrderChange, OrderRequest,
     PersonAnswer, PersonQuestion, PersonRequestId, Reassignment, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
 };
 use consort_protocol::message::{
@@ -356,7 +356,7 @@ fn ledger_commands() -> Vec<Command> {
         Command::ExpireOrders { now_ms: 9 },
         Command::EndOrders { robots: [slug("ada")].into() },
         Command::ChangeClosures {
-            parts: BTreeSet::from([ClosedPart::of_place("IC Room 6".parse().expect("a place"))]),
+            parts: BTreeSet::from([MapPart::Place("IC Room 6".parse().expect("a place"))]),
             order: OrderRequest {
                 change: ClosureChange::Close { until_ms: Some(9), reason: "a spill".to_owned() },
                 by: "Nia".to_owned(),
@@ -370,7 +370,7 @@ fn ledger_commands() -> Vec<Command> {
 fn orders() -> OrdersNotice {
     let hold = OrderNotice { text: "held by Nia: a spill".to_owned(), remaining_ms: Some(600_000) };
     let closures = vec![ClosureNotice {
-        part: ClosedPart::of_lane("IC Corridor 6".parse().expect("a place"), "IC Room 6".parse().expect("a place")),
+        part: MapPart::of_lane("IC Corridor 6".parse().expect("a place"), "IC Room 6".parse().expect("a place")),
         order: OrderNotice { text: "closed by Nia: a spill".to_owned(), remaining_ms: Some(600_000) },
         until_ms: Some(700_000),
     }];

@@ -5,7 +5,7 @@ use super::schedule::{ChaosAction, ClosureAction, ScheduledAction};
 use crate::slug;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::ClosedPart;
+use consort_protocol::ledger::MapPart;
 use consort_world::map;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -52,7 +52,7 @@ pub(super) fn add_closures(seed: u64, kinds: &[FaultKind], period_ms: Range<u64>
         .collect();
     let parts = parts_of_map();
     let (first_ms, latest_ms) = (period_ms.start, period_ms.end - 1_000);
-    let mut push = |at_ms, part: &ClosedPart, change| {
+    let mut push = |at_ms, part: &MapPart, change| {
         steps.push(ScheduledAction { at_ms, action: ChaosAction::Closure { part: part.clone(), change } });
     };
     for _ in 0..chance.random_range(CLOSURES) {
@@ -62,7 +62,7 @@ pub(super) fn add_closures(seed: u64, kinds: &[FaultKind], period_ms: Range<u64>
         if let Some((asked_ms, room)) = request {
             let from_ms = asked_ms.saturating_sub(BEFORE_REQUEST_MS);
             at_ms = chance.random_range(from_ms..=asked_ms + AFTER_REQUEST_MS).clamp(first_ms, latest_ms);
-            part = ClosedPart::of_place(room.clone());
+            part = MapPart::Place(room.clone());
         }
         if chance.random_bool(WITH_END) {
             push(at_ms, &part, ClosureAction::Close { for_s: Some(chance.random_range(CLOSE_S)) });
@@ -77,17 +77,18 @@ pub(super) fn add_closures(seed: u64, kinds: &[FaultKind], period_ms: Range<u64>
 }
 
 /// Returns the places and lanes of the hospital.
-pub(super) fn parts_of_map() -> Vec<ClosedPart> {
+pub(super) fn parts_of_map() -> Vec<MapPart> {
     let map = map::shipped("hospital").expect("the shipped map is sound").topology();
-    let places = map.places.into_keys().map(ClosedPart::of_place);
-    places.chain(map.edges.into_iter().map(|edge| ClosedPart::of_lane(edge.a, edge.b))).collect()
+    let places = map.places.into_keys().map(MapPart::Place);
+    places.chain(map.edges.into_iter().map(|edge| MapPart::of_lane(edge.a, edge.b))).collect()
 }
 
 /// Returns the request of a person for a change of a closure.
-pub(super) fn request(part: &ClosedPart, change: ClosureAction) -> (ApiCall, Value) {
-    let mut request = match &part.to {
-        Some(to) => json!({ "lanes": [[part.place, to]] }),
-        None => json!({ "places": [part.place] }),
+pub(super) fn request(part: &MapPart, change: ClosureAction) -> (ApiCall, Value) {
+    let mut request = match part {
+        MapPart::Zone(zone) => json!({ "places": [zone.name] }),
+        MapPart::Place(place) => json!({ "places": [place] }),
+        MapPart::Lane(a, b) => json!({ "lanes": [[a, b]] }),
     };
     match change {
         ClosureAction::Close { for_s } => {
@@ -109,7 +110,7 @@ mod tests {
     use consort_protocol::api::{CloseRequest, OpenRequest};
     use consort_skills::workload::Workload;
 
-    fn closures(seed: u64, kinds: &[FaultKind]) -> Vec<(ClosedPart, ClosureAction)> {
+    fn closures(seed: u64, kinds: &[FaultKind]) -> Vec<(MapPart, ClosureAction)> {
         let of = |step: &ScheduledAction| match &step.action {
             ChaosAction::Closure { part, change } => Some((part.clone(), *change)),
             _ => None,
@@ -122,7 +123,7 @@ mod tests {
         assert!((1..FIRST_SEED).all(|seed| closures(seed, &FaultKind::FAULTS).is_empty()));
         let later: Vec<_> = (FIRST_SEED..FIRST_SEED + 60).map(|seed| closures(seed, &FaultKind::FAULTS)).collect();
         assert!(later.iter().filter(|closures| closures.is_empty()).count() >= 5);
-        let count = |is: &dyn Fn(&ClosedPart, ClosureAction) -> bool| {
+        let count = |is: &dyn Fn(&MapPart, ClosureAction) -> bool| {
             later.iter().filter(|closures| closures.iter().any(|(part, change)| is(part, *change))).count()
         };
         assert!(count(&|part, _| part.to.is_some()) >= 3);
@@ -146,7 +147,7 @@ mod tests {
 
     #[test]
     fn requests_are_those_of_the_api() {
-        for part in [ClosedPart::of_place(slug("Dock")), ClosedPart::of_lane(slug("Dock"), slug("Crossing"))] {
+        for part in [MapPart::Place(slug("Dock")), MapPart::of_lane(slug("Dock"), slug("Crossing"))] {
             for for_s in [None, Some(60)] {
                 let (call, close) = request(&part, ClosureAction::Close { for_s });
                 assert_eq!(

@@ -16,7 +16,7 @@ use consort_bus::LinkModel;
 use consort_protocol::api::SubmitRequest;
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{ClosedPart, Ledger};
+use consort_protocol::ledger::{MapPart, Ledger};
 use consort_protocol::units::BatteryShare;
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::RobotBackend as _;
@@ -499,7 +499,7 @@ impl ActionExecutor {
             let end = |(what, change): (&str, _)| (what.to_owned(), orders::request(ALL_ROBOTS, change));
             self.spawn_order_ender(fleet, ends.map(end).into());
         }
-        let open = |part: ClosedPart| {
+        let open = |part: MapPart| {
             let request = closures::request(&part, ClosureAction::Open);
             (format!("opening of {part}"), request)
         };

@@ -3,7 +3,7 @@
 use super::chaos_fleet::{MISSIONS, ROOMS_WITHOUT_NURSE};
 use crate::disk::{CrashEffect, DiskFault};
 use consort_protocol::api::ScheduleAction;
-use consort_protocol::ledger::{ClosedPart, MissedOccurrences};
+use consort_protocol::ledger::{MapPart, MissedOccurrences};
 use consort_protocol::trust::NodeRole;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -140,7 +140,7 @@ pub enum ChaosAction {
     /// A person closes or opens a place or a lane, and repeats this until it receives a reply.
     Closure {
         /// The place or lane.
-        part: ClosedPart,
+        part: MapPart,
         /// The change.
         change: ClosureAction,
     },
@@ -519,7 +519,7 @@ impl Schedule {
     }
 
     /// Returns the places and lanes that a person closes.
-    pub(super) fn closed_parts(&self) -> BTreeSet<ClosedPart> {
+    pub(super) fn closed_parts(&self) -> BTreeSet<MapPart> {
         let of = |step: &ScheduledAction| match &step.action {
             ChaosAction::Closure { part, change: ClosureAction::Close { .. } } => Some(part.clone()),
             _ => None,

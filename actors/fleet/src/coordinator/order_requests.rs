@@ -4,14 +4,14 @@ use super::api::{ApiError, ApiHandler, not_committed};
 use super::submission::rfc3339_ms;
 use consort_protocol::api::{
     HOLD_S, HOLD_S_MAX, HoldRequest, MaintenanceAction, MaintenanceRequest, OrdersReply, ReleaseRequest,
-    RobotCondition, RobotSelection, parse_request,
+    RobotCondition, RobotSelection, RobotZone, parse_request,
 };
 use consort_protocol::ensemble::{Eligibility, Ensembles};
-use consort_protocol::ids::{NodeId, RequestId, RobotId};
+use consort_protocol::ids::{NodeId, PlaceId, RequestId, RobotId, ZoneId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::{KnownRecord, RobotKnowledge};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, OrderChange, OrderRequest};
-use consort_text::shorten;
+use consort_text::{AllowedNames, shorten};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum size of the list of robots in an error, in bytes.
@@ -121,17 +121,18 @@ impl ApiHandler {
             base.iter().filter_map(record).collect()
         });
         let ordered = self.replica.read(|ledger| ledger.robot_orders().map(|(robot, _)| robot.clone()).collect());
-        select(selection, &known, ordered, &self.ensembles)
+        select(selection, &known, ordered, &self.ensembles, self.domain.zones())
     }
 }
 
 /// Selects robots. `known` are the robots with a record, and `ordered` the robots with orders. A condition uses no
-/// private attribute of the ensembles, which records lack.
+/// private attribute of the ensembles, which records lack. `zones` are those of the fleet.
 fn select(
     selection: &RobotSelection,
     known: &BTreeMap<RobotId, RobotKnowledge>,
     ordered: BTreeSet<RobotId>,
     ensembles: &Ensembles,
+    zones: &BTreeMap<ZoneId, BTreeSet<PlaceId>>,
 ) -> Result<BTreeSet<RobotId>, ApiError> {
     let all = || -> BTreeSet<RobotId> { known.keys().cloned().chain(ordered.iter().cloned()).collect() };
     match selection {
@@ -161,6 +162,15 @@ fn select(
                 false => Ok(robots),
             }
         }
+        RobotSelection::Zone(RobotZone { zone }) => {
+            let Some(places) = zones.get(zone) else {
+                let allowed = AllowedNames::suggest_for(zone.as_str(), zones.keys());
+                return Err(format!("there is no zone {zone} in the fleet file; {allowed}").into());
+            };
+            let inside = known.iter().filter(|(_, robot)| places.contains(&robot.place));
+            let robots: BTreeSet<RobotId> = inside.map(|(name, _)| name.clone()).collect();
+            if robots.is_empty() { Err(format!("no robot is in zone {zone}").into()) } else { Ok(robots) }
+        }
     }
 }
 
@@ -184,7 +194,9 @@ mod tests {
         let code = ExchangedValue::try_from("attributes.code".to_owned()).unwrap();
         let icu = EnsembleSpec::with_any_skill_of("icu".parse().unwrap(), BTreeSet::new());
         let ensembles = Ensembles::compile(vec![EnsembleSpec { exchange: [code].into(), ..icu }]).unwrap();
-        let robots = select(&selection, &known(), BTreeSet::from(["cyd".parse().unwrap()]), &ensembles);
+        let zone = |name: &str, place: PlaceId| -> (ZoneId, _) { (name.parse().unwrap(), BTreeSet::from([place])) };
+        let zones = BTreeMap::from([zone("here", idle_robot().place), zone("empty", "Nowhere".parse().unwrap())]);
+        let robots = select(&selection, &known(), BTreeSet::from(["cyd".parse().unwrap()]), &ensembles, &zones);
         let names = |robots: BTreeSet<RobotId>| robots.iter().map(RobotId::to_string).collect();
         robots.map(names).map_err(|error| error.text)
     }
@@ -193,17 +205,22 @@ mod tests {
         RobotSelection::Where(RobotCondition { condition: text.to_owned() })
     }
 
+    fn zone(name: &str) -> RobotSelection {
+        RobotSelection::Zone(RobotZone { zone: name.parse().unwrap() })
+    }
+
     fn named(names: &[&str]) -> RobotSelection {
         RobotSelection::Named(names.iter().map(|name| name.parse().unwrap()).collect())
     }
 
     #[test]
-    fn robots_are_selected_by_name_by_a_condition_or_all() {
+    fn robots_are_selected_by_name_by_a_condition_by_a_zone_or_all() {
         let names = |names: &[&str]| Ok(names.iter().map(|name| (*name).to_owned()).collect());
         assert_eq!(selected(named(&["bob"])), names(&["bob"]));
         assert_eq!(selected(named(&["cyd"])), names(&["cyd"]), "it has orders and no record");
         assert_eq!(selected(RobotSelection::All(AllRobots::All)), names(&["ada", "bob", "cyd"]));
         assert_eq!(selected(condition(r#"robot.attributes.section == "icu""#)), names(&["ada"]));
+        assert_eq!(selected(zone("here")), names(&["ada", "bob"]), "a robot without a record is nowhere");
     }
 
     #[test]
@@ -213,6 +230,9 @@ mod tests {
         let none = selected(condition(r#"robot.attributes.section == "lab""#)).unwrap_err();
         assert_eq!(none, r#"no robot meets `robot.attributes.section == "lab"`"#);
         assert!(selected(condition("robot.wheels > 3")).unwrap_err().starts_with("where: "));
+        assert_eq!(selected(zone("empty")).unwrap_err(), "no robot is in zone empty");
+        let unknown = "there is no zone hera in the fleet file; allowed: empty, here; did you mean `here`?";
+        assert_eq!(selected(zone("hera")).unwrap_err(), unknown);
         let private = selected(condition(r#"!has(robot.attributes.code) || robot.attributes.section == "icu""#));
         assert_eq!(
             private.unwrap_err(),

@@ -4,7 +4,7 @@
 use crate::recurrence::until_text;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::ClosedPart;
+use consort_protocol::ledger::MapPart;
 use consort_protocol::message::{ClosureNotice, OrderNotice, OrdersNotice};
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
@@ -36,7 +36,7 @@ pub(super) struct StandingOrders {
 
 #[derive(Debug)]
 struct StandingClosure {
-    part: ClosedPart,
+    part: MapPart,
     order: StandingOrder,
 }
 
@@ -144,9 +144,9 @@ impl StandingOrders {
         self.hold.iter().chain(&self.unconfirmed_hold).any(|hold| hold.is_in_force(now))
     }
 
-    /// Returns the closed lanes by their ends, and each closed place twice.
+    /// Returns the closed lanes by their ends, and each closed place twice, also those of closed zones.
     pub(super) fn closed(&self, now: NodeTime) -> Vec<(PlaceId, PlaceId)> {
-        self.closures_in_force(now).map(|closure| closure.part.ends()).collect()
+        self.closures_in_force(now).flat_map(|closure| closure.part.pairs()).collect()
     }
 
     /// Returns the closures, each as `IC Room 6 is closed by Nia: a spill, until 2026-12-31 17:00 UTC`.
@@ -169,6 +169,7 @@ impl StandingOrders {
 mod tests {
     use super::super::test_values::at;
     use super::*;
+    use consort_protocol::ledger::Zone;
 
     const LEASE: Duration = Duration::from_secs(1);
 
@@ -242,7 +243,7 @@ mod tests {
     fn an_unconfirmed_notice_closes_for_a_short_time_and_opens_nothing() {
         let closure = |name: &str| {
             let order = OrderNotice { text: "closed by Nia".to_owned(), remaining_ms: None };
-            ClosureNotice { part: ClosedPart::of_place(name.parse().unwrap()), order, until_ms: None }
+            ClosureNotice { part: MapPart::Place(name.parse().unwrap()), order, until_ms: None }
         };
         let closed = |orders: &StandingOrders, ms| orders.closure_texts(at(ms)).join(", ");
         let mut orders = StandingOrders::default();
@@ -281,7 +282,7 @@ mod tests {
     fn orders_end_in_a_cluster_that_has_none() {
         let mut orders = StandingOrders::default();
         let maintenance = order("in maintenance by Nia: tyres", None);
-        let part = ClosedPart::of_place("Ward".parse().unwrap());
+        let part = MapPart::Place("Ward".parse().unwrap());
         let closed = OrderNotice { text: "closed by Nia".to_owned(), remaining_ms: None };
         let closures = vec![ClosureNotice { part, order: closed, until_ms: None }];
         let hold = order("held by Nia", Some(600_000));
@@ -299,8 +300,8 @@ mod tests {
             let order = OrderNotice { text: "closed by Nia: a spill".to_owned(), remaining_ms };
             ClosureNotice { part, order, until_ms }
         };
-        let ward = closure(ClosedPart::of_place(place("Ward")), Some(1_000), Some(1_767_225_600_000));
-        let lane = closure(ClosedPart::of_lane(place("B"), place("A")), None, None);
+        let ward = closure(MapPart::Place(place("Ward")), Some(1_000), Some(1_767_225_600_000));
+        let lane = closure(MapPart::of_lane(place("B"), place("A")), None, None);
         let mut orders = StandingOrders::default();
         orders.receive(OrdersNotice { closures: vec![ward, lane], ..notice(5, None) }, at(500));
         assert_eq!(orders.closed(at(1_499)), [(place("Ward"), place("Ward")), (place("A"), place("B"))]);
@@ -310,6 +311,18 @@ mod tests {
         assert!(!orders.is_held(at(500)) && orders.problem(at(500)).is_none());
         orders.receive(notice(6, None), at(2_000));
         assert!(orders.closed(at(2_000)).is_empty());
+    }
+
+    #[test]
+    fn every_place_of_a_closed_zone_is_closed() {
+        let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+        let zone = Zone { name: "icu".parse().unwrap(), places: [place("A"), place("B")].into() };
+        let order = OrderNotice { text: "closed by Nia".to_owned(), remaining_ms: None };
+        let closures = vec![ClosureNotice { part: MapPart::Zone(zone), order, until_ms: None }];
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { closures, ..notice(5, None) }, at(0));
+        assert_eq!(orders.closed(at(0)), [(place("A"), place("A")), (place("B"), place("B"))]);
+        assert_eq!(orders.closure_texts(at(0)), ["zone icu is closed by Nia"]);
     }
 
     #[test]

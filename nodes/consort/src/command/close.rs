@@ -1,4 +1,4 @@
-//! `consort close` and `consort open`: close places and lanes, and open them.
+//! `consort close` and `consort open`: close zones, places and lanes, and open them.
 
 use super::change_flags::{ChangeFlags, ReasonFlag};
 use super::flag_values::parse_duration;
@@ -12,7 +12,7 @@ use consort_protocol::ledger::Closure;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// Close places or lanes of the map: no robot enters them
+/// Close places or lanes of the map, or zones: no robot enters them
 ///
 /// A robot that drives towards a closed place stops and takes another way, or waits if there is none. A robot inside a
 /// closed place may leave it. Robots refuse roles that lead into it until it is open. The fleet keeps closures in its
@@ -24,6 +24,7 @@ Examples:
   consort close 'IC Room 6' --reason 'wet floor'
   consort close 'IC Room 5' 'IC Room 6' --for 2h --by Nia
   consort close --lane 'IC Corridor 5' 'IC Room 5' --until 2026-12-31T18:00:00+01:00
+  consort close icu --reason evacuation
   consort open 'IC Room 6'")]
 pub(crate) struct CloseArgs {
     #[command(flatten)]
@@ -40,9 +41,10 @@ pub(crate) struct CloseArgs {
     change: ChangeFlags,
 }
 
-/// Open closed places or lanes
+/// Open closed places, lanes or zones
 ///
-/// Places that are not closed stay as they are. A lane stays closed while a place at its end is closed.
+/// Places that are not closed stay as they are. A lane stays closed while a place at its end is closed, and a place
+/// while a zone with it is closed.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -55,11 +57,11 @@ pub(crate) struct OpenArgs {
     change: ChangeFlags,
 }
 
-/// Flags for the places and lanes.
+/// Flags for the zones, places and lanes.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = true)]
 struct PartFlags {
-    /// Places, as named in the map
+    /// Places, as named in the map, or zones, as named in the fleet file
     #[arg(value_name = "PLACE")]
     places: Vec<PlaceId>,
     /// A lane of the map by its two ends; may be repeated
@@ -97,7 +99,7 @@ pub(crate) fn open(args: OpenArgs) -> Result<(), Failure> {
 }
 
 fn reply_text(ClosuresReply { closures }: &ClosuresReply) -> String {
-    if closures.is_empty() { "no place or lane is closed".to_owned() } else { closures_text(closures) }
+    if closures.is_empty() { "nothing is closed".to_owned() } else { closures_text(closures) }
 }
 
 /// Formats closures, a line for each: `IC Room 6 is closed by Nia: wet floor, until 2026-12-31 17:00 UTC`.
@@ -110,7 +112,7 @@ pub(super) fn closures_text(closures: &[Closure]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::ledger::{ClosedPart, RobotOrder};
+    use consort_protocol::ledger::{MapPart, RobotOrder, Zone};
 
     #[test]
     fn closures_are_shown_with_their_ends_and_reasons() {
@@ -121,11 +123,14 @@ mod tests {
             since_ms: 1,
             until_ms,
         };
+        let zone = Zone { name: "icu".parse().unwrap(), places: [place("IC Room 5")].into() };
         let closures = [
-            Closure { part: ClosedPart::of_place(place("IC Room 6")), order: order("", Some(1_767_225_600_000)) },
-            Closure { part: ClosedPart::of_lane(place("B"), place("A")), order: order("wet floor", None) },
+            Closure { part: MapPart::Zone(zone), order: order("evacuation", None) },
+            Closure { part: MapPart::Place(place("IC Room 6")), order: order("", Some(1_767_225_600_000)) },
+            Closure { part: MapPart::of_lane(place("B"), place("A")), order: order("wet floor", None) },
         ];
-        let expected = "IC Room 6 is closed by Nia, until 2026-01-01 00:00 UTC\nA – B is closed by Nia: wet floor";
+        let expected = "zone icu is closed by Nia: evacuation\nIC Room 6 is closed by Nia, until 2026-01-01 00:00 UTC\n\
+                        A – B is closed by Nia: wet floor";
         assert_eq!(closures_text(&closures), expected);
     }
 }

@@ -21,6 +21,7 @@ Examples:
   consort hold amber --reason 'wet floor'
   consort hold amber birch --for 30m --by Nia
   consort hold --where 'robot.attributes.section == \"icu\"' --reason evacuation
+  consort hold --zone icu --reason alarm
   consort hold --all --for 2m
   consort release --all")]
 pub(crate) struct HoldArgs {

@@ -1,9 +1,9 @@
 //! Shared parts of commands that give orders to robots.
 
 use crate::exit::Failure;
-use consort_protocol::api::{AllRobots, OrdersReply, RobotCondition, RobotSelection};
+use consort_protocol::api::{AllRobots, OrdersReply, RobotCondition, RobotSelection, RobotZone};
 use consort_protocol::ensemble::Eligibility;
-use consort_protocol::ids::RobotId;
+use consort_protocol::ids::{RobotId, ZoneId};
 
 /// Flags for the robots.
 #[derive(Debug, clap::Args)]
@@ -15,6 +15,9 @@ pub(super) struct RobotFlags {
     /// All robots that meet a condition, in CEL as in `eligible` of a mission: 'robot.attributes.section == "icu"'
     #[arg(long = "where", value_name = "CONDITION")]
     condition: Option<String>,
+    /// All robots that are in a zone of the fleet file now. Robots that enter it later are not meant
+    #[arg(long, value_name = "ZONE")]
+    zone: Option<ZoneId>,
     /// All robots of the fleet
     #[arg(long)]
     all: bool,
@@ -26,14 +29,15 @@ impl RobotFlags {
     /// # Errors
     /// [`Failure::Usage`] if the condition cannot be compiled.
     pub(super) fn selection(self) -> Result<RobotSelection, Failure> {
-        let RobotFlags { robots, condition, .. } = self;
-        match condition {
-            Some(condition) => match Eligibility::compile(&condition) {
+        let RobotFlags { robots, condition, zone, .. } = self;
+        match (condition, zone) {
+            (Some(condition), _) => match Eligibility::compile(&condition) {
                 Ok(_) => Ok(RobotSelection::Where(RobotCondition { condition })),
                 Err(problem) => Err(Failure::Usage(format!("--where: {problem}"))),
             },
-            None if robots.is_empty() => Ok(RobotSelection::All(AllRobots::All)),
-            None => Ok(RobotSelection::Named(robots.into_iter().collect())),
+            (None, Some(zone)) => Ok(RobotSelection::Zone(RobotZone { zone })),
+            (None, None) if robots.is_empty() => Ok(RobotSelection::All(AllRobots::All)),
+            (None, None) => Ok(RobotSelection::Named(robots.into_iter().collect())),
         }
     }
 }

@@ -9,10 +9,11 @@ use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_protocol::auction::{BidLimits, Objective, PromiseTerms};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue, private_attribute_problems};
-use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
+use consort_protocol::ids::{EnsembleId, FleetId, PlaceId, TaskType, ZoneId};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::HistoryLimits;
+use consort_protocol::ledger::{HistoryLimits, Zone};
 use consort_protocol::mission::Domain;
+use consort_protocol::pose::Pose;
 use consort_protocol::timing::{Timing, TimingParameters};
 use consort_protocol::units::{BatteryShare, Seconds};
 use consort_text::AllowedNames;
@@ -22,6 +23,7 @@ use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::Serializer;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -93,6 +95,10 @@ pub struct FleetConfig {
     /// Charging by the robots themselves. Default: none, and robots charge by tasks of missions only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub charging: Option<ChargingConfig>,
+    /// Zones: names for places that people hold, close and open together, as `icu = ["IC Room 5", "IC Room 6"]`. A zone has
+    /// another name than each place. Default: none.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub zones: BTreeMap<ZoneId, BTreeSet<PlaceId>>,
     /// Ensembles: groups of robots that receive calls for bids. A mission file names those that it
     /// prefers. Default: the ensemble `workers`, of robots with any skill that a mission can use.
     pub ensemble: Vec<EnsembleSpec>,
@@ -215,6 +221,7 @@ impl Default for FleetConfig {
             lease: LeaseConfig::default(),
             auction: AuctionConfig::default(),
             charging: None,
+            zones: BTreeMap::new(),
             ensemble: vec![],
         }
     }
@@ -415,9 +422,37 @@ impl ConfigFile for FleetConfig {
                 Err(problem) => validate.push(problem.to_string()),
             }
         }
+        for (zone, places) in &self.zones {
+            match places.len() {
+                0 => validate.push(format!("zones.{zone}: has no places; name at least one")),
+                count if count > Zone::PLACES_MAX => {
+                    validate
+                        .push(format!("zones.{zone}: has {count} places; allowed are {} at most", Zone::PLACES_MAX));
+                }
+                _ => {}
+            }
+        }
         validate.extend(private_attribute_problems(&compiled).iter().map(ToString::to_string));
         validate
     }
+}
+
+/// Returns the problems of zones on a map with these places: their places are on the map, and their names are not.
+pub(crate) fn zone_problems(
+    zones: &BTreeMap<ZoneId, BTreeSet<PlaceId>>,
+    on_map: &BTreeMap<PlaceId, Pose>,
+) -> Vec<String> {
+    let mut problems = vec![];
+    for (zone, places) in zones {
+        if on_map.keys().any(|place| place.as_str() == zone.as_str()) {
+            problems.push(format!("zones.{zone}: is a place of the fleet's map; give the zone a name of its own"));
+        }
+        for unknown in places.iter().filter(|place| !on_map.contains_key(*place)) {
+            let allowed = AllowedNames::suggest_for(unknown.as_str(), on_map.keys());
+            problems.push(format!("zones.{zone}: {:?} is not on the fleet's map; {allowed}", unknown.as_str()));
+        }
+    }
+    problems
 }
 
 /// Longest horizon, delay and gain of promised roles, in seconds.

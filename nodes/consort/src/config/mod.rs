@@ -32,8 +32,8 @@ mod world;
 
 pub use bus::{BusConfig, trust_files};
 pub use charging::{ChargerConfig, ChargingConfig};
-pub(crate) use fleet::DEFAULT_FLEET;
 pub use fleet::{AuctionConfig, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, ObjectiveName, RequestsConfig};
+pub(crate) use fleet::{DEFAULT_FLEET, zone_problems};
 pub use node::{CommonConfig, NodeFile};
 pub(crate) use read::load_unchecked;
 pub use read::{ConfigFile, from_text, join_normalized, load, resolve_path, to_toml};

@@ -93,6 +93,26 @@ fn invalid_policies_are_reported_with_what_is_allowed() {
 }
 
 #[test]
+fn invalid_zones_are_reported_with_what_is_allowed() {
+    let zone = |name: &str, text: &str| test_file(name, &format!("[zones]\n{text}\n"));
+    let valid = zone("zone.toml", "icu = [\"IC Room 5\", \"IC Room 6\"]\n\"Ward 1\" = [\"Dock\"]");
+    let unknown = zone("zone_unknown.toml", "icu = [\"IC Rom 5\"]");
+    let place = zone("zone_place.toml", "Dock = [\"IC Room 5\"]");
+    let empty = zone("zone_empty.toml", "icu = []");
+    let ran = run(&["check", &valid, &unknown, &place, &empty]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    for expected in [
+        format!("{valid}: ok, a fleet"),
+        format!("{unknown}: zones.icu: \"IC Rom 5\" is not on the fleet's map; "),
+        "did you mean `IC Room 5`?".to_owned(),
+        format!("{place}: zones.Dock: is a place of the fleet's map; give the zone a name of its own"),
+        format!("{empty}: zones.icu: has no places; name at least one"),
+    ] {
+        assert!(ran.out.contains(&expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+}
+
+#[test]
 fn invalid_chargers_are_reported_with_what_is_allowed() {
     let charger = "[[charging.charger]]\nplace = ";
     let valid = test_file("charger.toml", &format!("{charger}\"Dock\"\npower_w = 200.0\n"));

@@ -5,9 +5,10 @@
 
 use super::apply::Ledger;
 use super::audit_trail::{AuditAction, AuditEntry};
-use super::closure::{ClosedPart, Closure, ClosureChange};
+use super::closure::{Closure, ClosureChange};
 use super::command::{Command, CommandOutcome};
 use super::entry::MissionState;
+use super::map_part::MapPart;
 use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
 use super::robot_order::{OrderChange, OrderRequest, RobotOrders};
 use super::schedule::SchedulePause;
@@ -157,7 +158,7 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
             Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
         }
         Command::ChangeClosures { parts, order: OrderRequest { change, by, at_ms, .. } } => {
-            let names = parts.iter().map(ClosedPart::to_string).collect::<Vec<_>>().join(", ");
+            let names = parts.iter().map(MapPart::to_string).collect::<Vec<_>>().join(", ");
             let (action, details) = match change {
                 ClosureChange::Close { until_ms, reason } => {
                     (AuditAction::Close, period_and_reason(*until_ms, *at_ms, reason))

@@ -86,8 +86,7 @@ fn orders_to_robots_are_recorded_with_their_reasons() {
 fn closures_are_recorded_with_their_reasons() {
     let mut ledger = ledger();
     let place = |name: &str| name.parse().unwrap();
-    let parts =
-        BTreeSet::from([ClosedPart::of_place(place("Ward A")), ClosedPart::of_lane(place("Ward C"), place("Ward B"))]);
+    let parts = BTreeSet::from([MapPart::Place(place("Ward A")), MapPart::of_lane(place("Ward C"), place("Ward B"))]);
     let mut change = |change, at_ms| {
         let order = OrderRequest { change, by: "Nia".to_owned(), at_ms, request: None };
         apply(&mut ledger, Command::ChangeClosures { parts: parts.clone(), order });

@@ -1,13 +1,14 @@
-//! Orders of people in the ledger: hold and maintenance of robots, and closures of places and lanes.
+//! Orders of people in the ledger: hold and maintenance of robots, and closures of zones, places and lanes.
 //!
 //! A held robot stands still and keeps its role. A robot in maintenance finishes its role. Neither gets
-//! another role. No robot enters a closed place or lane. The coordinator sends the orders to the robots, and
+//! another role. No robot enters a closed zone, place or lane. The coordinator sends the orders to the robots, and
 //! proposes the end of an order whose time has passed, since a ledger has no clock.
 
 use super::apply::Ledger;
-use super::closure::{CLOSURES_BYTES_MAX, ClosedPart, Closure, ClosureChange};
+use super::closure::{CLOSURES_BYTES_MAX, Closure, ClosureChange};
 use super::command::{CommandError, CommandOutcome};
 use super::history::HISTORY_SINCE;
+use super::map_part::MapPart;
 use super::order_book::{ORDER_REQUESTS_MAX, Orders};
 use super::robot_order::{ORDERS_BYTES_MAX, OrderRequest, RobotOrders};
 use crate::codec;
@@ -38,7 +39,7 @@ impl Ledger {
         self.order_book().changed
     }
 
-    /// Returns the closed places and lanes, in the order of their names.
+    /// Returns the closed zones, places and lanes, in this order and in that of their names.
     pub fn closures(&self) -> impl Iterator<Item = Closure> {
         let closures = self.order_book().orders.closures.iter();
         closures.map(|(part, order)| Closure { part: part.clone(), order: order.clone() })
@@ -64,15 +65,15 @@ impl Ledger {
         })
     }
 
-    /// Closes or opens places and lanes, all or none.
+    /// Closes or opens zones, places and lanes, all or none.
     pub(super) fn change_closures(
         &mut self,
-        parts: &BTreeSet<ClosedPart>,
+        parts: &BTreeSet<MapPart>,
         order: &OrderRequest<ClosureChange>,
         at: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
         self.change_orders(order.request.as_ref(), at, |orders| {
-            orders.closures.retain(|part, _| !parts.contains(part));
+            orders.closures.retain(|closed, _| !parts.iter().any(|part| part.is_same(closed)));
             if let Some(closure) = order.closure() {
                 orders.closures.extend(parts.iter().map(|part| (part.clone(), closure.clone())));
             }

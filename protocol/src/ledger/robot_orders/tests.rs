@@ -3,7 +3,7 @@ use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::{MissionId, PlaceId, RoleId};
 use crate::ledger::order_book::ORDER_REQUESTS_BYTES_MAX;
 use crate::ledger::test_values::rounds;
-use crate::ledger::{Branch, Command, OrderChange, RobotOrder};
+use crate::ledger::{Branch, Command, OrderChange, RobotOrder, Zone};
 use crate::message::OrdersNotice;
 use std::collections::BTreeMap;
 
@@ -37,11 +37,11 @@ impl Log {
         self.apply(Command::OrderRobots { robots, order })
     }
 
-    fn close(&mut self, parts: &[ClosedPart], until_ms: Option<u64>) -> CommandOutcome {
+    fn close(&mut self, parts: &[MapPart], until_ms: Option<u64>) -> CommandOutcome {
         self.change_closures(parts, ClosureChange::Close { until_ms, reason: "a spill".to_owned() })
     }
 
-    fn change_closures(&mut self, parts: &[ClosedPart], change: ClosureChange) -> CommandOutcome {
+    fn change_closures(&mut self, parts: &[MapPart], change: ClosureChange) -> CommandOutcome {
         let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 100, request: None };
         self.apply(Command::ChangeClosures { parts: parts.iter().cloned().collect(), order })
     }
@@ -212,8 +212,8 @@ fn orders_are_limited_in_size_and_need_a_wire_version() {
     assert_eq!(before.order(&["ada"], hold(500), 100), not_yet);
 }
 
-fn ward(name: &str) -> ClosedPart {
-    ClosedPart::of_place(place(name))
+fn ward(name: &str) -> MapPart {
+    MapPart::Place(place(name))
 }
 
 fn place(name: &str) -> PlaceId {
@@ -223,8 +223,8 @@ fn place(name: &str) -> PlaceId {
 #[test]
 fn a_place_is_closed_until_it_is_opened_or_its_time_has_passed() {
     let mut log = Log::new();
-    let lane = ClosedPart::of_lane(place("C"), place("B"));
-    assert_eq!(lane, ClosedPart::of_lane(place("B"), place("C")), "a lane has no direction");
+    let lane = MapPart::of_lane(place("C"), place("B"));
+    assert_eq!(lane, MapPart::of_lane(place("B"), place("C")), "a lane has no direction");
     assert_eq!(log.close(&[ward("A"), lane.clone()], Some(500)), CommandOutcome::Done);
     let order = RobotOrder { by: "Nia".to_owned(), reason: "a spill".to_owned(), since_ms: 100, until_ms: Some(500) };
     let first = Closure { part: ward("A"), order };
@@ -249,6 +249,23 @@ fn the_latest_closure_of_a_place_counts() {
     log.close(&[ward("A")], None);
     log.apply(Command::ExpireOrders { now_ms: u64::MAX });
     assert_eq!(log.closed(), ["A"]);
+}
+
+/// The fleet file may change while a zone is closed.
+#[test]
+fn a_closed_zone_is_known_by_its_name() {
+    let zone = |places: &[&str]| {
+        let places = places.iter().map(|name| place(name)).collect();
+        MapPart::Zone(Zone { name: "icu".parse().unwrap(), places })
+    };
+    let mut log = Log::new();
+    log.close(&[ward("A"), zone(&["A", "B"])], None);
+    assert_eq!(log.closed(), ["zone icu", "A"]);
+    log.close(&[zone(&["B", "C"])], None);
+    let closed: Vec<_> = log.0.closures().flat_map(|closure| closure.part.pairs()).collect();
+    assert_eq!(closed, ["B", "C", "A"].map(|name| (place(name), place(name))), "the latest closure counts");
+    log.change_closures(&[zone(&[])], ClosureChange::Open);
+    assert_eq!(log.closed(), ["A"], "the place was closed on its own, too");
 }
 
 /// A renewal of a lease has other large parts, too.

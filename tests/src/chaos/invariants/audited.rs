@@ -112,7 +112,7 @@ impl Invariant for Audited {
 mod tests {
     use super::*;
     use crate::slug;
-    use consort_protocol::ledger::{ClosedPart, ClosureChange, OrderChange, OrderRequest};
+    use consort_protocol::ledger::{MapPart, ClosureChange, OrderChange, OrderRequest};
     use std::collections::BTreeSet;
 
     fn order(by: &str, at_ms: u64, change: OrderChange) -> Command {
@@ -127,7 +127,7 @@ mod tests {
     fn close(by: &str, at_ms: u64) -> Command {
         let change = ClosureChange::Close { until_ms: None, reason: String::new() };
         let order = OrderRequest { change, by: by.to_owned(), at_ms, request: None };
-        Command::ChangeClosures { parts: BTreeSet::from([ClosedPart::of_place(slug("Ward"))]), order }
+        Command::ChangeClosures { parts: BTreeSet::from([MapPart::Place(slug("Ward"))]), order }
     }
 
     fn applied(commands: Vec<Command>) -> Result<Audited, InvariantViolation> {

@@ -13,7 +13,7 @@ use crate::order_bounds::heeds_closures_within;
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{PlaceId, RobotId};
-use consort_protocol::ledger::{ClosedPart, RobotOrder};
+use consort_protocol::ledger::{MapPart, RobotOrder};
 use consort_skills::actions::RobotBackend as _;
 use consort_world::world::LoggedEvent;
 use std::collections::BTreeMap;
@@ -26,9 +26,9 @@ pub(super) struct Closed {
     lease: Duration,
     reference: ReferenceLedger,
     /// Closures in the ledger, with the times of their latest changes.
-    closures: BTreeMap<ClosedPart, (RobotOrder, Duration)>,
+    closures: BTreeMap<MapPart, (RobotOrder, Duration)>,
     /// Parts whose closures have ended, and when.
-    opened: BTreeMap<ClosedPart, Duration>,
+    opened: BTreeMap<MapPart, Duration>,
     active: ActiveGoals,
 }
 
@@ -46,8 +46,8 @@ impl Closed {
     /// Adopts the closures of the ledger.
     fn update(&mut self, at: Duration) {
         let closures = self.reference.ledger.closures();
-        let closed: BTreeMap<ClosedPart, RobotOrder> = closures.map(|closure| (closure.part, closure.order)).collect();
-        let is_kept = |part: &ClosedPart, order: &RobotOrder| closed.get(part) == Some(order);
+        let closed: BTreeMap<MapPart, RobotOrder> = closures.map(|closure| (closure.part, closure.order)).collect();
+        let is_kept = |part: &MapPart, order: &RobotOrder| closed.get(part) == Some(order);
         let (kept, ended): (BTreeMap<_, _>, BTreeMap<_, _>) =
             std::mem::take(&mut self.closures).into_iter().partition(|(part, (order, _))| is_kept(part, order));
         self.closures = kept;
@@ -69,13 +69,13 @@ impl Closed {
                 continue;
             };
             let is_open = |place: &PlaceId| {
-                let part = ClosedPart::of_place(place.clone());
-                let has_ended = |ended: &Duration| self.must_heed(at, *ended);
-                !self.closures.contains_key(&part) && self.opened.get(&part).is_none_or(has_ended)
+                let is_closed = self.closures.keys().any(|part| covers(part, place));
+                let mut opened = self.opened.iter().filter(|(part, _)| covers(part, place));
+                !is_closed && opened.all(|(_, ended)| self.must_heed(at, *ended))
             };
-            let enters = |part: &ClosedPart| match &part.to {
-                Some(_) => *part == ClosedPart::of_lane(from.clone(), to.clone()),
-                None => part.place == *to && is_open(&from),
+            let enters = |part: &MapPart| match part {
+                MapPart::Lane(..) => *part == MapPart::of_lane(from.clone(), to.clone()),
+                MapPart::Place(_) | MapPart::Zone(_) => covers(part, to) && is_open(&from),
             };
             for (part, (order, since)) in &self.closures {
                 if enters(part) && self.must_heed(at, *since) && !may_be_over(order, at) {
@@ -88,6 +88,15 @@ impl Closed {
             }
         }
         Ok(())
+    }
+}
+
+/// Checks whether a part of the map is this place, or a zone with it.
+fn covers(part: &MapPart, place: &PlaceId) -> bool {
+    match part {
+        MapPart::Zone(zone) => zone.places.contains(place),
+        MapPart::Place(own) => own == place,
+        MapPart::Lane(..) => false,
     }
 }
 
@@ -150,14 +159,14 @@ mod tests {
     }
 
     /// Returns the state in which Nia closed these parts for two minutes at 100 s; leases last 4 s.
-    fn closed(parts: &[ClosedPart]) -> Closed {
+    fn closed(parts: &[MapPart]) -> Closed {
         let mut state = Closed::new(secs(4));
         change(&mut state, 2, parts, ClosureChange::Close { until_ms: Some(DATE_MS + 220_000), reason: String::new() });
         state.update(secs(100));
         state
     }
 
-    fn change(state: &mut Closed, index: u64, parts: &[ClosedPart], change: ClosureChange) {
+    fn change(state: &mut Closed, index: u64, parts: &[MapPart], change: ClosureChange) {
         let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: DATE_MS + 100_000, request: None };
         let command = Command::ChangeClosures { parts: parts.iter().cloned().collect(), order };
         state.reference.apply(Epoch { term: 1, index }, &[Command::first_wire_version(3), command]);
@@ -181,7 +190,7 @@ mod tests {
 
     #[test]
     fn a_robot_in_a_role_that_enters_a_closed_place_or_lane_is_found() {
-        let mut state = closed(&[ClosedPart::of_place(place("Ward")), ClosedPart::of_lane(place("A"), place("B"))]);
+        let mut state = closed(&[MapPart::Place(place("Ward")), MapPart::of_lane(place("A"), place("B"))]);
         begin(&mut state, "Ward", true);
         assert_eq!(check(&state, secs(110), "Hall"), Ok(()), "a lease of 4.4 s, 2 s, and a command of 3.3 s");
         let violation = check(&state, secs(111), "Hall").unwrap_err();
@@ -204,7 +213,7 @@ mod tests {
 
     #[test]
     fn a_robot_may_leave_a_closed_place_through_another() {
-        let (ward, hall) = (ClosedPart::of_place(place("Ward")), ClosedPart::of_place(place("Hall")));
+        let (ward, hall) = (MapPart::Place(place("Ward")), MapPart::Place(place("Hall")));
         let mut state = closed(&[ward, hall.clone()]);
         begin(&mut state, "Hall", true);
         assert_eq!(check(&state, secs(150), "Ward"), Ok(()));
