@@ -93,7 +93,7 @@ impl RobotBackend for Rover {
     fn advance(&mut self, to: WorldTime) -> Vec<BackendEvent> {
         self.now = to;
         if let Some(work) = self.work.take_if(|work| work.due <= to) {
-            if let Some(Ok(NavigateToPose { pose, place })) = work.goal.read() {
+            if let Some(Ok(NavigateToPose { pose, place, .. })) = work.goal.read() {
                 self.pose = pose;
                 self.place = place.unwrap_or(self.place.clone());
             }

@@ -10,7 +10,7 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
 use consort_skills::domain_file::DomainFile;
-use consort_skills::environment::Environment;
+use consort_skills::environment::{Environment, SpeedLimits};
 use consort_skills::extensions::Extensions;
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::collections::BTreeMap;
@@ -47,6 +47,7 @@ fn estimates(criterion: &mut Criterion) {
             speed: MetresPerSecond::new(0.5).expect("a speed"),
             discharge: SharePerSecond::new(0.001).expect("a rate"),
             closed: vec![],
+            limits: SpeedLimits::default(),
             attributes: serde_json::from_value(serde_json::json!({ "litres_per_s": 0.5 })).expect("attributes"),
             readings: None,
         };

@@ -7,7 +7,7 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
-use consort_skills::environment::{Environment, Routes, TopologicalMap};
+use consort_skills::environment::{Environment, Routes, SpeedLimits, TopologicalMap};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -101,6 +101,7 @@ fn context(robot: &Value) -> EstimateContext {
         speed: MetresPerSecond::new(robot["avg_speed"].as_f64().unwrap()).unwrap(),
         discharge: SharePerSecond::new(robot["battery_discharge_rate"].as_f64().unwrap()).unwrap(),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     }

@@ -21,7 +21,7 @@ use consort_protocol::plan::divide_and_check;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
 use consort_skills::domain::hospital;
-use consort_skills::environment::{Environment, Routes};
+use consort_skills::environment::{Environment, Routes, SpeedLimits};
 use consort_skills::missions::shipped;
 use consort_tests::slug;
 use consort_world::map;
@@ -77,6 +77,7 @@ impl Scene {
                 closed_lanes: &[],
                 found_closed: &[],
                 closures: &[],
+                speed_limits: SpeedLimits::default(),
                 readings: None,
                 age_ms: 0,
                 membership,
@@ -142,6 +143,7 @@ impl Scene {
                         speed,
                         discharge,
                         closed: vec![],
+                        limits: SpeedLimits::default(),
                         attributes: Attributes::default(),
                         readings: None,
                     },

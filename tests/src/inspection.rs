@@ -152,6 +152,11 @@ impl Fleet {
         (telemetry.pose.x, telemetry.pose.y)
     }
 
+    /// Returns the time of the simulated world in seconds.
+    pub fn world_time_s(&self) -> f64 {
+        self.world.with(|world| world.now().as_secs())
+    }
+
     /// Counts the begun and the ended goals of a simulated robot from the journal of the world.
     pub fn goal_counts(&self, robot: &str) -> (usize, usize) {
         self.journal().iter().fold((0, 0), |(began, ended), entry| match &entry.event {

@@ -9,7 +9,7 @@ use consort_tests::{Fleet, for_each_seed};
 use serde_json::{Value, json};
 use std::time::Duration;
 
-const ROOM: &str = "IC Room 6";
+pub(crate) const ROOM: &str = "IC Room 6";
 /// The only way to the room leads from `BEFORE` through `GATE`.
 const GATE: &str = "IC Corridor 6";
 const BEFORE: &str = "IC Corridor 3";
@@ -18,9 +18,9 @@ const BEFORE_AT: (f64, f64) = (6.0, 29.0);
 const GATE_Y_M: f64 = 31.0;
 /// The room and the places before it, except `BEFORE`.
 const ZONE: &str = "isolation";
-const SOON: Duration = Duration::from_secs(60);
+pub(crate) const SOON: Duration = Duration::from_secs(60);
 /// Longer than the drive of the slow carriers to the room.
-const DRIVE: Duration = Duration::from_secs(180);
+pub(crate) const DRIVE: Duration = Duration::from_secs(180);
 
 async fn close(fleet: &Fleet, mut parts: Value, for_s: u32) -> Value {
     parts["for_s"] = json!(for_s);
@@ -33,12 +33,12 @@ async fn open(fleet: &Fleet, places: &[&str]) {
     request(fleet, ApiCall::Open, &json!({ "places": places, "by": "Abe" })).await;
 }
 
-async fn fleet(seed: u64) -> Fleet {
+pub(crate) async fn fleet(seed: u64) -> Fleet {
     slow_fleet(seed, &[ROOM], Duration::from_secs(900), (ZONE, &[GATE, ROOM])).await
 }
 
 /// Starts a mission. Returns the carrier that drives to the room.
-async fn under_way(seed: u64) -> (Fleet, MissionId, String) {
+pub(crate) async fn under_way(seed: u64) -> (Fleet, MissionId, String) {
     let mut fleet = fleet(seed).await;
     let (mission, carrier) = drive_to_room(&mut fleet, ROOM).await;
     (fleet, mission, carrier)

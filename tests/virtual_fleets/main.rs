@@ -38,6 +38,7 @@ mod results;
 mod robot_orders;
 mod scale;
 mod schedules;
+mod speed_limits;
 mod spread_loops;
 mod stalls;
 mod supervision;

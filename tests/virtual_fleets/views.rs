@@ -3,8 +3,8 @@
 use crate::support::{fleet, task_began};
 use consort_bus::{Bus, VirtualBus};
 use consort_protocol::api::{
-    AnswerReply, ClosuresReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, OrdersReply, ScheduleReply,
-    UpgradeReply,
+    AnswerReply, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply, MissionChangeReply, OrdersReply,
+    ScheduleReply, UpgradeReply,
 };
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
@@ -286,6 +286,10 @@ fn views_and_replies_contain_exactly_the_fields_of_their_types() {
         check_type::<ClosuresReply>("close", &reply);
         assert_eq!(reply["closures"].as_array().map(Vec::len), Some(1), "seed {seed}: {reply}");
         check_type::<ClosuresReply>("open", &ask(ApiCall::Open, places).await);
+        let limit = json!({ "places": ["PC Room 1"], "action": "set", "speed_mps": 0.5 });
+        let reply = ask(ApiCall::Limit, limit).await;
+        check_type::<LimitsReply>("limit", &reply);
+        assert_eq!(reply["speed_limits"][0]["speed_mps"], json!(0.5), "seed {seed}: {reply}");
         check_type::<WithProvenance<ExplainReply>>("explain", &ask(ApiCall::Explain, named.clone()).await);
         check_type::<HelpReply>("help", &ask(ApiCall::Help, Value::Null).await);
         check_type::<UpgradeReply>("upgrade", &ask(ApiCall::Upgrade, json!({})).await);
@@ -498,6 +502,7 @@ fn every_call_documents_its_payload() {
                 "maintenance",
                 "close",
                 "open",
+                "limit",
                 "backup",
                 "upgrade",
                 "get",

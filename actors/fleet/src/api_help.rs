@@ -1,8 +1,8 @@
 //! Descriptions of all calls on `api/**`, for clients.
 
 use consort_protocol::api::{
-    AnswerReply, CallHelp, ClosuresReply, ErrorReply, ExplainReply, HelpReply, MissionChangeReply, OrdersReply,
-    ScheduleReply, SubmitReply, UpgradeReply, example, payload_schema,
+    AnswerReply, CallHelp, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply, MissionChangeReply,
+    OrdersReply, ScheduleReply, SubmitReply, UpgradeReply, example, payload_schema,
 };
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::view::{
@@ -39,6 +39,7 @@ fn reply_schema(call: ApiCall) -> Schema {
         ApiCall::Schedule => schema_of::<ScheduleReply>(),
         ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance => schema_of::<OrdersReply>(),
         ApiCall::Close | ApiCall::Open => schema_of::<ClosuresReply>(),
+        ApiCall::Limit => schema_of::<LimitsReply>(),
         ApiCall::Schedules => schema_of::<WithProvenance<SchedulesView>>(),
         ApiCall::Audit => schema_of::<WithProvenance<AuditView>>(),
         ApiCall::Requests => schema_of::<WithProvenance<RequestsView>>(),

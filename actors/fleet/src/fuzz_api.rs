@@ -5,8 +5,8 @@
 
 use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
-    AnswerRequest, CloseRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, OpenRequest,
-    ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
+    AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery,
+    OpenRequest, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -76,6 +76,7 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Maintenance => drop(parse_request::<MaintenanceRequest>(call, payload)?),
         ApiCall::Close => drop(parse_request::<CloseRequest>(call, payload)?),
         ApiCall::Open => drop(parse_request::<OpenRequest>(call, payload)?),
+        ApiCall::Limit => drop(parse_request::<LimitRequest>(call, payload)?),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
             parse_read_options(call, payload)?;
         }

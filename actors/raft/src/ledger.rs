@@ -40,6 +40,7 @@ impl StateMachine for Ledger {
             | Command::ExpireOrders { .. }
             | Command::EndOrders { .. }
             | Command::ChangeClosures { .. }
+            | Command::ChangeSpeedLimits { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

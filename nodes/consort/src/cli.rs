@@ -2,8 +2,8 @@
 
 use crate::command::{
     answer, audit, backup, cancel, cert, check, close, completions, doctor, domain, driver, dry_run, explain, fleet,
-    hold, keys, lab, leave, maintenance, map, missions, record, recover, replay, requests, resolve, restore, robot,
-    schedule, schema, station, submit, token, upgrade, watch, world,
+    hold, keys, lab, leave, limit, maintenance, map, missions, record, recover, replay, requests, resolve, restore,
+    robot, schedule, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -74,6 +74,7 @@ enum Command {
     Maintenance(maintenance::Args),
     Close(close::CloseArgs),
     Open(close::OpenArgs),
+    Limit(limit::Args),
     Audit(audit::Args),
     Requests(requests::Args),
     Answer(answer::Args),
@@ -131,6 +132,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Maintenance(args) => maintenance::run(args),
             Command::Close(args) => close::run(args),
             Command::Open(args) => close::open(args),
+            Command::Limit(args) => limit::run(args),
             Command::Audit(args) => audit::run(args),
             Command::Requests(args) => requests::run(args),
             Command::Answer(args) => answer::run(args),

@@ -17,6 +17,7 @@ use consort_protocol::mission::{Mission, Role};
 use consort_protocol::plan::Division;
 use consort_protocol::units::{Energy, NodeTime, Seconds};
 use consort_protocol::versions::VersionRange;
+use consort_skills::environment::SpeedLimits;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -231,6 +232,7 @@ fn response(worker: &WorkerEntry, call: &CallForBids, membership: Membership, fl
         closed_lanes: &[],
         found_closed: &[],
         closures: &[],
+        speed_limits: SpeedLimits::default(),
         readings: None,
         age_ms: 0,
         membership,

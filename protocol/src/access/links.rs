@@ -133,7 +133,8 @@ pub fn required_scope(call: ApiCall) -> AccessScope {
         | ApiCall::Release
         | ApiCall::Maintenance
         | ApiCall::Close
-        | ApiCall::Open => AccessScope::Submit,
+        | ApiCall::Open
+        | ApiCall::Limit => AccessScope::Submit,
         // Also any call that is added without a decision about its scope.
         _ => AccessScope::Operate,
     }

@@ -1,8 +1,8 @@
 //! Descriptions of the calls, for clients.
 
 use super::request::{
-    AnswerRequest, CloseRequest, HoldRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery, OpenRequest,
-    ReadOptions, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
+    AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery,
+    OpenRequest, ReadOptions, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
 };
 use crate::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
@@ -63,6 +63,10 @@ pub fn example(call: ApiCall) -> Option<Value> {
             Some(json!({ "places": ["IC Room 6"], "lanes": [], "for_s": 3600, "reason": "wet floor", "by": "Nia" }))
         }
         ApiCall::Open => Some(json!({ "places": ["IC Room 6"], "by": "Nia" })),
+        ApiCall::Limit => Some(json!({
+            "places": ["IC Corridor 5"], "action": "set", "speed_mps": 0.3, "for_s": 3600, "reason": "wet floor",
+            "by": "Nia",
+        })),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
             Some(json!({ "linearizable": true }))
         }
@@ -84,6 +88,7 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
         ApiCall::Maintenance => Some(schema_for!(MaintenanceRequest)),
         ApiCall::Close => Some(schema_for!(CloseRequest)),
         ApiCall::Open => Some(schema_for!(OpenRequest)),
+        ApiCall::Limit => Some(schema_for!(LimitRequest)),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => Some(schema_for!(ReadOptions)),
         ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
         ApiCall::Help | ApiCall::Backup => None,

@@ -2,7 +2,7 @@
 
 use crate::auction::Explanation;
 use crate::ids::{MissionId, NodeId, RobotId};
-use crate::ledger::{Closure, MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease};
+use crate::ledger::{Closure, MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease, SpeedLimit};
 use crate::view::{MissionStateName, ScheduleView};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -57,8 +57,15 @@ pub struct OrdersReply {
 /// Closures after a change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ClosuresReply {
-    /// All closed places and lanes.
+    /// All closed zones, places and lanes.
     pub closures: Vec<Closure>,
+}
+
+/// Speed limits after a change.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct LimitsReply {
+    /// All speed limits.
+    pub speed_limits: Vec<SpeedLimit>,
 }
 
 /// Progress of the upgrade to the next wire version.

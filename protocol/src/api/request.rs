@@ -4,6 +4,7 @@ use crate::ids::{MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId, Tas
 use crate::ledger::{MissedOccurrences, PersonRequestId};
 use crate::mission::IhtnFields;
 use crate::scalar::Scalar;
+use crate::units::MetresPerSecond;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -291,6 +292,33 @@ order_requests! {
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         lanes: Vec<(PlaceId, PlaceId)>,
     }
+
+    /// Sets or clears speed limits in zones, at places or on lanes.
+    LimitRequest {
+        /// Places of the map, and zones of the fleet file. The limit holds on every lane from and to them.
+        #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+        places: BTreeSet<PlaceId>,
+        /// Lanes of the map, each by its two ends. The limit holds in both directions.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        lanes: Vec<(PlaceId, PlaceId)>,
+        /// The change.
+        action: LimitAction,
+        /// For `set`: the highest allowed speed in metres per second, 0.05 or more.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(with = "Option<f64>", range(min = 0.05))]
+        speed_mps: Option<MetresPerSecond>,
+        /// For `set`: seconds after which the limit ends by itself. Default: no end.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(range(min = 1, max = CLOSE_S_MAX))]
+        for_s: Option<u32>,
+        /// For `set`, instead of `for_s`: the time at which the limit ends by itself, in RFC 3339.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(extend("format" = "date-time"))]
+        until: Option<String>,
+        /// For `set`: the reason, for display.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        reason: String,
+    }
 }
 
 /// Seconds after which a hold ends by default.
@@ -309,8 +337,21 @@ pub enum MaintenanceAction {
     End,
 }
 
-/// Maximum number of seconds of a closure that is given as `for_s`: a year.
+/// Maximum number of seconds of a closure or a speed limit that is given as `for_s`: a year.
 pub const CLOSE_S_MAX: u32 = 366 * 24 * 60 * 60;
+
+/// Lowest speed limit in metres per second: at less, a drive takes so long that it counts as no progress.
+pub const SPEED_LIMIT_MIN_MPS: f64 = 0.05;
+
+/// Change of speed limits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LimitAction {
+    /// Set them. The latest limit of a zone, place or lane counts.
+    Set,
+    /// Clear them.
+    Clear,
+}
 
 /// The robots of a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

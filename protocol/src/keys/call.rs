@@ -54,6 +54,8 @@ words! {
         Close = "close",
         /// Open closed places or lanes.
         Open = "open",
+        /// Set or clear speed limits.
+        Limit = "limit",
         /// Get a backup of the ledger.
         Backup = "backup",
         /// Get the progress of an upgrade to the next wire version, and complete it.
@@ -126,6 +128,7 @@ impl ApiCall {
             | ApiCall::Maintenance
             | ApiCall::Close
             | ApiCall::Open
+            | ApiCall::Limit
             | ApiCall::Backup
             | ApiCall::Upgrade => false,
             ApiCall::Get

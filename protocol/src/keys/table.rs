@@ -96,8 +96,9 @@ table! {
     Key::Api(ApiCall::Hold) => "api/hold", "the coordinator" Answers JSON, "holds robots: they stand still, and keep their roles";
     Key::Api(ApiCall::Release) => "api/release", "the coordinator" Answers JSON, "releases held robots";
     Key::Api(ApiCall::Maintenance) => "api/maintenance", "the coordinator" Answers JSON, "takes robots out of service once their roles have ended, or returns them to service";
-    Key::Api(ApiCall::Close) => "api/close", "the coordinator" Answers JSON, "closes places or lanes: no robot enters them";
-    Key::Api(ApiCall::Open) => "api/open", "the coordinator" Answers JSON, "opens closed places or lanes";
+    Key::Api(ApiCall::Close) => "api/close", "the coordinator" Answers JSON, "closes zones, places or lanes: no robot enters them";
+    Key::Api(ApiCall::Open) => "api/open", "the coordinator" Answers JSON, "opens closed zones, places or lanes";
+    Key::Api(ApiCall::Limit) => "api/limit", "the coordinator" Answers JSON, "sets or clears speed limits in zones, at places or on lanes";
     Key::Api(ApiCall::Audit) => "api/audit", "any node" Answers JSON, "the changes that people have requested, as in view/audit";
     Key::Api(ApiCall::Schedules) => "api/schedules", "any node" Answers JSON, "the schedules, as in view/schedules";
     Key::Api(ApiCall::Requests) => "api/requests", "any node" Answers JSON, "the requests to people, as in view/requests";

@@ -51,6 +51,10 @@ pub enum AuditAction {
     Open,
     /// The wire version of the fleet was raised.
     RaiseWireVersion,
+    /// Speed limits were set.
+    LimitSpeed,
+    /// Speed limits were cleared.
+    ClearSpeedLimit,
 }
 
 impl fmt::Display for AuditAction {

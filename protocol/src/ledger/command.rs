@@ -8,6 +8,7 @@ use super::map_part::MapPart;
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
 use super::robot_order::{ORDERS_BYTES_MAX, OrderRequest};
 use super::schedule::{Schedule, SchedulePause};
+use super::speed_limit::{SPEED_LIMITS_BYTES_MAX, SpeedLimitChange};
 use super::submission::Submission;
 use crate::auction::AuctionRecord;
 use crate::cause::CauseClass;
@@ -273,7 +274,7 @@ pub enum Command {
         /// The change of the orders, with the person who requests it.
         order: OrderRequest,
     },
-    /// Ends the orders and closures that have expired.
+    /// Ends the orders, closures and speed limits that have expired.
     ExpireOrders {
         /// Time that a majority of the voters confirms, in milliseconds since 1970.
         now_ms: u64,
@@ -292,6 +293,13 @@ pub enum Command {
     },
     /// Passes a promised role to another robot.
     Reassign(Box<Reassignment>),
+    /// Sets or clears speed limits, all or none.
+    ChangeSpeedLimits {
+        /// The zones, places and lanes.
+        parts: BTreeSet<MapPart>,
+        /// The change of the limits, with the person who requests it.
+        order: OrderRequest<SpeedLimitChange>,
+    },
 }
 
 /// Change of the robot of a promised role, after an auction.
@@ -348,6 +356,7 @@ impl Command {
             | Command::ExpireOrders { .. }
             | Command::EndOrders { .. }
             | Command::ChangeClosures { .. }
+            | Command::ChangeSpeedLimits { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,
         }
@@ -531,7 +540,9 @@ pub enum CommandError {
         handled_ms: u64,
     },
     /// The fleet writes a wire version without orders of people.
-    #[error("holds, maintenance and closures need wire version {since}; consort upgrade shows how far the fleet is")]
+    #[error(
+        "holds, maintenance, closures and speed limits need wire version {since}; consort upgrade shows how far the fleet is"
+    )]
     NoOrdersYet {
         /// Wire version since which there are orders.
         since: u8,
@@ -598,6 +609,12 @@ pub enum CommandError {
         /// The role.
         role: RoleId,
     },
+    /// The speed limits exceed their size limit.
+    #[error(
+        "the speed limits would take more than {} bytes; clear some of them first, or give shorter reasons",
+        SPEED_LIMITS_BYTES_MAX
+    )]
+    SpeedLimitsFull,
 }
 
 /// Cause of a release.

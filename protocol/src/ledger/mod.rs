@@ -56,6 +56,7 @@ mod robot_order;
 mod robot_orders;
 mod schedule;
 mod schedules;
+mod speed_limit;
 mod spread;
 mod submission;
 #[cfg(test)]
@@ -76,6 +77,7 @@ pub use person_request::{
 };
 pub use robot_order::{OrderChange, OrderRequest, RobotOrder, RobotOrders};
 pub use schedule::{MissedOccurrences, Occurrence, Schedule, ScheduleEntry, SchedulePause, ScheduleRule};
+pub use speed_limit::{SpeedLimit, SpeedLimitChange};
 pub use submission::{
     DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,
 };

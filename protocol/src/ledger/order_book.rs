@@ -4,6 +4,7 @@ use super::map_part::MapPart;
 use super::robot_order::{RobotOrder, RobotOrders};
 use crate::ids::{RequestId, RobotId};
 use crate::lease::Epoch;
+use crate::units::MetresPerSecond;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, VecDeque};
 
@@ -32,13 +33,15 @@ pub(super) struct Orders {
     pub(super) robots: BTreeMap<RobotId, RobotOrders>,
     /// Closed zones, places and lanes. No zone is contained twice.
     pub(super) closures: BTreeMap<MapPart, RobotOrder>,
+    /// Speed limits in zones, at places and on lanes. No zone is contained twice.
+    pub(super) speed_limits: BTreeMap<MapPart, (MetresPerSecond, RobotOrder)>,
 }
 
 impl Orders {
     /// Checks whether the time of an order has passed.
     pub(super) fn has_expired(&self, now_ms: u64) -> bool {
-        let mut orders = self.robots.values().flat_map(RobotOrders::iter).chain(self.closures.values());
-        orders.any(|order| order.is_over(now_ms))
+        let of_map = self.closures.values().chain(self.speed_limits.values().map(|(_, order)| order));
+        self.robots.values().flat_map(RobotOrders::iter).chain(of_map).any(|order| order.is_over(now_ms))
     }
 
     /// Removes the orders whose time has passed.
@@ -46,5 +49,6 @@ impl Orders {
         self.robots.values_mut().for_each(|orders| orders.expire(now_ms));
         self.robots.retain(|_, orders| !orders.is_empty());
         self.closures.retain(|_, order| !order.is_over(now_ms));
+        self.speed_limits.retain(|_, (_, order)| !order.is_over(now_ms));
     }
 }

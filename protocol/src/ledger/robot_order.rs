@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Maximum encoded size of all orders to robots in bytes. Raised: a snapshot may be too large for every replica.
 pub(super) const ORDERS_BYTES_MAX: usize = 160 * 1024;
 
-/// Request of a person that changes orders: those to robots, or closures.
+/// Request of a person that changes orders: those to robots, closures, or speed limits.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OrderRequest<Change = OrderChange> {
     /// The change.
@@ -82,7 +82,7 @@ impl RobotOrder {
     }
 
     /// Returns the reason after a colon; empty without a reason.
-    fn reason_text(&self) -> String {
+    pub(super) fn reason_text(&self) -> String {
         if self.reason.is_empty() { String::new() } else { format!(": {}", self.reason) }
     }
 

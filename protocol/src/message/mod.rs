@@ -24,10 +24,11 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::{Closure, HeldItem, Ledger, MapPart, RobotOrder, TaskQuestion};
+use crate::ledger::{Closure, HeldItem, Ledger, MapPart, RobotOrder, SpeedLimit, TaskQuestion};
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
+use crate::units::MetresPerSecond;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -211,6 +212,20 @@ pub struct OrdersNotice {
     pub closures: Vec<ClosureNotice>,
     /// Present while people look for an item at the robot: it does not leave its place by itself.
     pub stay: Option<OrderNotice>,
+    /// The speed limits.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+    pub speed_limits: Vec<SpeedLimitNotice>,
+}
+
+/// A speed limit in a zone, at a place or on a lane.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SpeedLimitNotice {
+    /// The zone, place or lane.
+    pub part: MapPart,
+    /// The highest allowed speed.
+    pub speed: MetresPerSecond,
+    /// Time until its end, in milliseconds from the receipt of the message; `None` for no end.
+    pub remaining_ms: Option<u64>,
 }
 
 /// A closed zone, place or lane.
@@ -235,18 +250,20 @@ pub struct OrderNotice {
 }
 
 impl OrdersNotice {
-    /// Checks whether it contains neither orders nor closures, nor a reason to stay.
+    /// Checks whether it contains neither orders, closures nor speed limits, nor a reason to stay.
     pub fn is_empty(&self) -> bool {
-        self.hold.is_none() && self.maintenance.is_none() && self.closures.is_empty() && self.stay.is_none()
+        let OrdersNotice { as_of: _, hold, maintenance, closures, stay, speed_limits } = self;
+        hold.is_none() && maintenance.is_none() && closures.is_empty() && stay.is_none() && speed_limits.is_empty()
     }
 
     /// Returns the orders of a robot. `confirmed_ms` is the time of day that a majority of the voters confirms, in
     /// milliseconds since 1970. Without it the whole period of an order remains: a single wrong clock ends no hold.
     pub fn of(ledger: &Ledger, robot: &RobotId, confirmed_ms: Option<u64>) -> OrdersNotice {
-        let notice = |order: &RobotOrder, text| {
+        let remaining_ms = |order: &RobotOrder| {
             let now_ms = confirmed_ms.unwrap_or(order.since_ms);
-            OrderNotice { text, remaining_ms: order.until_ms.map(|until_ms| until_ms.saturating_sub(now_ms)) }
+            order.until_ms.map(|until_ms| until_ms.saturating_sub(now_ms))
         };
+        let notice = |order: &RobotOrder, text| OrderNotice { text, remaining_ms: remaining_ms(order) };
         let orders = ledger.orders_of(robot);
         let hold = orders.and_then(|orders| orders.hold.as_ref());
         let maintenance = orders.and_then(|orders| orders.maintenance.as_ref());
@@ -268,6 +285,14 @@ impl OrdersNotice {
                 })
                 .collect(),
             stay,
+            speed_limits: ledger
+                .speed_limits()
+                .map(|SpeedLimit { part, speed_mps, order }| SpeedLimitNotice {
+                    part,
+                    speed: speed_mps,
+                    remaining_ms: remaining_ms(&order),
+                })
+                .collect(),
         }
     }
 }

@@ -4,7 +4,7 @@ use super::readable;
 use crate::ensemble::{ExchangedValue, Membership};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskType};
 use crate::knowledge::RobotKnowledge;
-use crate::ledger::{Closure, RobotOrders};
+use crate::ledger::{Closure, RobotOrders, SpeedLimit};
 use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,6 +25,9 @@ pub struct FleetView {
     /// Zones, places and lanes that people have closed; none if the replying node has no ledger.
     #[serde(default, deserialize_with = "readable")]
     pub closures: Vec<Closure>,
+    /// Speed limits that people have set; none if the replying node has no ledger.
+    #[serde(default, deserialize_with = "readable")]
+    pub speed_limits: Vec<SpeedLimit>,
 }
 
 /// A node, as seen by the node that replies.

@@ -10,7 +10,7 @@ use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, R
 use consort_protocol::ledger::{
     AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits,
     MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId, Priority, Reassignment,
-    RecoveryBranch, Schedule, SchedulePause, ScheduleRule, Submission,
+    RecoveryBranch, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -286,6 +286,8 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
         btree_set(name(), 0..3).prop_map(|robots| Command::EndOrders { robots }),
         (btree_set(map_part(), 0..3), order_request(closure_change()))
             .prop_map(|(parts, order)| Command::ChangeClosures { parts, order }),
+        (btree_set(map_part(), 0..3), order_request(speed_limit_change()))
+            .prop_map(|(parts, order)| Command::ChangeSpeedLimits { parts, order }),
         (any::<u8>(), text(), any::<u64>()).prop_map(|(wire, by, at_ms)| Command::RaiseWireVersion { wire, by, at_ms }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
             Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })
@@ -306,6 +308,17 @@ fn closure_change() -> impl Strategy<Value = ClosureChange> {
     prop_oneof![
         (any::<Option<u64>>(), text()).prop_map(|(until_ms, reason)| ClosureChange::Close { until_ms, reason }),
         Just(ClosureChange::Open),
+    ]
+}
+
+fn speed_limit_change() -> impl Strategy<Value = SpeedLimitChange> {
+    prop_oneof![
+        (speed(), any::<Option<u64>>(), text()).prop_map(|(speed, until_ms, reason)| SpeedLimitChange::Set {
+            speed,
+            until_ms,
+            reason
+        }),
+        Just(SpeedLimitChange::Clear),
     ]
 }
 

@@ -6,7 +6,7 @@ use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
 use consort_protocol::ledger::{PersonQuestion, TaskQuestion};
 use consort_protocol::message::{
     AwardNotice, AwardReply, ClosureNotice, FailureKind, OrderNotice, OrdersNotice, QuestionAnswer, Report,
-    ReportReply, TaskFailure,
+    ReportReply, SpeedLimitNotice, TaskFailure,
 };
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
@@ -46,8 +46,21 @@ fn orders() -> impl Strategy<Value = OrdersNotice> {
         order,
         until_ms,
     });
-    (epoch(), option::of(order()), option::of(order()), vec(closure, 0..3), option::of(order())).prop_map(
-        |(as_of, hold, maintenance, closures, stay)| OrdersNotice { as_of, hold, maintenance, closures, stay },
+    let limit = (map_part(), speed(), any::<Option<u64>>()).prop_map(|(part, speed, remaining_ms)| SpeedLimitNotice {
+        part,
+        speed,
+        remaining_ms,
+    });
+    let of_robot = (option::of(order()), option::of(order()), option::of(order()));
+    (epoch(), of_robot, vec(closure, 0..3), vec(limit, 0..3)).prop_map(
+        |(as_of, (hold, maintenance, stay), closures, speed_limits)| OrdersNotice {
+            as_of,
+            hold,
+            maintenance,
+            closures,
+            stay,
+            speed_limits,
+        },
     )
 }
 

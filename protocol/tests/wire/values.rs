@@ -39,6 +39,10 @@ pub(crate) fn cause_class() -> impl Strategy<Value = CauseClass> {
     ]
 }
 
+pub(crate) fn speed() -> impl Strategy<Value = MetresPerSecond> {
+    (0.01..9.0).prop_map(|speed| MetresPerSecond::new(speed).expect("a speed"))
+}
+
 pub(crate) fn map_part() -> impl Strategy<Value = MapPart> {
     prop_oneof![
         (place(), btree_set(place(), 0..3))
@@ -191,7 +195,7 @@ fn charging() -> impl Strategy<Value = Charging> {
 }
 
 pub(crate) fn worker() -> impl Strategy<Value = RobotKnowledge> {
-    let speed = option::of((0.01..9.0).prop_map(|speed| MetresPerSecond::new(speed).expect("a speed")));
+    let speed = option::of(speed());
     let pose = (-1e3..1e3, -1e3..1e3, -4.0..4.0).prop_map(|(x, y, yaw)| Pose::new(x, y, yaw));
     let rate = (0.0..1.0).prop_map(|rate| SharePerSecond::new(rate).expect("a rate"));
     let attributes = btree_map("[a-z_][a-z0-9_]{0,8}", scalar(), 0..3)

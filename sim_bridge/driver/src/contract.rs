@@ -230,8 +230,8 @@ impl Contract {
 }
 
 /// Compares the parameters, the results or the feedback of an action, if the driver states them: every declared
-/// one is offered, with the same type. An error is the place and the problem. The first argument is the key of the
-/// values, and the word for one of them.
+/// one that is not optional is offered, and each has the declared type. An error is the place and the problem. The
+/// first argument is the key of the values, and the word for one of them.
 fn check_values(
     [key, what]: [&str; 2],
     declared: &BTreeMap<String, ParameterForm>,
@@ -249,8 +249,8 @@ fn check_values(
             return Err((place(name), format!("type: the domain declares {kind}")));
         }
     }
-    match declared.keys().find(|name| !offered.contains_key(*name)) {
-        Some(missing) => Err((place(missing), "is missing; the domain declares it".to_owned())),
+    match declared.iter().find(|(name, form)| !form.optional && !offered.contains_key(*name)) {
+        Some((missing, _)) => Err((place(missing), "is missing; the domain declares it".to_owned())),
         None => Ok(()),
     }
 }
@@ -266,7 +266,7 @@ mod tests {
             "domain": "cleaning",
             "actions": {
                 "vacuum": {
-                    "parameters": { "passes": { "type": "integer" } },
+                    "parameters": { "passes": { "type": "integer" }, "speed": { "type": "number", "optional": true } },
                     "results": { "dust_g": { "type": "number" } },
                     "feedback": {
                         "cleaned": { "type": "number", "minimum": 0, "maximum": 1 },
@@ -325,14 +325,16 @@ mod tests {
     fn a_hello_that_differs_from_the_domain_is_rejected_with_its_place() {
         let of = |parameters: Value| check(json!({ "vacuum": { "parameters": parameters } })).unwrap_err();
         assert_eq!(of(json!({})), "hello: actions.vacuum.parameters.passes: is missing; the domain declares it");
+        let without_optional = json!({ "vacuum": { "parameters": { "passes": { "type": "integer" } } } });
+        assert_eq!(check(without_optional), Ok(()), "the driver ignores `speed`");
         assert_eq!(
             of(json!({ "passes": { "type": "text" } })),
             "hello: actions.vacuum.parameters.passes: type: the domain declares \"integer\""
         );
         assert_eq!(
             of(json!({ "pases": { "type": "integer" } })),
-            "hello: actions.vacuum.parameters.pases: the domain declares no such parameter; allowed: passes; did you \
-             mean `passes`?"
+            "hello: actions.vacuum.parameters.pases: the domain declares no such parameter; allowed: passes, speed; did \
+             you mean `passes`?"
         );
         let without_result = check(json!({ "vacuum": { "results": {} } })).unwrap_err();
         assert_eq!(without_result, "hello: actions.vacuum.results.dust_g: is missing; the domain declares it");

@@ -9,6 +9,7 @@ use consort_protocol::knowledge::Attributes;
 use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{EstimateContext, Estimator};
+use consort_skills::environment::SpeedLimits;
 use rand_chacha::ChaCha8Rng;
 
 /// Returns the estimator's context of a robot at its start.
@@ -19,6 +20,7 @@ pub fn start_context(robot: &ScenarioRobot) -> EstimateContext {
         speed: MetresPerSecond::new(robot.speed_mps).expect("scenarios are checked"),
         discharge: SharePerSecond::new(robot.discharge).expect("scenarios are checked"),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     }

@@ -85,7 +85,7 @@ pub fn now() -> Time {
 
 /// Converts the error of a failed drive to a Nav2 result.
 pub fn to_nav2_result(error: &ActionError) -> NavigateResult {
-    let drive = Goal::from(NavigateToPose { pose: Pose::default(), place: None });
+    let drive = Goal::from(NavigateToPose::to(Pose::default(), None));
     let error_code = drive.nav2_code(error.code).expect("Nav2 has this goal");
     NavigateResult { error_code, error_msg: error.to_string() }
 }

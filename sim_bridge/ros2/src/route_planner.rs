@@ -70,7 +70,7 @@ impl RoutePlanner {
             None => waypoints.last_mut().expect("there is a leg").pose.yaw = to.yaw,
         }
         let goal = match waypoints.as_slice() {
-            [Waypoint { pose, place }] => Goal::from(NavigateToPose { pose: *pose, place: place.clone() }),
+            [Waypoint { pose, place }] => Goal::from(NavigateToPose::to(*pose, place.clone())),
             _ => Goal::from(FollowWaypoints { waypoints }),
         };
         Ok(PlannedRoute { goal, last_place, final_pose })
@@ -165,7 +165,7 @@ mod tests {
             let name = place.as_ref().map_or("floor".to_owned(), PlaceId::to_string);
             format!("{name} {} {} {}", pose.x, pose.y, pose.yaw)
         };
-        if let Some(Ok(NavigateToPose { pose, place })) = goal.read() {
+        if let Some(Ok(NavigateToPose { pose, place, .. })) = goal.read() {
             return vec![way(&pose, &place)];
         }
         let FollowWaypoints { waypoints } = goal.read().unwrap().unwrap();
@@ -182,10 +182,7 @@ mod tests {
     #[test]
     fn a_single_leg_or_a_turn_on_the_spot_is_a_single_goal() {
         let planned = planner().plan(&at("A", 0.0, 0.0), Pose::new(10.0, 0.0, 0.5)).unwrap();
-        assert_eq!(
-            planned.goal,
-            Goal::from(NavigateToPose { pose: Pose::new(10.0, 0.0, 0.5), place: Some("B".parse().unwrap()) })
-        );
+        assert_eq!(planned.goal, Goal::from(NavigateToPose::to(Pose::new(10.0, 0.0, 0.5), Some("B".parse().unwrap()))));
         let turned = planner().plan(&at("B", 10.0, 0.0), Pose::new(10.0, 0.0, 3.0)).unwrap();
         assert_eq!(describe_waypoints(&turned.goal), ["B 10 0 3"]);
     }

@@ -6,7 +6,7 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_skills::actions::{Goal, GoalId, GoalStatus, NavigateToPose, RobotBackend};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
-use consort_skills::environment::{Environment, Routes};
+use consort_skills::environment::{Environment, Routes, SpeedLimits};
 use consort_world::map::{self, Map};
 use consort_world::world::{RobotSetup, World, WorldSetup};
 
@@ -39,6 +39,7 @@ fn estimate_s(environment: Environment, from: &str, to: &str, speed: f64) -> f64
         speed: MetresPerSecond::new(speed).unwrap(),
         discharge: SharePerSecond::new(0.0).unwrap(),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     };
@@ -58,7 +59,7 @@ fn drive_s(map: &Map, from: &str, to: &str, speed: f64) -> f64 {
     let routes = Routes::new(&map.topology()).unwrap();
     for (number, leg) in (1..).zip(routes.route(&place(from), &place(to)).unwrap().places.split_off(1)) {
         let pose = map.place(&leg).unwrap().pose;
-        world.start(&ada(), GoalId(number), Goal::from(NavigateToPose { pose, place: Some(leg) }));
+        world.start(&ada(), GoalId(number), Goal::from(NavigateToPose::to(pose, Some(leg))));
         while !world.status(&ada(), GoalId(number)).unwrap().is_final() {
             let due = world.next_due().expect("something is under way");
             world.advance(due);

@@ -247,7 +247,7 @@ mod tests {
             repeatable: true,
             hands_over: Some(false),
         };
-        let navigate = |place| Goal::from(NavigateToPose { pose, place });
+        let navigate = |place| Goal::from(NavigateToPose::to(pose, place));
         vec![
             (
                 navigate(Some("Lab".parse().unwrap())),

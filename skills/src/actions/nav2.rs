@@ -4,7 +4,7 @@ use super::error::ErrorCode;
 use super::goal::{ActionParameters, Goal};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::Seconds;
+use consort_protocol::units::{MetresPerSecond, Seconds};
 use serde::{Deserialize, Serialize};
 
 /// Drive to a pose in a straight line along a leg of a route.
@@ -16,6 +16,16 @@ pub struct NavigateToPose {
     /// The place on the map with this pose, if any.
     #[serde(default)]
     pub place: Option<PlaceId>,
+    /// The highest allowed speed, if people have limited it.
+    #[serde(default)]
+    pub speed_max_mps: Option<MetresPerSecond>,
+}
+
+impl NavigateToPose {
+    /// Returns a drive without a speed limit.
+    pub fn to(pose: Pose, place: Option<PlaceId>) -> NavigateToPose {
+        NavigateToPose { pose, place, speed_max_mps: None }
+    }
 }
 
 /// Drive to poses in turn, each in a straight line along a leg. The goal ends at the first pose

@@ -6,7 +6,7 @@ use consort_protocol::ids::{EnsembleId, PlaceId, RobotId};
 use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::{Scalar, check_named_scalars};
-use consort_protocol::units::{BatteryShare, WorldTime};
+use consort_protocol::units::{BatteryShare, MetresPerSecond, WorldTime};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::collections::BTreeMap;
@@ -70,6 +70,12 @@ pub trait RobotActions {
     fn found_closed(&self) -> Vec<(PlaceId, PlaceId)> {
         let closed = self.telemetry().into_iter().flat_map(|telemetry| &telemetry.closed);
         closed.filter(|lane| !self.closed_by_people().contains(lane)).cloned().collect()
+    }
+
+    /// Returns the speed limit of people for a robot that has passed `from`, on its way to the neighbour `to`.
+    fn speed_limit(&self, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {
+        let _ = (from, to);
+        None
     }
 
     /// Returns the newest value that a member of an ensemble has sent to the others. `None` if it is

@@ -226,7 +226,7 @@ fn upper_normal_quantile(share: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::domain_file::DomainFile;
-    use crate::environment::{Edge, Routes, TopologicalMap};
+    use crate::environment::{Edge, Routes, SpeedLimits, TopologicalMap};
     use consort_protocol::knowledge::Attributes;
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{MetresPerSecond, SharePerSecond};
@@ -295,6 +295,7 @@ mod tests {
             speed: MetresPerSecond::new(0.5).unwrap(),
             discharge: SharePerSecond::new(0.001).unwrap(),
             closed: vec![],
+            limits: SpeedLimits::default(),
             attributes: Attributes::default(),
             readings: None,
         };

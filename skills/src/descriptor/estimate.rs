@@ -1,6 +1,6 @@
 //! Estimates of tasks, and the interface of the descriptors that make them.
 
-use crate::environment::{Environment, MissingDescriptor, RouteError};
+use crate::environment::{Environment, MissingDescriptor, RouteError, SpeedLimits};
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{OtherDomain, TaskSpec};
@@ -22,6 +22,8 @@ pub struct EstimateContext {
     pub discharge: SharePerSecond,
     /// Known closed lanes, each by its two ends; a place twice is a closed place.
     pub closed: Vec<(PlaceId, PlaceId)>,
+    /// Speed limits of people.
+    pub limits: SpeedLimits,
     /// Attributes of the robot.
     pub attributes: Attributes,
     /// Latest readings of its driver, by name. `None` where they do not count: the robot has the task already, or its

@@ -13,7 +13,7 @@
 //! use consort_protocol::mission::TaskSpec;
 //! use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
 //! use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, FixedDuration};
-//! use consort_skills::environment::Environment;
+//! use consort_skills::environment::{Environment, SpeedLimits};
 //!
 //! let estimator = DescriptorRegistry::new()
 //!     .with(FixedDuration::new("wave".parse()?, Seconds::new(4.0)?))
@@ -24,6 +24,7 @@
 //!     speed: MetresPerSecond::new(0.5)?,
 //!     discharge: SharePerSecond::new(0.001)?,
 //!     closed: vec![],
+//!     limits: SpeedLimits::default(),
 //!     attributes: Attributes::default(),
 //!     readings: None,
 //! };

@@ -1,7 +1,7 @@
 //! Pricing on a small map; `tests/published_bids.rs` repeats the published evaluation.
 
 use super::*;
-use crate::environment::{Edge, Environment, Routes, TopologicalMap};
+use crate::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
 use consort_protocol::ids::{PlaceId, RoleId, TaskId, TaskType};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::TaskSpec;
@@ -56,6 +56,7 @@ fn robot(at: &str) -> EstimateContext {
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     }
@@ -116,6 +117,18 @@ fn a_closed_place_is_not_entered_and_may_be_left() {
     let error = estimator().price(&to("B"), &closed("A")).unwrap_err();
     assert_eq!(error.to_string(), "step 0 (go): no route from A to B: the ways between them are closed");
     assert_eq!(estimator().price(&to("C"), &closed("B")), estimator().price(&to("C"), &robot("B")));
+}
+
+#[test]
+fn a_speed_limit_is_priced() {
+    let to_c = plan(vec![doing("to_c", task("navigation", &[("to", "C")]))]);
+    let time = |limit: f64| {
+        let limit = ((place("B"), place("A")), MetresPerSecond::new(limit).unwrap());
+        let robot = EstimateContext { limits: [limit].into_iter().collect(), ..robot("A") };
+        estimator().price(&to_c, &robot).unwrap()[0].time.get()
+    };
+    assert_eq!(time(0.25), 10.0 / 0.25 + 30.0 / 0.5);
+    assert_eq!(time(3.0), 40.0 / 0.5, "the robot is slower");
 }
 
 #[test]

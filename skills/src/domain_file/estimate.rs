@@ -216,8 +216,11 @@ impl DeclaredEstimate {
             Some(pose) => routes.distance_left(&context.place, pose, &to)?,
             None => routes.distance(&context.place, &to)?,
         };
+        let known = environment.find::<Passages>();
+        let limited = (!context.limits.is_empty())
+            .then(|| known.cloned().unwrap_or_default().with_limits(context.limits.clone()));
         // Most maps have no doors, lifts or limits.
-        let time = match environment.find::<Passages>().filter(|passages| !passages.is_empty()) {
+        let time = match limited.as_ref().or(known).filter(|passages| !passages.is_empty()) {
             None => length.at(context.speed),
             Some(passages) => {
                 let pose = context.pose.or(routes.pose(&context.place)).unwrap_or_default();

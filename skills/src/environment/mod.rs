@@ -10,9 +10,11 @@ mod map;
 mod passages;
 mod reference;
 mod routes;
+mod speed_limits;
 
 pub use descriptor::{Environment, EnvironmentDescriptor, MissingDescriptor};
 pub use map::{Edge, MapError, TopologicalMap};
 pub use passages::{Passage, Passages};
 pub use reference::ReferenceMapError;
 pub use routes::{Route, RouteError, Routes};
+pub use speed_limits::SpeedLimits;

@@ -1,6 +1,7 @@
-//! Delays on the way: doors that open, lifts, speed limits.
+//! Delays on the way: doors that open, lifts, speed limits of the map and of people.
 
 use super::descriptor::EnvironmentDescriptor;
+use super::speed_limits::SpeedLimits;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
 use std::collections::BTreeMap;
@@ -12,6 +13,8 @@ use std::collections::BTreeMap;
 pub struct Passages {
     /// Data by start, then by end.
     edges: BTreeMap<PlaceId, BTreeMap<PlaceId, Passage>>,
+    /// Speed limits of people.
+    limits: SpeedLimits,
 }
 
 /// Travel data of an edge.
@@ -40,14 +43,26 @@ impl Passages {
         self
     }
 
+    /// Sets the speed limits of people.
+    #[must_use]
+    pub fn with_limits(self, limits: SpeedLimits) -> Passages {
+        Passages { limits, ..self }
+    }
+
+    /// Returns the speed limits of people.
+    pub(super) fn limits(&self) -> &SpeedLimits {
+        &self.limits
+    }
+
     /// Checks whether there are no data.
     pub fn is_empty(&self) -> bool {
-        self.edges.is_empty()
+        self.edges.is_empty() && self.limits.is_empty()
     }
 
     /// Returns the travel time from a place to its neighbour, over an edge of this length, at this
-    /// speed or the limit.
+    /// speed or the lowest limit.
     pub fn time(&self, from: &PlaceId, to: &PlaceId, length: Metres, speed: MetresPerSecond) -> Seconds {
+        let speed = self.limits.slowed(from, to, speed);
         match self.edges.get(from).and_then(|edges| edges.get(to)) {
             None => length.at(speed),
             Some(Passage::Drive { speed_limit, expected_wait }) => {
@@ -78,6 +93,12 @@ mod tests {
             edges.windows(2).map(|way| passages.time(&way[0], &way[1], Metres::new(5.0).unwrap(), speed(0.5)).get());
         // There are no data for the last edge, from D to A.
         assert_eq!(times.collect::<Vec<_>>(), [23.0, 13.0, 12.0, 10.0]);
+        let limits: SpeedLimits = [((place("D"), place("D")), speed(0.1))].into_iter().collect();
+        let limited = passages.clone().with_limits(limits.clone());
+        let times =
+            edges.windows(2).map(|way| limited.time(&way[0], &way[1], Metres::new(5.0).unwrap(), speed(0.5)).get());
+        assert_eq!(times.collect::<Vec<_>>(), [23.0, 13.0, 12.0, 50.0], "a lift is as fast as before");
         assert!(!passages.is_empty() && Passages::default().is_empty());
+        assert!(!Passages::default().with_limits(limits).is_empty());
     }
 }

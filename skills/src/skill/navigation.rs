@@ -6,6 +6,9 @@
 //!
 //! A drive whose leg people close stops at once, and is planned again from there. If only people close
 //! the last route, the robot waits until they open it.
+//!
+//! The goal of a leg contains the speed limit of people. If they lower it meanwhile, the robot stops, and drives the
+//! rest of the leg as another goal.
 
 use super::context::TaskContext;
 use crate::actions::{self, ActionError, ErrorCode, GoalId, GoalStatus};
@@ -14,6 +17,7 @@ use crate::bt::{
 };
 use crate::environment::{Environment, RouteError, Routes};
 use consort_protocol::ids::PlaceId;
+use consort_protocol::units::MetresPerSecond;
 use std::collections::VecDeque;
 
 pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
@@ -81,17 +85,28 @@ struct NavigateToPose {
     drive: Option<Drive>,
     /// Remaining legs of a detour.
     detour: VecDeque<PlaceId>,
-    /// People have closed the leg: the route is to be planned again.
+    /// People have closed the leg, or lowered its speed limit: the route is to be planned again.
     must_plan: bool,
 }
 
 struct Drive {
     goal: GoalId,
+    /// Place that the robot had passed at the start of the leg.
+    from: PlaceId,
     to: PlaceId,
+    speed_max: Option<MetresPerSecond>,
     /// Closed lanes that the robot reported at the start of the leg.
     known_closed: Vec<(PlaceId, PlaceId)>,
     /// Error of a blocked leg, while the robot's next report may still add a closed lane.
     blocked: Option<ActionError>,
+}
+
+impl Drive {
+    /// Checks whether people have lowered the speed limit since the start of the leg.
+    fn is_too_fast(&self, context: &mut LeafContext<'_, '_>) -> bool {
+        let limit = context.actions().speed_limit(&self.from, &self.to);
+        limit.is_some_and(|limit| self.speed_max.is_none_or(|speed| limit.get() < speed.get()))
+    }
 }
 
 impl NavigateToPose {
@@ -103,9 +118,14 @@ impl NavigateToPose {
             return Ok(NodeStatus::Running);
         }
         let known_closed = closed(context);
-        let goal = actions::NavigateToPose { pose, place: Some(place.clone()) }.into();
-        let goal = context.actions().send_goal(goal);
-        self.drive = Some(Drive { goal, to: place, known_closed, blocked: None });
+        let from = context.actions().telemetry().map_or_else(|| place.clone(), |telemetry| telemetry.place.clone());
+        let speed_max = context.actions().speed_limit(&from, &place);
+        let drive = actions::NavigateToPose {
+            speed_max_mps: speed_max,
+            ..actions::NavigateToPose::to(pose, Some(place.clone()))
+        };
+        let goal = context.actions().send_goal(drive.into());
+        self.drive = Some(Drive { goal, from, to: place, speed_max, known_closed, blocked: None });
         self.follow(context)
     }
 
@@ -115,7 +135,9 @@ impl NavigateToPose {
             return self.take_detour(context, &drive.known_closed, error);
         }
         match context.actions().status(drive.goal) {
-            Some(GoalStatus::Sent | GoalStatus::Executing(_)) if enters_closed(context, &drive.to) => {
+            Some(GoalStatus::Sent | GoalStatus::Executing(_))
+                if enters_closed(context, &drive.to) || drive.is_too_fast(context) =>
+            {
                 context.cancel(drive.goal);
                 self.must_plan = true;
                 Ok(NodeStatus::Running)

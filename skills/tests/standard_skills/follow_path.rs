@@ -5,6 +5,7 @@ use consort_protocol::knowledge::Attributes;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::actions::{Dock, FollowWaypoints, Undock, Waypoint};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
+use consort_skills::environment::SpeedLimits;
 
 fn follow(waypoints: &str) -> TaskSpec {
     task("follow_path", &[("waypoints", waypoints)])
@@ -58,6 +59,7 @@ fn a_path_is_priced_by_its_length_from_where_the_robot_is() {
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     };

@@ -215,3 +215,29 @@ fn a_robot_leaves_a_closed_place() {
     assert_eq!(run(&mut skill(&task("navigation", &[("to", "C")])), &mut driver), succeeded());
     assert_eq!(driver.sent(), ["drive C 20"]);
 }
+
+#[test]
+fn a_leg_is_driven_at_the_speed_limit_of_people() {
+    let mut driver = ScriptedDriver::at("A");
+    driver.limit("C", "B", 0.3);
+    assert_eq!(run(&mut skill(&task("navigation", &[("to", "C")])), &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive B 10", "drive C 20 at 0.3 m/s"]);
+}
+
+#[test]
+fn a_drive_under_way_is_slowed_when_people_lower_the_speed_limit_of_its_leg() {
+    let mut driver = ScriptedDriver::at("A");
+    let mut skill = skill(&task("navigation", &[("to", "C")]));
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    driver.limit("A", "B", 0.5);
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    assert!(driver.is_canceling());
+    driver.complete_cancel();
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    assert_eq!(driver.sent(), ["drive B 10", "drive B 10 at 0.5 m/s"]);
+    driver.limit("A", "B", 0.8);
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    assert!(!driver.is_canceling(), "the leg is driven slower than allowed");
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive B 10", "drive B 10 at 0.5 m/s", "drive C 20"]);
+}

@@ -1,11 +1,12 @@
 //! A robot that follows a script, and otherwise completes every goal.
 
 use super::{PlaceId, Pose, place};
-use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
+use consort_protocol::units::{BatteryShare, Metres, MetresPerSecond, Seconds, WorldTime};
 use consort_skills::actions::{
     ActionError, ErrorCode, Feedback, FollowWaypoints, Goal, GoalId, GoalResult, GoalStatus, NavigateToPose,
     RobotActions, Telemetry, Wait,
 };
+use consort_skills::environment::SpeedLimits;
 use serde_json::Value;
 use std::collections::{BTreeMap, VecDeque};
 
@@ -15,6 +16,8 @@ pub(crate) struct ScriptedDriver {
     telemetry: Telemetry,
     /// Lanes and places that people have closed.
     closed_by_people: Vec<(PlaceId, PlaceId)>,
+    /// Speed limits of people.
+    limits: SpeedLimits,
     /// Results of goals, in order. Later goals succeed.
     script: VecDeque<Result<(), ActionError>>,
     goals: Vec<(Goal, GoalStatus)>,
@@ -42,6 +45,7 @@ impl ScriptedDriver {
         ScriptedDriver {
             telemetry,
             closed_by_people: vec![],
+            limits: SpeedLimits::default(),
             script: VecDeque::new(),
             goals: Vec::new(),
             canceling: None,
@@ -60,6 +64,12 @@ impl ScriptedDriver {
         let lane = (place(a), place(b));
         self.closed_by_people.push(lane.clone());
         self.telemetry.closed.push(lane);
+    }
+
+    /// People limit the speed on a lane, and nowhere else.
+    pub(crate) fn limit(&mut self, a: &str, b: &str, speed: f64) {
+        let speed = MetresPerSecond::new(speed).expect("a speed");
+        self.limits = [((place(a), place(b)), speed)].into_iter().collect();
     }
 
     /// People open all that they have closed.
@@ -83,7 +93,10 @@ impl ScriptedDriver {
             };
             match goal.action.as_str() {
                 "navigate_to_pose" => match goal.read() {
-                    Some(Ok(NavigateToPose { place: Some(place), pose })) => format!("drive {place} {}", pose.x),
+                    Some(Ok(NavigateToPose { place: Some(place), pose, speed_max_mps })) => {
+                        let limit = speed_max_mps.map(|limit| format!(" at {} m/s", limit.get())).unwrap_or_default();
+                        format!("drive {place} {}{limit}", pose.x)
+                    }
                     _ => "drive".to_owned(),
                 },
                 "approach_person" => format!("approach person {}", text("role")),
@@ -124,7 +137,7 @@ impl ScriptedDriver {
                 GoalStatus::Aborted(error)
             }
             Ok(()) => {
-                if let Some(Ok(NavigateToPose { pose, place: Some(place) })) = goal.read() {
+                if let Some(Ok(NavigateToPose { pose, place: Some(place), .. })) = goal.read() {
                     (self.telemetry.pose, self.telemetry.place) = (pose, place);
                 }
                 GoalStatus::succeeded()
@@ -178,6 +191,10 @@ impl RobotActions for ScriptedDriver {
 
     fn telemetry(&self) -> Option<&Telemetry> {
         Some(&self.telemetry)
+    }
+
+    fn speed_limit(&self, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {
+        self.limits.on(from, to)
     }
 
     fn closed_by_people(&self) -> &[(PlaceId, PlaceId)] {

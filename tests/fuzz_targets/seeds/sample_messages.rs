@@ -19,19 +19,20 @@ use consort_protocol::knowledge::{
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
     AnswerContent, Branch, ClosureChange, Command, Ledger, MapPart, MissedOccurrences, OrderChange, OrderRequest,
-    PersonAnswer, PersonQuestion, PersonRequestId, Reassignment, Schedule, SchedulePause, ScheduleRule, TaskQuestion,
+    PersonAnswer, PersonQuestion, PersonRequestId, Reassignment, Schedule, SchedulePause, ScheduleRule,
+    SpeedLimitChange, TaskQuestion, Zone,
 };
 use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope, Exchange,
     FailureKind, FollowedLeader, OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory,
-    TaskFailure,
+    SpeedLimitNotice, TaskFailure,
 };
 use consort_protocol::mission::{Escalation, TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::trust::{Fingerprint, MessageKind, SIGNATURE_BYTES, SignedEnvelope, encode_envelope};
-use consort_protocol::units::{BatteryShare, Energy, Seconds, SharePerSecond};
+use consort_protocol::units::{BatteryShare, Energy, MetresPerSecond, Seconds, SharePerSecond};
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, NavigateToPose};
 use serde::Serialize;
@@ -199,7 +200,7 @@ fn state() -> DriverState {
         "readings": { "bag_full": true, "bag_g": 12.5, "brush": "worn", "passes": 3 },
     });
     let telemetry = serde_json::from_value(telemetry).expect("a report");
-    let goal = Goal::from(NavigateToPose { pose: Pose::new(1.0, 1.0, 0.0), place: None });
+    let goal = Goal::from(NavigateToPose::to(Pose::new(1.0, 1.0, 0.0), None));
     DriverState {
         robot: slug("ada"),
         stamp: StateStamp { boot: 5, sequence: 4 },
@@ -364,6 +365,19 @@ fn ledger_commands() -> Vec<Command> {
                 request: Some(slug("kim-8")),
             },
         },
+        Command::ChangeSpeedLimits {
+            parts: BTreeSet::from([MapPart::Place("IC Room 6".parse().expect("a place"))]),
+            order: OrderRequest {
+                change: SpeedLimitChange::Set {
+                    speed: MetresPerSecond::new(0.3).expect("a speed"),
+                    until_ms: Some(9),
+                    reason: "a spill".to_owned(),
+                },
+                by: "Nia".to_owned(),
+                at_ms: 8,
+                request: Some(slug("kim-9")),
+            },
+        },
     ]
 }
 
@@ -374,7 +388,15 @@ fn orders() -> OrdersNotice {
         order: OrderNotice { text: "closed by Nia: a spill".to_owned(), remaining_ms: Some(600_000) },
         until_ms: Some(700_000),
     }];
-    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None, closures, stay: None }
+    let speed_limits = vec![SpeedLimitNotice {
+        part: MapPart::Zone(Zone {
+            name: "icu".parse().expect("a zone"),
+            places: BTreeSet::from(["IC Room 6".parse().expect("a place")]),
+        }),
+        speed: MetresPerSecond::new(0.3).expect("a speed"),
+        remaining_ms: None,
+    }];
+    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None, closures, stay: None, speed_limits }
 }
 
 fn schedule() -> Schedule {

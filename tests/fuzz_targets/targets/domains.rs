@@ -9,7 +9,7 @@ use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_protocol::yaml;
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
 use consort_skills::domain_file::{DomainFile, DomainForm};
-use consort_skills::environment::Environment;
+use consort_skills::environment::{Environment, SpeedLimits};
 use consort_skills::library::SkillLibrary;
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
@@ -63,6 +63,7 @@ fn use_domain(domain: &DomainFile) {
         speed: MetresPerSecond::new(0.5).expect("a speed"),
         discharge: SharePerSecond::new(0.001).expect("a rate"),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     };

@@ -62,7 +62,7 @@ fn drive_through() -> ActionStep {
 fn go_to_position() -> ActionStep {
     goal("{name} is told to go to position {text}", r#"amber is told to go to position "12.5, 10""#, |_, arguments| {
         let (x, y) = coordinates(arguments.value(1))?;
-        Ok(Goal::from(NavigateToPose { pose: Pose::new(x, y, 0.0), place: None }))
+        Ok(Goal::from(NavigateToPose::to(Pose::new(x, y, 0.0), None)))
     })
 }
 
@@ -191,7 +191,7 @@ fn plan_drive(fixture: &Fixture, robot: &str, to: &str) -> Result<Goal, StepFail
     let legs = routes.legs(&here.place, here.pose, &to).map_err(StepFailure::invalid)?;
     let waypoints = legs.iter().map(|place| waypoint(fixture, place.as_str())).collect::<Result<Vec<_>, _>>()?;
     match <[Waypoint; 1]>::try_from(waypoints) {
-        Ok([Waypoint { pose, place }]) => Ok(Goal::from(NavigateToPose { pose, place })),
+        Ok([Waypoint { pose, place }]) => Ok(Goal::from(NavigateToPose::to(pose, place))),
         Err(waypoints) => Ok(Goal::from(FollowWaypoints { waypoints })),
     }
 }

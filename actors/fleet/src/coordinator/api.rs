@@ -118,6 +118,7 @@ impl ApiHandler {
             ApiCall::Maintenance => self.maintenance(payload).await.map(json),
             ApiCall::Close => self.close(payload).await.map(json),
             ApiCall::Open => self.open(payload).await.map(json),
+            ApiCall::Limit => self.limit(payload).await.map(json),
             ApiCall::Backup => self.backup().await,
             ApiCall::Upgrade => self.upgrade(payload).await.map(json),
             ApiCall::Get

@@ -13,14 +13,7 @@ impl ApiHandler {
     pub(super) async fn close(&self, payload: &[u8]) -> Result<ClosuresReply, ApiError> {
         let CloseRequest { places, lanes, for_s, until, reason, by, request } = parse_request(ApiCall::Close, payload)?;
         let parts = map_parts(places, lanes, &self.domain, &BTreeSet::new())?;
-        let until_ms = match (for_s, until) {
-            (Some(_), Some(_)) => return Err("give `for_s` or `until`, not both".to_owned().into()),
-            (Some(seconds), None) if !(1..=CLOSE_S_MAX).contains(&seconds) => {
-                return Err(format!("for_s is {seconds}; allowed are 1 to {CLOSE_S_MAX}").into());
-            }
-            (Some(seconds), None) => Some(self.time_ms()?.saturating_add(u64::from(seconds) * 1000)),
-            (None, until) => self.end_ms(until)?,
-        };
+        let until_ms = self.end_of_period_ms(for_s, until)?;
         self.change_closures(parts, ClosureChange::Close { until_ms, reason }, by, request).await
     }
 
@@ -30,6 +23,18 @@ impl ApiHandler {
         let closed = self.replica.read(|ledger| ledger.closures().map(|closure| closure.part).collect());
         let parts = map_parts(places, lanes, &self.domain, &closed)?;
         self.change_closures(parts, ClosureChange::Open, by, request).await
+    }
+
+    /// Returns the end of a closure or a speed limit in milliseconds since 1970.
+    pub(super) fn end_of_period_ms(&self, for_s: Option<u32>, until: Option<String>) -> Result<Option<u64>, ApiError> {
+        match (for_s, until) {
+            (Some(_), Some(_)) => Err("give `for_s` or `until`, not both".to_owned().into()),
+            (Some(seconds), None) if !(1..=CLOSE_S_MAX).contains(&seconds) => {
+                Err(format!("for_s is {seconds}; allowed are 1 to {CLOSE_S_MAX}").into())
+            }
+            (Some(seconds), None) => Ok(Some(self.time_ms()?.saturating_add(u64::from(seconds) * 1000))),
+            (None, until) => self.end_ms(until),
+        }
     }
 
     /// Commits a change of closures, and returns those in force.

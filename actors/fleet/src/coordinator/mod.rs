@@ -28,6 +28,7 @@ mod held_roles;
 mod last_known_place;
 mod leader_session;
 mod lease_monitor;
+mod limit_requests;
 mod map_parts;
 mod message;
 #[cfg(test)]

@@ -229,6 +229,11 @@ impl ActivePlan {
         Some(AttemptFailure::new(FailureKind::NoProgress, cause))
     }
 
+    /// Replaces the time limit of the current task.
+    pub(super) fn set_timer(&mut self, timer: TaskTimer) {
+        self.attempt.iter_mut().for_each(|attempt| attempt.timer = timer.clone());
+    }
+
     /// Restarts the time limit of the current task: the robot waits for a person.
     pub(super) fn restart_timer(&mut self) {
         self.attempt.iter_mut().for_each(|attempt| attempt.timer.restart());

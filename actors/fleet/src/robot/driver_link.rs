@@ -4,7 +4,7 @@ use super::energy_check::pricing_context;
 use super::recovery_policy::AttemptFailure;
 use super::release::DriverActivity;
 use super::worker_record::WorkerRecord;
-use crate::robot_driver::{OpenQuestion, RobotDriver};
+use crate::robot_driver::{MapOrders, OpenQuestion, RobotDriver};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
@@ -12,6 +12,7 @@ use consort_protocol::message::FailureKind;
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::{GoalId, RobotActions, Telemetry};
 use consort_skills::descriptor::EstimateContext;
+use consort_skills::environment::SpeedLimits;
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -80,9 +81,14 @@ impl DriverLink {
         self.driver.telemetry()
     }
 
-    /// Sets the lanes and places that people have closed, as of the next [`sense`](DriverLink::sense).
-    pub(super) fn set_closures(&self, closed: Vec<(PlaceId, PlaceId)>) {
-        self.driver.set_closures(closed);
+    /// Sets the orders of people about the map, as of the next [`sense`](DriverLink::sense).
+    pub(super) fn set_map_orders(&self, orders: MapOrders) {
+        self.driver.set_map_orders(orders);
+    }
+
+    /// Returns the speed limits of people.
+    pub(super) fn speed_limits(&self) -> &SpeedLimits {
+        self.driver.speed_limits()
     }
 
     /// Returns the lanes that the driver has found closed, and the lanes and places that people have closed.
@@ -98,7 +104,7 @@ impl DriverLink {
     /// Returns the estimator's input for the robot at its current pose.
     pub(super) fn estimate_context(&self) -> EstimateContext {
         let worker = self.worker();
-        EstimateContext { pose: Some(worker.pose), ..pricing_context(worker, self.closed_lanes()) }
+        EstimateContext { pose: Some(worker.pose), ..pricing_context(worker, self.closed_lanes(), self.speed_limits()) }
     }
 
     /// Returns the place of the robot, if its driver has reported.

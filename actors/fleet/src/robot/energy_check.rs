@@ -8,6 +8,7 @@ use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::plan::LocalPlan;
 use consort_protocol::units::{BatteryShare, MetresPerSecond};
 use consort_skills::descriptor::{EstimateContext, Estimator, PriceError};
+use consort_skills::environment::SpeedLimits;
 
 /// Tolerance below the floor, as a share of a full battery: a bid that was accepted narrowly is not
 /// given back because of a small error of the estimate. The value is a guess: the energy that a
@@ -26,8 +27,7 @@ pub(super) struct EnergyForecast {
 }
 
 impl EnergyForecast {
-    /// Prices the remaining plan from the robot's current pose and charge, avoiding the lanes known
-    /// to be closed.
+    /// Prices the remaining plan in the context of the robot, at its current pose and charge.
     ///
     /// # Errors
     /// [`PriceError`] if a step cannot be priced. The attempt to execute the step then reports the
@@ -36,11 +36,10 @@ impl EnergyForecast {
         estimator: &Estimator,
         rest: &LocalPlan,
         worker: &RobotKnowledge,
-        closed: &[(PlaceId, PlaceId)],
+        context: &EstimateContext,
         limits: &BidLimits,
     ) -> Result<EnergyForecast, PriceError> {
-        let context = EstimateContext { pose: Some(worker.pose), ..pricing_context(worker, closed) };
-        let energy: f64 = estimator.price(rest, &context)?.iter().map(|part| part.energy).sum();
+        let energy: f64 = estimator.price(rest, context)?.iter().map(|part| part.energy).sum();
         let floor = limits.charge_floor(worker.useful_charge);
         Ok(EnergyForecast { remaining: worker.battery.get() - energy, floor })
     }
@@ -55,10 +54,24 @@ impl EnergyForecast {
 }
 
 /// Returns the estimator's input for the robot at its current or last passed place; `closed`
-/// contains the lanes that the driver has found closed, and what people have closed.
-pub(super) fn pricing_context(worker: &RobotKnowledge, closed: &[(PlaceId, PlaceId)]) -> EstimateContext {
+/// contains the lanes that the driver has found closed, and what people have closed. `limits` are the speed limits of
+/// people.
+pub(super) fn pricing_context(
+    worker: &RobotKnowledge,
+    closed: &[(PlaceId, PlaceId)],
+    limits: &SpeedLimits,
+) -> EstimateContext {
     // A robot that does not drive has no navigation task to price, so its speed is irrelevant.
     let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
     let (place, discharge, attributes) = (worker.place.clone(), worker.discharge, worker.attributes.clone());
-    EstimateContext { place, pose: None, speed, discharge, closed: closed.to_vec(), attributes, readings: None }
+    EstimateContext {
+        place,
+        pose: None,
+        speed,
+        discharge,
+        closed: closed.to_vec(),
+        limits: limits.clone(),
+        attributes,
+        readings: None,
+    }
 }

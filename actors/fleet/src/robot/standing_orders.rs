@@ -2,11 +2,12 @@
 //! coordinator follows them until their end.
 
 use crate::recurrence::until_text;
+use crate::robot_driver::MapOrders;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::MapPart;
-use consort_protocol::message::{ClosureNotice, OrderNotice, OrdersNotice};
-use consort_protocol::units::NodeTime;
+use consort_protocol::message::{ClosureNotice, OrderNotice, OrdersNotice, SpeedLimitNotice};
+use consort_protocol::units::{MetresPerSecond, NodeTime};
 use std::time::Duration;
 
 /// Time within which a coordinator that reaches a robot sends its orders. Until then a robot that has started leaves
@@ -30,6 +31,7 @@ pub(super) struct StandingOrders {
     /// Other closures by such a node.
     unconfirmed_closures: Vec<StandingClosure>,
     stay: Option<StandingOrder>,
+    speed_limits: Vec<StandingSpeedLimit>,
     /// Time from which the robot may act without a role.
     acts_alone_from: NodeTime,
 }
@@ -41,24 +43,48 @@ struct StandingClosure {
 }
 
 #[derive(Debug)]
+struct StandingSpeedLimit {
+    part: MapPart,
+    speed: MetresPerSecond,
+    /// End of the limit; `None` for no end.
+    until: Option<NodeTime>,
+}
+
+#[derive(Debug)]
 struct StandingOrder {
     text: String,
     /// End of the order; `None` for no end.
     until: Option<NodeTime>,
 }
 
+/// Returns the end of an order.
+fn end_of(remaining_ms: Option<u64>, now: NodeTime) -> Option<NodeTime> {
+    remaining_ms.map(|remaining_ms| now + Duration::from_millis(remaining_ms))
+}
+
+/// Lets an order end at this time, or before.
+fn end_by(until: &mut Option<NodeTime>, end: NodeTime) {
+    *until = Some(until.map_or(end, |until| until.min(end)));
+}
+
+/// Checks whether an order has not ended.
+fn is_before_end(until: Option<NodeTime>, now: NodeTime) -> bool {
+    until.is_none_or(|until| now < until)
+}
+
 impl StandingOrder {
     fn new(OrderNotice { text, remaining_ms }: OrderNotice, now: NodeTime) -> StandingOrder {
-        StandingOrder { text, until: remaining_ms.map(|remaining_ms| now + Duration::from_millis(remaining_ms)) }
+        StandingOrder { text, until: end_of(remaining_ms, now) }
     }
 
     fn is_in_force(&self, now: NodeTime) -> bool {
-        self.until.is_none_or(|until| now < until)
+        is_before_end(self.until, now)
     }
+}
 
-    /// Lets it end at this time, or before.
-    fn end_by(&mut self, end: NodeTime) {
-        self.until = Some(self.until.map_or(end, |until| until.min(end)));
+impl StandingSpeedLimit {
+    fn new(SpeedLimitNotice { part, speed, remaining_ms }: SpeedLimitNotice, now: NodeTime) -> StandingSpeedLimit {
+        StandingSpeedLimit { part, speed, until: end_of(remaining_ms, now) }
     }
 }
 
@@ -77,19 +103,21 @@ impl StandingOrders {
 
     /// Receives the orders from the coordinator. A notice that is older than the latest has no effect.
     pub(super) fn receive(&mut self, notice: OrdersNotice, now: NodeTime) {
-        let OrdersNotice { as_of, hold, maintenance, closures, stay } = notice;
+        let OrdersNotice { as_of, hold, maintenance, closures, stay, speed_limits } = notice;
         if as_of < self.as_of {
             return;
         }
         let standing = |order: Option<OrderNotice>| order.map(|order| StandingOrder::new(order, now));
         let (hold, maintenance, stay) = (standing(hold), standing(maintenance), standing(stay));
         let closures = closures.into_iter().map(|closure| StandingClosure::new(closure, now)).collect();
+        let speed_limits = speed_limits.into_iter().map(|limit| StandingSpeedLimit::new(limit, now)).collect();
         *self = StandingOrders {
             as_of,
             hold,
             maintenance,
             closures,
             stay,
+            speed_limits,
             acts_alone_from: now,
             ..StandingOrders::default()
         };
@@ -104,7 +132,7 @@ impl StandingOrders {
         let others = notice.closures.iter().filter(is_other).cloned();
         self.unconfirmed_closures = others.map(|closure| StandingClosure::new(closure, now)).collect();
         let of_closures = self.unconfirmed_closures.iter_mut().map(|closure| &mut closure.order);
-        self.unconfirmed_hold.iter_mut().chain(of_closures).for_each(|order| order.end_by(end));
+        self.unconfirmed_hold.iter_mut().chain(of_closures).for_each(|order| end_by(&mut order.until, end));
     }
 
     /// Accepts any position from now on: the ledger of a new leader contains everything that was committed before, and
@@ -124,8 +152,10 @@ impl StandingOrders {
         self.change_session();
         let end = now + FIRST_NOTICE_WAIT;
         let of_closures = self.closures.iter_mut().map(|closure| &mut closure.order);
-        for order in self.hold.iter_mut().chain(&mut self.maintenance).chain(&mut self.stay).chain(of_closures) {
-            order.end_by(end);
+        let orders = self.hold.iter_mut().chain(&mut self.maintenance).chain(&mut self.stay).chain(of_closures);
+        let ends = orders.map(|order| &mut order.until);
+        for until in ends.chain(self.speed_limits.iter_mut().map(|limit| &mut limit.until)) {
+            end_by(until, end);
         }
     }
 
@@ -147,6 +177,16 @@ impl StandingOrders {
     /// Returns the closed lanes by their ends, and each closed place twice, also those of closed zones.
     pub(super) fn closed(&self, now: NodeTime) -> Vec<(PlaceId, PlaceId)> {
         self.closures_in_force(now).flat_map(|closure| closure.part.pairs()).collect()
+    }
+
+    /// Returns the orders about the map.
+    pub(super) fn map_orders(&self, now: NodeTime) -> MapOrders {
+        let limits = self.speed_limits.iter().filter(|limit| is_before_end(limit.until, now));
+        let of_limit = |limit: &StandingSpeedLimit| {
+            let speed = limit.speed;
+            limit.part.pairs().into_iter().map(move |lane| (lane, speed))
+        };
+        MapOrders { closed: self.closed(now), limits: limits.flat_map(of_limit).collect() }
     }
 
     /// Returns the closures, each as `IC Room 6 is closed by Nia: a spill, until 2026-12-31 17:00 UTC`.
@@ -323,6 +363,30 @@ mod tests {
         orders.receive(OrdersNotice { closures, ..notice(5, None) }, at(0));
         assert_eq!(orders.closed(at(0)), [(place("A"), place("A")), (place("B"), place("B"))]);
         assert_eq!(orders.closure_texts(at(0)), ["zone icu is closed by Nia"]);
+    }
+
+    #[test]
+    fn a_speed_limit_lasts_to_its_end_or_to_another_notice() {
+        let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+        let limit = |part, speed, remaining_ms| SpeedLimitNotice {
+            part,
+            speed: MetresPerSecond::new(speed).unwrap(),
+            remaining_ms,
+        };
+        let ward = limit(MapPart::Place(place("Ward")), 0.3, Some(1_000));
+        let lane = limit(MapPart::of_lane(place("B"), place("A")), 0.5, None);
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { speed_limits: vec![ward, lane], ..notice(5, None) }, at(500));
+        let on = |orders: &StandingOrders, from, to, ms| {
+            orders.map_orders(at(ms)).limits.on(&place(from), &place(to)).map(MetresPerSecond::get)
+        };
+        assert_eq!(on(&orders, "Hall", "Ward", 1_499), Some(0.3));
+        assert_eq!(on(&orders, "Hall", "Ward", 1_500), None);
+        assert_eq!(on(&orders, "A", "B", 90_000), Some(0.5));
+        orders.change_cluster(at(90_000));
+        assert_eq!([99_999, 100_000].map(|ms| on(&orders, "A", "B", ms)), [Some(0.5), None], "it had no end");
+        orders.receive(notice(6, None), at(90_500));
+        assert!(orders.map_orders(at(90_500)).limits.is_empty());
     }
 
     #[test]

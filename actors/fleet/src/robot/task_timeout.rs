@@ -117,7 +117,7 @@ mod tests {
     use crate::robot::test_values::idle_robot;
     use consort_protocol::pose::Pose;
     use consort_skills::descriptor::DescriptorRegistry;
-    use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
+    use consort_skills::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
     use std::collections::BTreeMap;
 
     fn task(parameters: &[(&str, &str)]) -> TaskSpec {
@@ -182,7 +182,7 @@ mod tests {
         let drive = serde_json::json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": "Ward" } });
         let drive: TaskSpec = serde_json::from_value(drive).unwrap();
         let is_closed = |by_people: &[(PlaceId, PlaceId)], found: &[(PlaceId, PlaceId)]| {
-            let context = pricing_context(&idle_robot(), &[found, by_people].concat());
+            let context = pricing_context(&idle_robot(), &[found, by_people].concat(), &SpeedLimits::default());
             is_closed_by_people(&estimator, &drive, &context, found.to_vec())
         };
         let (ward, lane) = (vec![(place("Ward"), place("Ward"))], vec![(place("Dock"), place("Ward"))]);

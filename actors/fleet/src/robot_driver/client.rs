@@ -15,8 +15,9 @@ use consort_protocol::ids::{EnsembleId, PlaceId, RobotId};
 use consort_protocol::keys::{DriverCall, Key, Keys};
 use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::scalar::Scalar;
-use consort_protocol::units::NodeTime;
+use consort_protocol::units::{MetresPerSecond, NodeTime};
 use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, RobotActions, Telemetry};
+use consort_skills::environment::SpeedLimits;
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -59,12 +60,21 @@ pub struct RobotDriver {
     /// Values of other members of its ensembles.
     exchanges: SharedExchanges,
     clock: Clock,
-    /// Lanes and places that people have closed, for all clones.
-    closures: Arc<Mutex<Vec<(PlaceId, PlaceId)>>>,
+    /// Orders of people about the map, for all clones.
+    shared_orders: Arc<Mutex<MapOrders>>,
     /// The same as of this clone's last [`refresh`](RobotDriver::refresh).
-    closed_by_people: Vec<(PlaceId, PlaceId)>,
+    orders: MapOrders,
     /// Telemetry as of this clone's last [`refresh`](RobotDriver::refresh), with the closures of people.
     telemetry: Option<Telemetry>,
+}
+
+/// Orders of people about the map.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct MapOrders {
+    /// Closed lanes by their ends, and each closed place twice.
+    pub(crate) closed: Vec<(PlaceId, PlaceId)>,
+    /// Speed limits.
+    pub(crate) limits: SpeedLimits,
 }
 
 /// Message for the driver client.
@@ -118,23 +128,28 @@ impl RobotDriver {
     /// Copies the latest telemetry, which [`RobotActions::telemetry`] then returns.
     pub fn refresh(&mut self) {
         let latest = self.lock().telemetry().cloned();
-        let closed = self.closures().clone();
-        self.closed_by_people = closed;
+        let orders = self.lock_orders().clone();
+        self.orders = orders;
         self.telemetry = latest.map(|mut telemetry| {
-            telemetry.closed.extend(self.closed_by_people.iter().cloned());
+            telemetry.closed.extend(self.orders.closed.iter().cloned());
             telemetry
         });
     }
 
-    /// Sets the lanes and places that people have closed. Each clone uses them from its next
+    /// Sets the orders of people about the map. Each clone uses them from its next
     /// [`refresh`](RobotDriver::refresh) on.
-    pub(crate) fn set_closures(&self, closed: Vec<(PlaceId, PlaceId)>) {
-        *self.closures() = closed;
+    pub(crate) fn set_map_orders(&self, orders: MapOrders) {
+        *self.lock_orders() = orders;
     }
 
-    fn closures(&self) -> MutexGuard<'_, Vec<(PlaceId, PlaceId)>> {
+    /// Returns the speed limits of people.
+    pub(crate) fn speed_limits(&self) -> &SpeedLimits {
+        &self.orders.limits
+    }
+
+    fn lock_orders(&self) -> MutexGuard<'_, MapOrders> {
         // Each write is a single step.
-        self.closures.lock().unwrap_or_else(PoisonError::into_inner)
+        self.shared_orders.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns the latest readings; `None` before the first state.
@@ -233,7 +248,11 @@ impl RobotActions for RobotDriver {
     }
 
     fn closed_by_people(&self) -> &[(PlaceId, PlaceId)] {
-        &self.closed_by_people
+        &self.orders.closed
+    }
+
+    fn speed_limit(&self, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {
+        self.orders.limits.on(from, to)
     }
 
     fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {
@@ -283,8 +302,8 @@ impl Actor for DriverClient {
             question: OpenQuestion::default(),
             exchanges: SharedExchanges::default(),
             clock: settings.clock,
-            closures: Arc::default(),
-            closed_by_people: vec![],
+            shared_orders: Arc::default(),
+            orders: MapOrders::default(),
             telemetry: None,
         };
         let mut tasks = Tasks::default();

@@ -32,6 +32,7 @@ use std::time::Duration;
 /// this time.
 pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(3);
 
+pub(crate) use client::MapOrders;
 pub use client::{DriverClientSettings, RobotDriver};
 pub use messages::{DriverCommand, DriverState, GoalRequest, Permit, PersonCommand, PersonEvent, PersonRequestState};
 pub(crate) use questions::OpenQuestion;

@@ -57,6 +57,7 @@ impl ViewService {
             | ApiCall::Maintenance
             | ApiCall::Close
             | ApiCall::Open
+            | ApiCall::Limit
             | ApiCall::Backup
             | ApiCall::Upgrade => Err(error_reply(format!("{} is served by the coordinator only", call.as_str()))),
         };

@@ -192,7 +192,14 @@ impl ViewContext<'_> {
             .knowledge
             .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
         let closures = self.ledger(|ledger| ledger.closures().collect()).unwrap_or_default();
-        FleetView { cluster: self.views.membership.cluster(), nodes, ensembles: self.ensembles(), closures }
+        let speed_limits = self.ledger(|ledger| ledger.speed_limits().collect()).unwrap_or_default();
+        FleetView {
+            cluster: self.views.membership.cluster(),
+            nodes,
+            ensembles: self.ensembles(),
+            closures,
+            speed_limits,
+        }
     }
 
     fn ensembles(&self) -> Vec<EnsembleView> {

@@ -60,7 +60,7 @@ pub(crate) struct OpenArgs {
 /// Flags for the zones, places and lanes.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = true)]
-struct PartFlags {
+pub(super) struct PartFlags {
     /// Places, as named in the map, or zones, as named in the fleet file
     #[arg(value_name = "PLACE")]
     places: Vec<PlaceId>,
@@ -69,10 +69,16 @@ struct PartFlags {
     lanes: Vec<PlaceId>,
 }
 
+/// The names of zones and places, and the ends of lanes.
+pub(super) struct Places {
+    pub(super) places: BTreeSet<PlaceId>,
+    pub(super) lanes: Vec<(PlaceId, PlaceId)>,
+}
+
 impl PartFlags {
-    fn parts(self) -> (BTreeSet<PlaceId>, Vec<(PlaceId, PlaceId)>) {
-        let lanes = self.lanes.chunks_exact(2).map(|ends| (ends[0].clone(), ends[1].clone()));
-        (self.places.into_iter().collect(), lanes.collect())
+    pub(super) fn places(self) -> Places {
+        let lanes = self.lanes.chunks_exact(2).map(|ends| (ends[0].clone(), ends[1].clone())).collect();
+        Places { places: self.places.into_iter().collect(), lanes }
     }
 }
 
@@ -82,7 +88,7 @@ impl PartFlags {
 /// See [`Client::api`](crate::client::Client::api); [`Failure::Usage`] if the time is too long.
 pub(crate) fn run(args: CloseArgs) -> Result<(), Failure> {
     let CloseArgs { parts, length, until, reason: ReasonFlag { reason }, change } = args;
-    let (places, lanes) = parts.parts();
+    let Places { places, lanes } = parts.places();
     let for_s = length.map(|length| seconds(length, CLOSE_S_MAX)).transpose()?;
     let request = |by, request| CloseRequest { places, lanes, for_s, until, reason, by, request };
     change.send(ApiCall::Close, request, reply_text)
@@ -94,7 +100,7 @@ pub(crate) fn run(args: CloseArgs) -> Result<(), Failure> {
 /// See [`Client::api`](crate::client::Client::api).
 pub(crate) fn open(args: OpenArgs) -> Result<(), Failure> {
     let OpenArgs { parts, change } = args;
-    let (places, lanes) = parts.parts();
+    let Places { places, lanes } = parts.places();
     change.send(ApiCall::Open, |by, request| OpenRequest { places, lanes, by, request }, reply_text)
 }
 

@@ -1,6 +1,7 @@
 //! `consort fleet`: shows the nodes of a fleet, the feedback and the readings of its robots, and its coordinator.
 
 use super::close::closures_text;
+use super::limit::limits_text;
 use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
 use crate::output;
@@ -96,9 +97,9 @@ fn format_fleet(FleetStatus { fleet, coordinator, readings, feedback }: &FleetSt
         row(node, fleet, &coordinator.content).into_iter().chain(orders).chain(values).collect::<Vec<String>>()
     });
     let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
-    let closures = closures_text(&fleet.closures);
-    let closures = if closures.is_empty() { closures } else { format!("\n{closures}") };
-    format!("{}\n{}{closures}", format_coordinator(coordinator), output::table(&rows))
+    let orders = [closures_text(&fleet.closures), limits_text(&fleet.speed_limits)];
+    let orders: String = orders.iter().filter(|text| !text.is_empty()).map(|text| format!("\n{text}")).collect();
+    format!("{}\n{}{orders}", format_coordinator(coordinator), output::table(&rows))
 }
 
 /// Formats values: `dust_g 12.5, door open`.

@@ -22,6 +22,7 @@ pub(crate) mod hold;
 pub mod keys;
 pub mod lab;
 pub mod leave;
+pub(crate) mod limit;
 pub(crate) mod maintenance;
 pub mod map;
 mod mission_action;

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 30] = [
+const COMMANDS: [&str; 31] = [
     "robot",
     "station",
     "world",
@@ -31,6 +31,7 @@ const COMMANDS: [&str; 30] = [
     "audit",
     "close",
     "open",
+    "limit",
 ];
 
 #[test]
@@ -73,6 +74,22 @@ fn closures_need_places_and_a_lane_two_ends() {
         (&["close", "--lane", "IC Room 6"], "2 values required"),
         (&["close", "IC Room 6", "--for", "2d", "--until", "2026-12-31T18:00:00Z"], "cannot be used with"),
         (&["close", "IC Room 6", "--for", "400d"], "--for is longer than 8784 h"),
+    ];
+    for (args, expected) in cases {
+        let ran = run(args);
+        assert_eq!(ran.code, Some(2), "{args:?}: {}", ran.err);
+        assert!(ran.err.contains(expected), "{args:?}: {}", ran.err);
+    }
+}
+
+#[test]
+fn a_speed_limit_needs_a_place_and_a_speed() {
+    let cases: [(&[&str], &str); 5] = [
+        (&["limit", "--speed", "0.3"], "PLACE"),
+        (&["limit", "IC Room 6"], "--speed <M_PER_S>"),
+        (&["limit", "IC Room 6", "--speed", "0"], "0 is not a speed"),
+        (&["limit", "IC Room 6", "--speed", "0.3", "--clear"], "cannot be used with"),
+        (&["limit", "IC Room 6", "--clear", "--reason", "dry"], "cannot be used with"),
     ];
     for (args, expected) in cases {
         let ran = run(args);

@@ -12,8 +12,9 @@ use super::map_part::MapPart;
 use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
 use super::robot_order::{OrderChange, OrderRequest, RobotOrders};
 use super::schedule::SchedulePause;
+use super::speed_limit::{SpeedLimit, SpeedLimitChange};
 use crate::ids::{MissionId, RobotId, ScheduleId};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Request of a person that is about to be executed.
 pub(super) struct AuditedRequest {
@@ -44,7 +45,7 @@ enum SubjectState {
         pause: Option<SchedulePause>,
     },
     /// The orders, not the position of their latest change: an entry of the log may contain two orders.
-    Orders(BTreeMap<RobotId, RobotOrders>, Vec<Closure>),
+    Orders(BTreeMap<RobotId, RobotOrders>, Vec<Closure>, Vec<SpeedLimit>),
     WireVersion(Option<u8>),
 }
 
@@ -91,7 +92,7 @@ impl Ledger {
             }
             Subject::Orders => {
                 let orders = self.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone()));
-                SubjectState::Orders(orders.collect(), self.closures().collect())
+                SubjectState::Orders(orders.collect(), self.closures().collect(), self.speed_limits().collect())
             }
             Subject::WireVersion => SubjectState::WireVersion(self.wire()),
         }
@@ -158,14 +159,23 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
             Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
         }
         Command::ChangeClosures { parts, order: OrderRequest { change, by, at_ms, .. } } => {
-            let names = parts.iter().map(MapPart::to_string).collect::<Vec<_>>().join(", ");
             let (action, details) = match change {
                 ClosureChange::Close { until_ms, reason } => {
                     (AuditAction::Close, period_and_reason(*until_ms, *at_ms, reason))
                 }
                 ClosureChange::Open => (AuditAction::Open, String::new()),
             };
-            Some((Subject::Orders, entry(action, by, *at_ms, names, details)))
+            Some((Subject::Orders, entry(action, by, *at_ms, part_names(parts), details)))
+        }
+        Command::ChangeSpeedLimits { parts, order: OrderRequest { change, by, at_ms, .. } } => {
+            let (action, details) = match change {
+                SpeedLimitChange::Set { speed, until_ms, reason } => {
+                    let terms = period_and_reason(*until_ms, *at_ms, reason);
+                    (AuditAction::LimitSpeed, with_reason(format!("{} m/s", speed.get()), &terms))
+                }
+                SpeedLimitChange::Clear => (AuditAction::ClearSpeedLimit, String::new()),
+            };
+            Some((Subject::Orders, entry(action, by, *at_ms, part_names(parts), details)))
         }
         Command::RaiseWireVersion { wire, by, at_ms } => {
             let entry = plain(AuditAction::RaiseWireVersion, by, *at_ms, format!("wire version {wire}"));
@@ -191,6 +201,10 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         | Command::EndOrders { .. }
         | Command::SetHistoryLimits(_) => None,
     }
+}
+
+fn part_names(parts: &BTreeSet<MapPart>) -> String {
+    parts.iter().map(MapPart::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// Formats an answer: `declined: no time`.

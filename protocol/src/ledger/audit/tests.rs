@@ -3,7 +3,7 @@ use crate::lease::Epoch;
 use crate::ledger::history::HISTORY_SINCE;
 use crate::ledger::test_values::rounds;
 use crate::ledger::{MissedOccurrences, Schedule, ScheduleRule, Submission};
-use std::collections::BTreeSet;
+use crate::units::MetresPerSecond;
 
 fn ledger() -> Ledger {
     let mut ledger = Ledger::default();
@@ -100,6 +100,31 @@ fn closures_are_recorded_with_their_reasons() {
         "100 Nia close Ward A, Ward B – Ward C a spill",
         "150 Nia close Ward A, Ward B – Ward C for 60 s",
         "200 Nia open Ward A, Ward B – Ward C",
+    ];
+    assert_eq!(trail(&ledger), expected);
+}
+
+#[test]
+fn speed_limits_are_recorded_with_their_speeds() {
+    let mut ledger = ledger();
+    let parts = BTreeSet::from([MapPart::Place("Ward A".parse().unwrap())]);
+    let mut change = |change, at_ms| {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms, request: None };
+        apply(&mut ledger, Command::ChangeSpeedLimits { parts: parts.clone(), order });
+    };
+    let set = |until_ms, reason: &str| SpeedLimitChange::Set {
+        speed: MetresPerSecond::new(0.3).unwrap(),
+        until_ms,
+        reason: reason.to_owned(),
+    };
+    change(SpeedLimitChange::Clear, 50);
+    change(set(None, ""), 100);
+    change(set(Some(60_150), "a spill"), 150);
+    change(SpeedLimitChange::Clear, 200);
+    let expected = [
+        "100 Nia limit_speed Ward A 0.3 m/s",
+        "150 Nia limit_speed Ward A 0.3 m/s: for 60 s: a spill",
+        "200 Nia clear_speed_limit Ward A",
     ];
     assert_eq!(trail(&ledger), expected);
 }

@@ -1,7 +1,8 @@
-//! Orders of people in the ledger: hold and maintenance of robots, and closures of zones, places and lanes.
+//! Orders of people in the ledger: hold and maintenance of robots, and closures and speed limits of zones, places and
+//! lanes.
 //!
 //! A held robot stands still and keeps its role. A robot in maintenance finishes its role. Neither gets
-//! another role. No robot enters a closed zone, place or lane. The coordinator sends the orders to the robots, and
+//! another role. No robot enters a closed zone, place or lane, or exceeds a speed limit. The coordinator sends the orders to the robots, and
 //! proposes the end of an order whose time has passed, since a ledger has no clock.
 
 use super::apply::Ledger;
@@ -11,6 +12,7 @@ use super::history::HISTORY_SINCE;
 use super::map_part::MapPart;
 use super::order_book::{ORDER_REQUESTS_MAX, Orders};
 use super::robot_order::{ORDERS_BYTES_MAX, OrderRequest, RobotOrders};
+use super::speed_limit::{SPEED_LIMITS_BYTES_MAX, SpeedLimit, SpeedLimitChange};
 use crate::codec;
 use crate::ids::{RequestId, RobotId};
 use crate::lease::Epoch;
@@ -43,6 +45,12 @@ impl Ledger {
     pub fn closures(&self) -> impl Iterator<Item = Closure> {
         let closures = self.order_book().orders.closures.iter();
         closures.map(|(part, order)| Closure { part: part.clone(), order: order.clone() })
+    }
+
+    /// Returns the speed limits, in the order of zones, places and lanes, and in that of their names.
+    pub fn speed_limits(&self) -> impl Iterator<Item = SpeedLimit> {
+        let limits = self.order_book().orders.speed_limits.iter();
+        limits.map(|(part, (speed, order))| SpeedLimit { part: part.clone(), speed_mps: *speed, order: order.clone() })
     }
 
     /// Checks whether the time of an order has passed.
@@ -80,6 +88,21 @@ impl Ledger {
         })
     }
 
+    /// Sets or clears speed limits, all or none.
+    pub(super) fn change_speed_limits(
+        &mut self,
+        parts: &BTreeSet<MapPart>,
+        order: &OrderRequest<SpeedLimitChange>,
+        at: Epoch,
+    ) -> Result<CommandOutcome, CommandError> {
+        self.change_orders(order.request.as_ref(), at, |orders| {
+            orders.speed_limits.retain(|limited, _| !parts.iter().any(|part| part.is_same(limited)));
+            if let Some(limit) = order.speed_limit() {
+                orders.speed_limits.extend(parts.iter().map(|part| (part.clone(), limit.clone())));
+            }
+        })
+    }
+
     /// Changes the orders on a request. A request with the id of a recent one changes nothing.
     fn change_orders(
         &mut self,
@@ -100,6 +123,9 @@ impl Ledger {
         }
         if size(changed.closures.iter()) > CLOSURES_BYTES_MAX {
             return Err(CommandError::ClosuresFull);
+        }
+        if size(changed.speed_limits.iter()) > SPEED_LIMITS_BYTES_MAX {
+            return Err(CommandError::SpeedLimitsFull);
         }
         self.set_orders(changed, at);
         let requests = &mut self.order_book_mut().requests;

@@ -5,6 +5,7 @@ use crate::ledger::order_book::ORDER_REQUESTS_BYTES_MAX;
 use crate::ledger::test_values::rounds;
 use crate::ledger::{Branch, Command, OrderChange, RobotOrder, Zone};
 use crate::message::OrdersNotice;
+use crate::units::MetresPerSecond;
 use std::collections::BTreeMap;
 
 fn robot(name: &str) -> RobotId {
@@ -44,6 +45,21 @@ impl Log {
     fn change_closures(&mut self, parts: &[MapPart], change: ClosureChange) -> CommandOutcome {
         let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 100, request: None };
         self.apply(Command::ChangeClosures { parts: parts.iter().cloned().collect(), order })
+    }
+
+    fn limit(&mut self, parts: &[MapPart], speed: f64, until_ms: Option<u64>) -> CommandOutcome {
+        let speed = MetresPerSecond::new(speed).unwrap();
+        self.change_speed_limits(parts, SpeedLimitChange::Set { speed, until_ms, reason: "a spill".to_owned() })
+    }
+
+    fn change_speed_limits(&mut self, parts: &[MapPart], change: SpeedLimitChange) -> CommandOutcome {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 100, request: None };
+        self.apply(Command::ChangeSpeedLimits { parts: parts.iter().cloned().collect(), order })
+    }
+
+    /// Returns the speed limits as text.
+    fn speed_limits(&self) -> Vec<String> {
+        self.0.speed_limits().map(|limit| limit.text()).collect()
     }
 
     /// Returns the closed places and lanes as text.
@@ -293,4 +309,40 @@ fn closures_are_limited_in_size_and_need_a_wire_version() {
     let mut before = Log(Ledger::default(), 1);
     let not_yet = CommandOutcome::Refused(CommandError::NoOrdersYet { since: HISTORY_SINCE });
     assert_eq!(before.close(&[ward("A")], None), not_yet);
+}
+
+#[test]
+fn a_speed_limit_holds_until_it_is_cleared_or_its_time_has_passed() {
+    let mut log = Log::new();
+    log.limit(&[ward("A"), ward("B")], 0.5, None);
+    assert_eq!(log.limit(&[ward("A")], 0.3, Some(500)), CommandOutcome::Done);
+    let [a, b] =
+        [("A", 0.3), ("B", 0.5)].map(|(name, speed)| format!("{name} is limited to {speed} m/s by Nia: a spill"));
+    assert_eq!(log.speed_limits(), [a, b.clone()], "the latest limit of a place counts");
+    let notice = OrdersNotice::of(&log.0, &robot("ada"), Some(200));
+    let sent: Vec<_> = notice.speed_limits.iter().map(|limit| (limit.speed.get(), limit.remaining_ms)).collect();
+    assert_eq!(sent, [(0.3, Some(300)), (0.5, None)]);
+    assert!(!notice.is_empty() && log.closed().is_empty());
+    assert!(!log.0.has_order_to_expire(499) && log.0.has_order_to_expire(500));
+    log.apply(Command::ExpireOrders { now_ms: 500 });
+    assert_eq!(log.speed_limits(), [b]);
+    let limited = log.0.orders_changed();
+    log.change_speed_limits(&[ward("C")], SpeedLimitChange::Clear);
+    assert_eq!(log.0.orders_changed(), limited, "it had no limit");
+    log.change_speed_limits(&[ward("B")], SpeedLimitChange::Clear);
+    assert!(log.speed_limits().is_empty() && log.0.orders_changed() > limited);
+}
+
+#[test]
+fn speed_limits_are_limited_in_size_and_need_a_wire_version() {
+    let mut log = Log::new();
+    let mut outcomes = (0..1000).map(|number| log.limit(&[ward(&format!("Ward {number}"))], 0.3, None));
+    assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::SpeedLimitsFull)));
+    let (count, bytes) = (log.speed_limits().len(), size(log.0.order_book().orders.speed_limits.iter()));
+    assert!(count > 50 && bytes <= SPEED_LIMITS_BYTES_MAX, "{count} limits take {bytes} bytes");
+    let notice = codec::encoded_size(&OrdersNotice::of(&log.0, &robot("ada"), Some(100)));
+    assert!(notice <= SPEED_LIMITS_BYTES_MAX * 2, "{notice} bytes");
+    let mut before = Log(Ledger::default(), 1);
+    let not_yet = CommandOutcome::Refused(CommandError::NoOrdersYet { since: HISTORY_SINCE });
+    assert_eq!(before.limit(&[ward("A")], 0.3, None), not_yet);
 }

@@ -102,7 +102,7 @@ mod tests {
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
     use consort_skills::descriptor::DescriptorRegistry;
-    use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
+    use consort_skills::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
 
     fn robot(name: &str) -> RobotId {
         RobotId::new(name).unwrap()
@@ -172,6 +172,7 @@ mod tests {
             speed: MetresPerSecond::new(speed).unwrap(),
             discharge: SharePerSecond::new(0.01).unwrap(),
             closed: vec![],
+            limits: SpeedLimits::default(),
             attributes: Attributes::default(),
             readings: None,
         };

@@ -61,7 +61,7 @@ impl Flight {
 
     fn send(&mut self) {
         for (drone, pose) in &self.targets {
-            self.world.start(drone, GoalId(1), Goal::from(NavigateToPose { pose: *pose, place: None }));
+            self.world.start(drone, GoalId(1), Goal::from(NavigateToPose::to(*pose, None)));
             self.pending.insert(drone.clone());
         }
     }

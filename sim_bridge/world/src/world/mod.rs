@@ -42,7 +42,7 @@
 //!
 //! let place = "Crossing".parse()?;
 //! let pose = world.map().topology().places[&place];
-//! world.start(&ada, GoalId(1), Goal::from(NavigateToPose { pose, place: Some(place) }));
+//! world.start(&ada, GoalId(1), Goal::from(NavigateToPose::to(pose, Some(place))));
 //! while let Some(due) = world.next_due() {
 //!     world.advance(due);
 //! }

@@ -9,6 +9,7 @@ use crate::world::preconditions::action_error;
 use crate::world::sim_state::SimState;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
+use consort_protocol::units::MetresPerSecond;
 use consort_skills::actions::{ActionError, ErrorCode, Waypoint};
 use hecs::Entity;
 
@@ -21,11 +22,13 @@ const SAME_SPOT_M: f64 = 0.1;
 pub(crate) struct DriveTarget {
     pub(crate) pose: Pose,
     pub(crate) place: Option<PlaceId>,
+    /// The highest allowed speed.
+    pub(crate) speed_max: Option<MetresPerSecond>,
 }
 
 impl From<&Waypoint> for DriveTarget {
     fn from(waypoint: &Waypoint) -> DriveTarget {
-        DriveTarget { pose: waypoint.pose, place: waypoint.place.clone() }
+        DriveTarget { pose: waypoint.pose, place: waypoint.place.clone(), speed_max: None }
     }
 }
 
@@ -42,7 +45,7 @@ impl SimState {
     pub(crate) fn plan_leg(
         &self,
         robot: Entity,
-        DriveTarget { pose, place }: &DriveTarget,
+        DriveTarget { pose, place, speed_max }: &DriveTarget,
     ) -> Result<LegPlan, ActionError> {
         let body = &self.get::<SimRobot>(robot).0;
         if !body.mobile {
@@ -72,7 +75,8 @@ impl SimState {
             }
         };
         let (limit, backward) = lane.map_or((None, false), |stretch| self.lane_rules(stretch));
-        let speed_mps = limit.map_or(body.speed.get(), |limit| body.speed.get().min(limit));
+        let limits = limit.into_iter().chain(speed_max.map(MetresPerSecond::get));
+        let speed_mps = limits.fold(body.speed.get(), f64::min);
         let (start_time, profile) = (self.now, TrapezoidProfile::constant_speed(length_m, speed_mps));
         let drive =
             StraightDrive { start_position, start_pose, start_time, end_position, end_pose, profile, lane, backward };

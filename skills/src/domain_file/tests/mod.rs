@@ -5,7 +5,7 @@ mod requirements;
 use super::*;
 use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use crate::descriptor::EstimateContext;
-use crate::environment::{Edge, Environment, Routes, TopologicalMap};
+use crate::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
 use crate::library::SkillStatus;
 use crate::skill::SkillContext;
 use consort_protocol::cause::CauseClass;
@@ -67,6 +67,7 @@ fn robot() -> EstimateContext {
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     }

@@ -231,7 +231,7 @@ impl Routes {
         if stands_there {
             legs.insert(0, passed.clone());
         } else if let Some(first) = legs.first().and_then(|first| self.pose(first)) {
-            time += pose.distance(first).at(speed);
+            time += pose.distance(first).at(passages.limits().slowed(passed, &legs[0], speed));
         }
         for leg in legs.windows(2) {
             let length = self.length(self.index[&leg[0]], self.index[&leg[1]])?;

@@ -112,7 +112,7 @@ impl RobotState {
     /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.
     pub(super) fn follow_orders(&mut self, orders: OrdersNotice, now: NodeTime) {
         self.orders.receive(orders, now);
-        self.driver.set_closures(self.orders.closed(now));
+        self.driver.set_map_orders(self.orders.map_orders(now));
         self.stop_if_held(now);
     }
 

@@ -231,6 +231,7 @@ impl RobotState {
             closed_lanes,
             found_closed: &found_closed,
             closures: &closures,
+            speed_limits: self.driver.speed_limits().clone(),
             readings,
             age_ms,
             membership,

@@ -96,9 +96,23 @@ impl RobotState {
         let period = self.settings.execution.skill_tick_interval;
         let skill_run = SkillRun { run, skill, driver: self.driver.driver(), period, on_end };
         let skill = RunningSkill::start(skill_run, self.myself.get_cell()).await?;
+        Ok((skill, self.task_timer(spec, context)))
+    }
+
+    fn task_timer(&self, spec: &TaskSpec, context: &EstimateContext) -> TaskTimer {
         let estimate = self.settings.pricing.estimator.estimate(spec, context);
         let estimate = estimate.ok().map(|estimate| estimate.time);
-        Ok((skill, TaskTimer::new(&self.settings.execution.task_timeout, spec, estimate)))
+        TaskTimer::new(&self.settings.execution.task_timeout, spec, estimate)
+    }
+
+    /// Gives the task in progress a new time limit, since the speed limits on its way have changed.
+    pub(super) fn renew_timer(&mut self) {
+        let step = self.execution.plan.as_ref().and_then(|active| active.sequencer.current_step());
+        let Some((.., spec)) = step else { return };
+        let timer = self.task_timer(spec, &self.driver.estimate_context());
+        if let Some(active) = &mut self.execution.plan {
+            active.set_timer(timer);
+        }
     }
 
     pub(super) async fn skill_ended(&mut self, run: u64, outcome: SkillOutcome) -> Result<(), ActorProcessingErr> {
@@ -196,8 +210,8 @@ impl RobotState {
             return;
         };
         let PricingSettings { estimator, limits, .. } = &self.settings.pricing;
-        let (rest, closed) = (active.sequencer.remaining_plan(), self.driver.closed_lanes());
-        let forecast = EnergyForecast::new(estimator, &rest, self.driver.worker(), closed, limits);
+        let (rest, context) = (active.sequencer.remaining_plan(), self.driver.estimate_context());
+        let forecast = EnergyForecast::new(estimator, &rest, self.driver.worker(), &context, limits);
         let Some(cause) = forecast.ok().and_then(|forecast| forecast.shortfall()) else { return };
         match active.handle_shortfall(cause) {
             ShortfallEffect::Fail(failure) => {

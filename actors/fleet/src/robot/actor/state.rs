@@ -150,8 +150,13 @@ impl RobotState {
             self.stop_charging();
         }
         let charging = self.charging.as_ref().and_then(ChargeControl::published);
-        self.driver.set_closures(self.orders.closed(now));
-        let Some(worker) = self.driver.sense(holding, problem, charging, now) else { return };
+        let limits = self.driver.speed_limits().clone();
+        self.driver.set_map_orders(self.orders.map_orders(now));
+        let worker = self.driver.sense(holding, problem, charging, now);
+        if *self.driver.speed_limits() != limits {
+            self.renew_timer();
+        }
+        let Some(worker) = worker else { return };
         let worker = self.settings.pricing.ensembles.published(worker);
         if self.settings.links.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {
             debug!(robot = %self.settings.robot, "gossip has stopped");

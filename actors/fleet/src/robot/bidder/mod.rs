@@ -15,7 +15,7 @@ use consort_protocol::scalar::Scalar;
 use consort_protocol::timeline::Travel;
 use consort_protocol::units::{Energy, Seconds};
 use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator, PlanBudget, PriceError};
-use consort_skills::environment::RouteError;
+use consort_skills::environment::{RouteError, SpeedLimits};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -41,6 +41,8 @@ pub struct BidContext<'a> {
     pub found_closed: &'a [(PlaceId, PlaceId)],
     /// The closures of people, as text.
     pub closures: &'a [&'a str],
+    /// Speed limits of people.
+    pub speed_limits: SpeedLimits,
     /// Latest readings of the driver, by name; `None` if conditions on them do not count.
     pub readings: Option<&'a BTreeMap<String, Scalar>>,
     /// Age of that information in milliseconds.
@@ -106,8 +108,17 @@ impl Bidder {
         plan: &LocalPlan,
         context: &BidContext<'_>,
     ) -> Result<Bid, RefusalReason> {
-        let BidContext { worker, closed_lanes, found_closed, closures, readings, age_ms, membership, present } =
-            context;
+        let BidContext {
+            worker,
+            closed_lanes,
+            found_closed,
+            closures,
+            speed_limits,
+            readings,
+            age_ms,
+            membership,
+            present,
+        } = context;
         // A lack of skills outlasts the present work: a mission that only robots without the skill could join fails,
         // and does not wait for them.
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
@@ -136,7 +147,7 @@ impl Bidder {
         }
         let from = present.map_or_else(|| worker.place.clone(), |present| present.ends_at.clone());
         let readings = readings.cloned();
-        let context = EstimateContext { place: from, readings, ..pricing_context(worker, closed_lanes) };
+        let context = EstimateContext { place: from, readings, ..pricing_context(worker, closed_lanes, speed_limits) };
         let budget_from = |context: &EstimateContext| {
             self.estimator.budget(plan, context).map_err(|problem| {
                 // What people have closed may be open later. A problem that is left without their closures counts.

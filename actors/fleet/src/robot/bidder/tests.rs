@@ -4,7 +4,7 @@ use consort_protocol::auction::{AuctionId, Objective, RoleOfMission, Timelines};
 use consort_protocol::pose::Pose;
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::domain_file::DomainFile;
-use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
+use consort_skills::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
 use serde_json::{Value, json};
 
 const WATERING: &str = r#"{
@@ -52,6 +52,7 @@ fn context<'a>(worker: &'a RobotKnowledge, readings: &'a BTreeMap<String, Scalar
         closed_lanes: &[],
         found_closed: &[],
         closures: &[],
+        speed_limits: SpeedLimits::default(),
         readings: Some(readings),
         age_ms: 0,
         membership: Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 },
@@ -129,6 +130,7 @@ fn reply_to_drive(to: &str, found: &[(&str, &str)], chargers: Option<ChargerRese
         closed_lanes: &closed_lanes,
         found_closed: &found_closed,
         closures: &["Ward is closed by Nia"],
+        speed_limits: SpeedLimits::default(),
         ..context(&worker, &readings)
     };
     let spec = json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": to } });

@@ -9,7 +9,7 @@ use consort_protocol::knowledge::{Attributes, Availability, ChargerClaim, Chargi
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
-use consort_skills::environment::{Edge, Environment, Passages, Routes, TopologicalMap};
+use consort_skills::environment::{Edge, Environment, Passages, Routes, SpeedLimits, TopologicalMap};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -316,6 +316,7 @@ fn context(at_place: &str) -> EstimateContext {
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     }

@@ -166,7 +166,7 @@ impl Nav2Driver {
             Err(ActionError::new(ErrorCode::Unknown, message))
         };
         if let Some(drive) = goal.read() {
-            let NavigateToPose { pose, place } = drive?;
+            let NavigateToPose { pose, place, .. } = drive?;
             return Ok(self.drive(Waypoint { pose, place }, VecDeque::new()));
         }
         if let Some(follow) = goal.read() {

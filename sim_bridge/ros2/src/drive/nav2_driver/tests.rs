@@ -33,7 +33,7 @@ impl DriverTest {
 
     fn go(&mut self, id: u64, name: &str) {
         let Waypoint { pose, place } = self.to(name);
-        self.driver.start(&ada(), GoalId(id), Goal::from(NavigateToPose { pose, place }));
+        self.driver.start(&ada(), GoalId(id), Goal::from(NavigateToPose::to(pose, place)));
     }
 
     fn sent_commands(&mut self) -> Vec<Nav2Command> {

@@ -123,7 +123,7 @@ fn a_robot_turns_on_the_spot() {
 fn waypoints_are_followed_one_after_the_other_through_doors() {
     let mut world = World::new(yard().robot(carrier("r1", "Charger"))).unwrap();
     let stop = |world: &World, name: &str| {
-        let NavigateToPose { pose, place } = drive_goal(world, name).read().unwrap().unwrap();
+        let NavigateToPose { pose, place, .. } = drive_goal(world, name).read().unwrap().unwrap();
         Waypoint { pose, place }
     };
     let waypoints = ["Gate", "Far", "Gate"].map(|name| stop(&world, name)).into();

@@ -2,7 +2,7 @@
 
 use super::*;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::Metres;
+use consort_protocol::units::{Metres, MetresPerSecond};
 use consort_skills::actions::{Feedback, NavigateToPose, Wait};
 
 fn two_places(dx: f64, dy: f64) -> Map {
@@ -28,6 +28,18 @@ fn a_leg_takes_its_length_over_the_speed_in_every_direction() {
 }
 
 #[test]
+fn a_drive_does_not_exceed_the_speed_limit_of_its_goal() {
+    for (limit, expected_s) in [(0.25, 20.0), (2.0, 10.0)] {
+        let mut world = World::new(WorldSetup::new(two_places(5.0, 0.0), 1).robot(carrier("r1", "A"))).unwrap();
+        let pose = world.map().place(&place("B")).unwrap().pose;
+        let speed_max_mps = Some(MetresPerSecond::new(limit).unwrap());
+        let goal = NavigateToPose { speed_max_mps, ..NavigateToPose::to(pose, Some(place("B"))) };
+        world.start(&robot("r1"), GoalId(1), Goal::from(goal));
+        assert_eq!(world.next_due(), Some(at(expected_s)), "{limit} m/s");
+    }
+}
+
+#[test]
 fn feedback_counts_down_and_the_end_is_reported_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
     let goal = drive_goal(&world, "Laboratory Corridor");
@@ -47,15 +59,15 @@ fn a_goal_without_a_lane_is_rejected() {
     let goal = drive_goal(&world, "Dock");
     let status = rejected_status(&mut world, "r1", 1, goal);
     assert_eq!(status, aborted(ErrorCode::NoRoute, "no lane from Laboratory to Dock"));
-    let goal = Goal::from(NavigateToPose { pose: Pose::default(), place: Some(place("Labratory")) });
+    let goal = Goal::from(NavigateToPose::to(Pose::default(), Some(place("Labratory"))));
     let status = rejected_status(&mut world, "r1", 2, goal);
     let message = "there is no place \"Labratory\" here; did you mean \"Laboratory\"?";
     assert_eq!(status, aborted(ErrorCode::Unknown, message));
-    let goal = Goal::from(NavigateToPose { pose: Pose::default(), place: Some(place("Laboratory Corridor")) });
+    let goal = Goal::from(NavigateToPose::to(Pose::default(), Some(place("Laboratory Corridor"))));
     let status = rejected_status(&mut world, "r1", 3, goal);
     let message = "Laboratory Corridor is at (13.5, 7) on this map, not at (0, 0)";
     assert_eq!(status, aborted(ErrorCode::Unknown, message));
-    let goal = Goal::from(NavigateToPose { pose: Pose::new(f64::NAN, 0.0, 0.0), place: None });
+    let goal = Goal::from(NavigateToPose::to(Pose::new(f64::NAN, 0.0, 0.0), None));
     let status = rejected_status(&mut world, "r1", 4, goal);
     let message = "the parameters do not fit the action navigate_to_pose: invalid type: null, expected f64";
     assert_eq!(status, aborted(ErrorCode::Unknown, message));
@@ -113,7 +125,7 @@ fn a_one_way_lane_is_not_driven_back() {
 #[test]
 fn a_robot_off_the_lanes_returns_to_the_last_place() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
-    run_to_success(&mut world, "r1", 1, Goal::from(NavigateToPose { pose: Pose::new(9.0, 6.5, 0.0), place: None }));
+    run_to_success(&mut world, "r1", 1, Goal::from(NavigateToPose::to(Pose::new(9.0, 6.5, 0.0), None)));
     assert_eq!(world.now(), at(10.0));
     let goal = drive_goal(&world, "Crossing");
     let message = "no lane to Crossing from off the lanes near Dock: the way back is to Dock";

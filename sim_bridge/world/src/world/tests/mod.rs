@@ -69,7 +69,7 @@ fn logged<T>(world: &mut World, of: impl Fn(&WorldEvent) -> Option<T>) -> Vec<(f
 }
 
 fn drive_goal(world: &World, to: &str) -> Goal {
-    Goal::from(NavigateToPose { pose: world.map().place(&place(to)).unwrap().pose, place: Some(place(to)) })
+    Goal::from(NavigateToPose::to(world.map().place(&place(to)).unwrap().pose, Some(place(to))))
 }
 
 fn ended(name: &str, goal: u64, status: GoalStatus) -> BackendEvent {

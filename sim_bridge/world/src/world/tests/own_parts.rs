@@ -114,7 +114,7 @@ fn a_program_adds_systems_and_chassis() {
     let mut world = World::new(setup("teleporter", 5.0)).unwrap();
     let place: consort_protocol::ids::PlaceId = "Crossing".parse().unwrap();
     let pose = world.map().topology().places[&place];
-    world.start(&robot("r1"), GoalId(1), Goal::from(NavigateToPose { pose, place: Some(place) }));
+    world.start(&robot("r1"), GoalId(1), Goal::from(NavigateToPose::to(pose, Some(place))));
     assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::succeeded());
     assert!(world.now().as_secs() < 1.0, "it was there at once");
     world.advance(WorldTime::from_secs(5.5));

@@ -33,9 +33,8 @@ fn stage(seed: u64) -> World {
 fn goals() -> impl Strategy<Value = Goal> {
     let map = map::shipped("hospital").unwrap();
     let near = ["PC Room 1", "PC Corridor 1", "Laboratory Corridor", "Laboratory"];
-    let near = near.map(|name| {
-        Goal::from(NavigateToPose { pose: map.place(&place(name)).unwrap().pose, place: Some(place(name)) })
-    });
+    let near =
+        near.map(|name| Goal::from(NavigateToPose::to(map.place(&place(name)).unwrap().pose, Some(place(name)))));
     let other = prop::sample::select(ROBOTS.to_vec());
     prop_oneof![
         4 => prop::sample::select(near.to_vec()),

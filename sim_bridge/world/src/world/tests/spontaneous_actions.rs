@@ -162,11 +162,7 @@ fn a_request_waits_on_if_the_robot_left_before_the_return() {
     world.request_person(GoalId(7), deposit("r1"));
     let there = world.map().place(&place("PC Corridor 2")).map(|place| place.pose);
     let there = there.expect("on the map");
-    world.start(
-        &robot("r1"),
-        GoalId(4),
-        Goal::from(NavigateToPose { pose: there, place: Some(place("PC Corridor 2")) }),
-    );
+    world.start(&robot("r1"), GoalId(4), Goal::from(NavigateToPose::to(there, Some(place("PC Corridor 2")))));
     let ended = until(&mut world, 200.0);
     assert!(
         !ended.iter().any(|(_, event)| matches!(event, BackendEvent::PersonRequestEnded { .. })),

@@ -199,8 +199,7 @@ fn a_steered_robot_keeps_limits_and_drives_backward() {
         let setup =
             WorldSetup::new(map::read(text, "two.yaml").unwrap(), 1).robot(steered("r1", "A", kinematics.clone()));
         let mut world = World::new(setup).unwrap();
-        let goal =
-            Goal::from(NavigateToPose { pose: Pose::new(10.0, 0.0, std::f64::consts::PI), place: Some(place("B")) });
+        let goal = Goal::from(NavigateToPose::to(Pose::new(10.0, 0.0, std::f64::consts::PI), Some(place("B"))));
         world.start(&robot("r1"), GoalId(1), goal);
         let (mut before, mut fastest) = (pose_of(&world, "r1"), 0.0_f64);
         while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {

@@ -1,5 +1,5 @@
-//! Driving to a pose in a straight line, at the robot's speed or the lane's limit, equally fast in
-//! every direction; and riding lifts between places without a lane.
+//! Driving to a pose in a straight line, at the robot's speed or the lower limit of the lane or the goal, equally fast
+//! in every direction; and riding lifts between places without a lane.
 //!
 //! A position is computed from the last departure, and the next point of interest is an entry in
 //! the queue, so a driving robot costs nothing. Robots may pass through each other. Doors, lifts
@@ -76,7 +76,9 @@ impl System for Driving {
     }
 
     fn begin_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let single = |NavigateToPose { pose, place }| VecDeque::from([DriveTarget { pose, place }]);
+        let single = |NavigateToPose { pose, place, speed_max_mps: speed_max }| {
+            VecDeque::from([DriveTarget { pose, place, speed_max }])
+        };
         let several = |FollowWaypoints { waypoints }| waypoints.iter().map(DriveTarget::from).collect();
         let targets = goal.read().map(|goal| goal.map(single)).or_else(|| goal.read().map(|goal| goal.map(several)))?;
         let mut targets: VecDeque<DriveTarget> = match targets {
