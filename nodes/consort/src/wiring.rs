@@ -123,7 +123,8 @@ pub(crate) struct SkillResources {
 /// coordinator accepts missions to its places only, and the fleet's missions.
 ///
 /// # Errors
-/// [`Diagnostics`] of the ensembles, of the map, of zones, of trees that read what no ensemble exchanges, or of the missions.
+/// [`Diagnostics`] of the ensembles, of the map, of zones, of trees that read what no ensemble exchanges, or of the
+/// missions.
 pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
     let floor = map_loader::load(&config.map)?;
     let charging = match &config.charging {

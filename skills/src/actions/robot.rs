@@ -1,6 +1,7 @@
 //! The side of the skills: telemetry and actions of a robot.
 
 use super::goal::{Goal, GoalId, GoalResult, GoalStatus};
+use crate::environment::SpeedLimits;
 use consort_protocol::ensemble::ExchangedValue;
 use consort_protocol::ids::{EnsembleId, PlaceId, RobotId};
 use consort_protocol::ledger::PersonQuestion;
@@ -72,9 +73,13 @@ pub trait RobotActions {
         closed.filter(|lane| !self.closed_by_people().contains(lane)).cloned().collect()
     }
 
-    /// Returns the speed limit of people for a robot that has passed `from`, on its way to the neighbour `to`.
-    fn speed_limit(&self, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {
-        let _ = (from, to);
+    /// Returns the average speed of the robot without limits; `None` if it does not drive, or is not known.
+    fn speed(&self) -> Option<MetresPerSecond> {
+        None
+    }
+
+    /// Returns the speed limits of people; `None` without any.
+    fn speed_limits(&self) -> Option<&SpeedLimits> {
         None
     }
 

@@ -211,7 +211,9 @@ impl DeclaredEstimate {
             let length = length_along(context.pose.or(routes.pose(&context.place)), &points);
             return Ok(Drive { length, time: length.at(context.speed) });
         }
-        let (to, routes) = (self.parsed(task, name, str::parse::<PlaceId>)?, routes.without_closed(&context.closed));
+        let to = self.parsed(task, name, str::parse::<PlaceId>)?;
+        let open = routes.without_closed(&context.closed);
+        let routes = open.limited(&context.limits, context.speed);
         let length = match context.pose {
             Some(pose) => routes.distance_left(&context.place, pose, &to)?,
             None => routes.distance(&context.place, &to)?,

@@ -18,6 +18,7 @@ use crate::bt::{
 use crate::environment::{Environment, RouteError, Routes};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::MetresPerSecond;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 
 pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
@@ -49,7 +50,13 @@ fn legs(
 ) -> Result<Option<Vec<PlaceId>>, Cause> {
     let Some(telemetry) = context.actions().telemetry() else { return Ok(None) };
     let (telemetry, routes) = (telemetry.clone(), routes(environment)?);
-    let legs = |closed: &[(PlaceId, PlaceId)]| routes.without_closed(closed).legs(&telemetry.place, telemetry.pose, to);
+    let limits = context.actions().speed_limits().cloned().unwrap_or_default();
+    let speed = context.actions().speed();
+    let legs = |closed: &[(PlaceId, PlaceId)]| {
+        let open = routes.without_closed(closed);
+        let routes = speed.map_or(Cow::Borrowed(&*open), |speed| open.limited(&limits, speed));
+        routes.legs(&telemetry.place, telemetry.pose, to)
+    };
     match legs(&telemetry.closed) {
         Err(RouteError::Closed { .. }) if legs(&context.actions().found_closed()).is_ok() => Ok(None),
         legs => legs.map(Some).map_err(|error| Cause::new(error.to_string())),
@@ -104,7 +111,7 @@ struct Drive {
 impl Drive {
     /// Checks whether people have lowered the speed limit since the start of the leg.
     fn is_too_fast(&self, context: &mut LeafContext<'_, '_>) -> bool {
-        let limit = context.actions().speed_limit(&self.from, &self.to);
+        let limit = speed_limit(context, &self.from, &self.to);
         limit.is_some_and(|limit| self.speed_max.is_none_or(|speed| limit.get() < speed.get()))
     }
 }
@@ -119,7 +126,7 @@ impl NavigateToPose {
         }
         let known_closed = closed(context);
         let from = context.actions().telemetry().map_or_else(|| place.clone(), |telemetry| telemetry.place.clone());
-        let speed_max = context.actions().speed_limit(&from, &place);
+        let speed_max = speed_limit(context, &from, &place);
         let drive = actions::NavigateToPose {
             speed_max_mps: speed_max,
             ..actions::NavigateToPose::to(pose, Some(place.clone()))
@@ -239,6 +246,11 @@ impl Leaf for NavigateToPose {
 fn enters_closed(context: &mut LeafContext<'_, '_>, to: &PlaceId) -> bool {
     let Some(from) = context.actions().telemetry().map(|telemetry| telemetry.place.clone()) else { return false };
     Routes::enters_closed(context.actions().closed_by_people(), &from, to)
+}
+
+/// Returns the speed limit of people for a robot that has passed `from`, on its way to the neighbour `to`.
+fn speed_limit(context: &mut LeafContext<'_, '_>, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {
+    context.actions().speed_limits().and_then(|limits| limits.on(from, to))
 }
 
 fn closed(context: &mut LeafContext<'_, '_>) -> Vec<(PlaceId, PlaceId)> {

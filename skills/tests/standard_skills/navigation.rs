@@ -225,6 +225,15 @@ fn a_leg_is_driven_at_the_speed_limit_of_people() {
 }
 
 #[test]
+fn a_drive_takes_a_faster_route_around_a_slow_lane() {
+    let mut driver = ScriptedDriver::at("A");
+    driver.limit("B", "C", 0.1);
+    let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive E 15", "drive C 20"], "60 s at 1 m/s, not 110 s");
+}
+
+#[test]
 fn a_drive_under_way_is_slowed_when_people_lower_the_speed_limit_of_its_leg() {
     let mut driver = ScriptedDriver::at("A");
     let mut skill = skill(&task("navigation", &[("to", "C")]));

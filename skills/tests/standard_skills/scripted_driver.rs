@@ -193,8 +193,12 @@ impl RobotActions for ScriptedDriver {
         Some(&self.telemetry)
     }
 
-    fn speed_limit(&self, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {
-        self.limits.on(from, to)
+    fn speed(&self) -> Option<MetresPerSecond> {
+        MetresPerSecond::new(1.0).ok()
+    }
+
+    fn speed_limits(&self) -> Option<&SpeedLimits> {
+        Some(&self.limits)
     }
 
     fn closed_by_people(&self) -> &[(PlaceId, PlaceId)] {

@@ -231,7 +231,9 @@ impl ActivePlan {
 
     /// Replaces the time limit of the current task.
     pub(super) fn set_timer(&mut self, timer: TaskTimer) {
-        self.attempt.iter_mut().for_each(|attempt| attempt.timer = timer.clone());
+        if let Some(attempt) = &mut self.attempt {
+            attempt.timer = timer;
+        }
     }
 
     /// Restarts the time limit of the current task: the robot waits for a person.

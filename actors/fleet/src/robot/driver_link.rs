@@ -83,12 +83,12 @@ impl DriverLink {
 
     /// Sets the orders of people about the map, as of the next [`sense`](DriverLink::sense).
     pub(super) fn set_map_orders(&self, orders: MapOrders) {
-        self.driver.set_map_orders(orders);
+        self.driver.set_map_orders(MapOrders { speed: self.worker().speed, ..orders });
     }
 
     /// Returns the speed limits of people.
-    pub(super) fn speed_limits(&self) -> &SpeedLimits {
-        self.driver.speed_limits()
+    pub(super) fn speed_limits(&self) -> SpeedLimits {
+        self.driver.speed_limits().cloned().unwrap_or_default()
     }
 
     /// Returns the lanes that the driver has found closed, and the lanes and places that people have closed.
@@ -104,7 +104,10 @@ impl DriverLink {
     /// Returns the estimator's input for the robot at its current pose.
     pub(super) fn estimate_context(&self) -> EstimateContext {
         let worker = self.worker();
-        EstimateContext { pose: Some(worker.pose), ..pricing_context(worker, self.closed_lanes(), self.speed_limits()) }
+        EstimateContext {
+            pose: Some(worker.pose),
+            ..pricing_context(worker, self.closed_lanes(), &self.speed_limits())
+        }
     }
 
     /// Returns the place of the robot, if its driver has reported.

@@ -186,7 +186,7 @@ impl StandingOrders {
             let speed = limit.speed;
             limit.part.pairs().into_iter().map(move |lane| (lane, speed))
         };
-        MapOrders { closed: self.closed(now), limits: limits.flat_map(of_limit).collect() }
+        MapOrders { closed: self.closed(now), limits: limits.flat_map(of_limit).collect(), speed: None }
     }
 
     /// Returns the closures, each as `IC Room 6 is closed by Nia: a spill, until 2026-12-31 17:00 UTC`.

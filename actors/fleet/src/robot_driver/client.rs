@@ -68,13 +68,15 @@ pub struct RobotDriver {
     telemetry: Option<Telemetry>,
 }
 
-/// Orders of people about the map.
+/// Orders of people about the map, for the routes of the robot.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct MapOrders {
     /// Closed lanes by their ends, and each closed place twice.
     pub(crate) closed: Vec<(PlaceId, PlaceId)>,
     /// Speed limits.
     pub(crate) limits: SpeedLimits,
+    /// Average speed of the robot without limits.
+    pub(crate) speed: Option<MetresPerSecond>,
 }
 
 /// Message for the driver client.
@@ -140,11 +142,6 @@ impl RobotDriver {
     /// [`refresh`](RobotDriver::refresh) on.
     pub(crate) fn set_map_orders(&self, orders: MapOrders) {
         *self.lock_orders() = orders;
-    }
-
-    /// Returns the speed limits of people.
-    pub(crate) fn speed_limits(&self) -> &SpeedLimits {
-        &self.orders.limits
     }
 
     fn lock_orders(&self) -> MutexGuard<'_, MapOrders> {
@@ -251,8 +248,12 @@ impl RobotActions for RobotDriver {
         &self.orders.closed
     }
 
-    fn speed_limit(&self, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {
-        self.orders.limits.on(from, to)
+    fn speed(&self) -> Option<MetresPerSecond> {
+        self.orders.speed
+    }
+
+    fn speed_limits(&self) -> Option<&SpeedLimits> {
+        Some(&self.orders.limits)
     }
 
     fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {

@@ -95,7 +95,7 @@ pub struct FleetConfig {
     /// Charging by the robots themselves. Default: none, and robots charge by tasks of missions only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub charging: Option<ChargingConfig>,
-    /// Zones: names for places that people hold, close and open together, as `icu = ["IC Room 5", "IC Room 6"]`. A zone has
+    /// Zones: names for places to which people give orders together, as `icu = ["IC Room 5", "IC Room 6"]`. A zone has
     /// another name than each place. Default: none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub zones: BTreeMap<ZoneId, BTreeSet<PlaceId>>,

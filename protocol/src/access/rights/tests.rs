@@ -23,7 +23,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 40] = [
+const TABLE: [(&str, [&str; 3]); 41] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
@@ -58,6 +58,7 @@ const TABLE: [(&str, [&str; 3]); 40] = [
     ("api/maintenance", ["", "", "vV"]),
     ("api/close", ["", "", "vV"]),
     ("api/open", ["", "", "vV"]),
+    ("api/limit", ["", "", "vV"]),
     ("api/resolve", ["", "", "vV"]),
     ("api/backup", ["", "", "vV"]),
     ("api/explain", ["", "", ANY]),

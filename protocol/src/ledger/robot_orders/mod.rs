@@ -2,8 +2,8 @@
 //! lanes.
 //!
 //! A held robot stands still and keeps its role. A robot in maintenance finishes its role. Neither gets
-//! another role. No robot enters a closed zone, place or lane, or exceeds a speed limit. The coordinator sends the orders to the robots, and
-//! proposes the end of an order whose time has passed, since a ledger has no clock.
+//! another role. No robot enters a closed zone, place or lane, or exceeds a speed limit. The coordinator sends
+//! the orders to the robots, and proposes the end of an order whose time has passed, since a ledger has no clock.
 
 use super::apply::Ledger;
 use super::closure::{CLOSURES_BYTES_MAX, Closure, ClosureChange};

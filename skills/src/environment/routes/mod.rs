@@ -1,4 +1,4 @@
-//! Shortest routes on a topological map (Dijkstra 1959).
+//! Shortest routes on a topological map (Dijkstra 1959), or the fastest under speed limits of people.
 //!
 //! Distances are stored by destination. The first query for a destination runs a search over the
 //! map; every later query, from any start, is a look-up. If a thousand robots price a drive to the
@@ -7,11 +7,12 @@
 use super::descriptor::EnvironmentDescriptor;
 use super::map::{MapError, TopologicalMap};
 use super::passages::Passages;
+use super::speed_limits::SpeedLimits;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
 use petgraph::algo::dijkstra;
-use petgraph::graph::{DiGraph, EdgeReference, NodeIndex};
+use petgraph::graph::{DiGraph, EdgeIndex, EdgeReference, NodeIndex};
 use petgraph::visit::{EdgeRef, Reversed};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,12 +27,14 @@ pub(crate) const TOLERANCE_M: f64 = 0.25;
 pub struct Routes {
     graph: DiGraph<(PlaceId, Pose), f64>,
     index: BTreeMap<PlaceId, NodeIndex>,
-    /// Distances from every node in metres, by destination; infinite without a route.
-    distances: Vec<OnceLock<Vec<f64>>>,
+    /// Costs from every node in metres, by destination; infinite without a route.
+    costs: Vec<OnceLock<Vec<f64>>>,
     /// True if closed edges of the map are left out.
     reduced: bool,
     /// Places that are closed as a whole.
     closed_places: BTreeSet<NodeIndex>,
+    /// Number of metres for which a metre of an edge counts, for edges on which the robot is slowed.
+    slowed: BTreeMap<EdgeIndex, f64>,
 }
 
 /// A shortest route.
@@ -93,8 +96,9 @@ impl Routes {
                 graph.add_edge(index[from], index[to], edge.length_m);
             }
         }
-        let distances = vec![OnceLock::new(); index.len()];
-        Ok(Routes { graph, index, distances, reduced: false, closed_places: BTreeSet::new() })
+        let costs = vec![OnceLock::new(); index.len()];
+        let (closed_places, slowed) = (BTreeSet::new(), BTreeMap::new());
+        Ok(Routes { graph, index, costs, reduced: false, closed_places, slowed })
     }
 
     /// Returns the routes without the edges between these places, in either direction. A pair of a
@@ -116,8 +120,35 @@ impl Routes {
         }
         let graph =
             self.graph.filter_map(|_, place| Some(place.clone()), |edge, m| (!edges.contains(&edge)).then_some(*m));
-        let distances = vec![OnceLock::new(); self.index.len()];
-        Cow::Owned(Routes { graph, index: self.index.clone(), distances, reduced: true, closed_places })
+        let costs = vec![OnceLock::new(); self.index.len()];
+        // Edges are numbered anew.
+        let slowed = BTreeMap::new();
+        Cow::Owned(Routes { graph, index: self.index.clone(), costs, reduced: true, closed_places, slowed })
+    }
+
+    /// Returns the routes of a robot of this speed: they are the fastest under the limits. A metre at half of the speed
+    /// counts as two metres. Lift rides from and to a limited place count as its lanes do.
+    pub fn limited(&self, limits: &SpeedLimits, speed: MetresPerSecond) -> Cow<'_, Routes> {
+        if limits.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        let slowed = self.graph.edge_references().filter_map(|edge| {
+            let [from, to] = [edge.source(), edge.target()].map(|end| &self.graph[end].0);
+            let slow = limits.slowed(from, to, speed);
+            (slow != speed).then(|| (edge.id(), speed.get() / slow.get()))
+        });
+        let slowed: BTreeMap<EdgeIndex, f64> = slowed.collect();
+        if slowed.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        Cow::Owned(Routes {
+            graph: self.graph.clone(),
+            index: self.index.clone(),
+            costs: vec![OnceLock::new(); self.index.len()],
+            reduced: self.reduced,
+            closed_places: self.closed_places.clone(),
+            slowed,
+        })
     }
 
     /// Checks whether a robot that has passed `from` enters a closed lane or place on its way to the
@@ -128,53 +159,60 @@ impl Routes {
         from != to && (closed.iter().any(is_lane) || is_closed(to) && !is_closed(from))
     }
 
-    /// Returns the length of the shortest route; 0 m from a place to itself.
+    /// Returns the length of the route; 0 m from a place to itself.
     ///
     /// # Errors
     /// [`RouteError`] with both ends.
     pub fn distance(&self, from: &PlaceId, to: &PlaceId) -> Result<Metres, RouteError> {
+        if self.slowed.is_empty() { self.cost(from, to) } else { Ok(self.route(from, to)?.length) }
+    }
+
+    /// Returns the cost of the route: its length, unless the robot is slowed.
+    fn cost(&self, from: &PlaceId, to: &PlaceId) -> Result<Metres, RouteError> {
         let (start, end) = (self.node(from, from, to)?, self.node(to, from, to)?);
         if start != end && self.closed_places.contains(&end) {
             return Err(RouteError::Closed { from: from.clone(), to: to.clone() });
         }
-        self.length(start, end)
-    }
-
-    /// Returns the length of the shortest route, also to a closed place: the way out of a closed place may lead through
-    /// another.
-    fn length(&self, start: NodeIndex, end: NodeIndex) -> Result<Metres, RouteError> {
         Metres::new(self.to(end)[start.index()]).map_err(|_| {
-            let (from, to) = (self.graph[start].0.clone(), self.graph[end].0.clone());
+            let (from, to) = (from.clone(), to.clone());
             if self.reduced { RouteError::Closed { from, to } } else { RouteError::Unreachable { from, to } }
         })
     }
 
-    /// Returns the shortest route. Of several equally short routes, the first in the order of the
-    /// places' names.
+    fn edge_cost(&self, edge: EdgeIndex) -> f64 {
+        self.graph[edge] * self.slowed.get(&edge).copied().unwrap_or(1.0)
+    }
+
+    /// Returns the shortest route, or the fastest if the robot is slowed. Of several equal routes, the first in the
+    /// order of the places' names.
     ///
     /// # Errors
     /// [`RouteError`] with both ends.
     pub fn route(&self, from: &PlaceId, to: &PlaceId) -> Result<Route, RouteError> {
-        let length = self.distance(from, to)?;
+        let mut length = self.cost(from, to)?;
         let (mut at, end) = (self.index[from], self.index[to]);
-        let distances = self.to(end);
+        let costs = self.to(end);
         let mut places = vec![from.clone()];
         while at != end {
             // The search added the same two numbers, so the sum is equal to the last bit for at
             // least one neighbour. Edges have a positive length, so every step comes nearer.
             let closer = |next: &NodeIndex| {
                 let edge = self.graph.find_edge(at, *next).expect("a neighbour has an edge");
-                distances[next.index()] + self.graph[edge] == distances[at.index()]
+                costs[next.index()] + self.edge_cost(edge) == costs[at.index()]
             };
             // Nodes were numbered in the order of the places' names.
             at = self.graph.neighbors(at).filter(closer).min().expect("a finite distance has a next step");
             places.push(self.graph[at].0.clone());
         }
+        if !self.slowed.is_empty() {
+            length =
+                places.windows(2).map(|leg| self.leg_length(&leg[0], &leg[1])).fold(Metres::ZERO, |sum, leg| sum + leg);
+        }
         Ok(Route { places, length })
     }
 
     /// Returns the places to drive to, in order, for a robot at `pose` that last passed `passed`.
-    /// On a leg the robot continues or turns back, whichever is shorter and allowed. Anywhere else
+    /// On a leg the robot continues or turns back, whichever costs less and is allowed. Anywhere else
     /// it first returns to `passed`. Empty at `to`.
     ///
     /// # Errors
@@ -189,8 +227,10 @@ impl Routes {
         let Some((ahead, left)) = self.leg_at(start, pose) else { return Ok(route?.places) };
         let onward = self.route(&self.graph[ahead].0, to);
         let back = self.graph.find_edge(ahead, start).and(route.as_ref().ok());
+        let lane = self.graph.find_edge(start, ahead).and_then(|lane| self.slowed.get(&lane).copied()).unwrap_or(1.0);
+        let cost = |from: NodeIndex| self.index.get(to).map_or(f64::INFINITY, |end| self.to(*end)[from.index()]);
         match (onward, back) {
-            (Ok(onward), Some(back)) if back.length.get() + from_passed < onward.length.get() + left => {
+            (Ok(_), Some(back)) if cost(start) + from_passed * lane < cost(ahead) + left * lane => {
                 Ok(back.places.clone())
             }
             (Ok(onward), _) => Ok(onward.places),
@@ -234,10 +274,15 @@ impl Routes {
             time += pose.distance(first).at(passages.limits().slowed(passed, &legs[0], speed));
         }
         for leg in legs.windows(2) {
-            let length = self.length(self.index[&leg[0]], self.index[&leg[1]])?;
-            time += passages.time(&leg[0], &leg[1], length, speed);
+            time += passages.time(&leg[0], &leg[1], self.leg_length(&leg[0], &leg[1]), speed);
         }
         Ok(time)
+    }
+
+    /// Returns the length of the edge between two neighbours on a route.
+    fn leg_length(&self, from: &PlaceId, to: &PlaceId) -> Metres {
+        let edge = self.graph.find_edge(self.index[from], self.index[to]).expect("neighbours on a route have an edge");
+        Metres::new(self.graph[edge]).expect("edges of a checked map have a length")
     }
 
     /// Returns the pose of a place.
@@ -271,12 +316,12 @@ impl Routes {
         self.index.get(place).copied().ok_or_else(unknown)
     }
 
-    /// Returns the distances from every node to `end`, in metres.
+    /// Returns the costs from every node to `end`, in metres.
     fn to(&self, end: NodeIndex) -> &[f64] {
-        self.distances[end.index()].get_or_init(|| {
+        self.costs[end.index()].get_or_init(|| {
             let mut metres = vec![f64::INFINITY; self.graph.node_count()];
-            for (node, length) in dijkstra(Reversed(&self.graph), end, None, |edge| *edge.weight()) {
-                metres[node.index()] = length;
+            for (node, cost) in dijkstra(Reversed(&self.graph), end, None, |edge| self.edge_cost(edge.id())) {
+                metres[node.index()] = cost;
             }
             metres
         })

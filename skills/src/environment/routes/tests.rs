@@ -200,3 +200,27 @@ fn the_way_out_of_closed_places_leads_through_them() {
     let enters = |from, to| Routes::enters_closed(&lane, &place(from), &place(to));
     assert!(enters("C", "B") && enters("B", "C") && !enters("A", "B"));
 }
+
+#[test]
+fn a_slow_lane_is_avoided_if_another_way_is_faster() {
+    let ring = map(
+        &[("A", 0.0, 0.0), ("B", 10.0, 0.0), ("C", 20.0, 0.0), ("E", 10.0, 10.0)],
+        &[("A", "B", 10.0, false), ("B", "C", 10.0, false), ("A", "E", 15.0, false), ("E", "C", 15.0, false)],
+    );
+    let speed = |speed| MetresPerSecond::new(speed).unwrap();
+    let limits = |limit| -> SpeedLimits { [((place("C"), place("B")), speed(limit))].into_iter().collect() };
+    let route = |limit, own| ring.limited(&limits(limit), speed(own)).route(&place("A"), &place("C")).unwrap();
+    let places = |limit, own| -> Vec<String> { route(limit, own).places.iter().map(PlaceId::to_string).collect() };
+    assert_eq!(places(0.6, 1.0), ["A", "B", "C"], "26.7 s, not 30 s");
+    assert_eq!((places(0.4, 1.0), route(0.4, 1.0).length.get()), (["A", "E", "C"].map(str::to_owned).into(), 30.0));
+    assert_eq!(places(0.4, 0.4), ["A", "B", "C"], "the robot is as slow everywhere");
+    assert_eq!(route(0.6, 1.0).length.get(), 20.0, "the length is that of the lanes");
+    let slow = limits(0.1);
+    let slowed = ring.limited(&slow, speed(1.0));
+    let legs = |x| slowed.legs(&place("B"), Pose::new(x, 0.0, 0.0), &place("C")).unwrap();
+    assert_eq!(names(&legs(11.0)), ["B", "A", "E", "C"], "10 + 40 s, not 90 s");
+    assert_eq!(names(&legs(16.0)), ["C"], "40 s, not 60 + 40 s");
+    let passages = Passages::default().with_limits(slow.clone());
+    let time = slowed.time_left(&place("B"), Pose::new(16.0, 0.0, 0.0), &place("C"), speed(1.0), &passages);
+    assert_eq!(time.map(Seconds::get), Ok(40.0));
+}

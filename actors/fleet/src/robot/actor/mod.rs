@@ -231,7 +231,7 @@ impl RobotState {
             closed_lanes,
             found_closed: &found_closed,
             closures: &closures,
-            speed_limits: self.driver.speed_limits().clone(),
+            speed_limits: self.driver.speed_limits(),
             readings,
             age_ms,
             membership,

@@ -150,10 +150,10 @@ impl RobotState {
             self.stop_charging();
         }
         let charging = self.charging.as_ref().and_then(ChargeControl::published);
-        let limits = self.driver.speed_limits().clone();
+        let limits = self.driver.speed_limits();
         self.driver.set_map_orders(self.orders.map_orders(now));
         let worker = self.driver.sense(holding, problem, charging, now);
-        if *self.driver.speed_limits() != limits {
+        if self.driver.speed_limits() != limits {
             self.renew_timer();
         }
         let Some(worker) = worker else { return };
