@@ -3,9 +3,9 @@
 
 use crate::auction::{AuctionRecord, Bid};
 use crate::cause::CauseClass;
-use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, ScheduleId, TaskId};
+use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::lease::{EndReason, Epoch};
-use crate::ledger::{MissionState, RobotOrders};
+use crate::ledger::{Alarm, MissionState, RobotOrders};
 use crate::message::FailureKind;
 use crate::plan::Signal;
 use schemars::JsonSchema;
@@ -97,6 +97,13 @@ pub enum EventKind {
         robot: RobotId,
         /// Its orders from now on.
         orders: RobotOrders,
+    },
+    /// A person raised or cleared an alarm.
+    AlarmChanged {
+        /// The alarm.
+        alarm: AlarmId,
+        /// The alarm in force from now on; null once it is cleared.
+        raised: Option<Alarm>,
     },
     /// An occurrence of a schedule was submitted.
     OccurrenceSubmitted {
@@ -409,6 +416,7 @@ impl EventKind {
             EventKind::Submitted { .. } => "submitted",
             EventKind::ScheduleChanged { .. } => "schedule_changed",
             EventKind::RobotOrders { .. } => "robot_orders",
+            EventKind::AlarmChanged { .. } => "alarm_changed",
             EventKind::OccurrenceSubmitted { .. } => "occurrence_submitted",
             EventKind::BidsRequested { .. } => "bids_requested",
             EventKind::Bid { .. } => "bid",
@@ -476,6 +484,7 @@ impl EventKind {
             | EventKind::Voters { .. }
             | EventKind::ScheduleChanged { .. }
             | EventKind::RobotOrders { .. }
+            | EventKind::AlarmChanged { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. } => None,
         }
@@ -498,6 +507,7 @@ mod tests {
             EventKind::OccurrenceSubmitted { schedule: schedule.clone(), due_ms: 1, mission: mission.clone() },
             EventKind::ScheduleChanged { schedule, change: ScheduleChange::Added, by: String::new() },
             EventKind::RobotOrders { robot: "ada".parse().unwrap(), orders: RobotOrders::default() },
+            EventKind::AlarmChanged { alarm: "fire".parse().unwrap(), raised: None },
             EventKind::LowCharge { mission, role, cause: String::new() },
         ];
         for kind in kinds {

@@ -147,6 +147,8 @@ names! {
     RequestId, "request", SLUG;
     /// Schedule of a mission, named by a person.
     ScheduleId, "schedule", SLUG;
+    /// Alarm, as named in the fleet file (`fire`).
+    AlarmId, "alarm", SLUG;
     /// Role within a mission (`r1`, `lab_arm`, `clerk`).
     RoleId, "role", SLUG;
     /// Task within a mission; unique in its tree.

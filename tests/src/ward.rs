@@ -6,12 +6,13 @@ use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::FleetSettings;
 use consort_protocol::auction::{BidLimits, OptimalAssignment, PromiseTerms};
 use consort_protocol::ensemble::{EnsembleSpec, Ensembles};
-use consort_protocol::ids::EnsembleId;
+use consort_protocol::ids::{AlarmId, EnsembleId, PlaceId};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::HistoryLimits;
+use consort_protocol::ledger::{AlarmPlan, AlarmResponse, HistoryLimits, MapPart, Zone};
 use consort_protocol::timing::Timing;
 use consort_skills::domain::hospital;
 use consort_world::map::shipped;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -29,6 +30,7 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
         fleet: slug("ward"),
         domain: Arc::new(hospital().with_ensembles(ensembles.names().cloned())),
         missions: Arc::default(),
+        alarms: Arc::new(alarms()),
         ensembles: Arc::new(ensembles),
         limits: BidLimits::default(),
         charging: None,
@@ -48,4 +50,14 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
         log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
         map: Some(Arc::new(shipped("hospital").expect("it is shipped").to_view())),
     }
+}
+
+/// Returns the alarms of the fleet: at `freeze` all robots stop, and at `fire` they assemble on the sides of the
+/// crossing, which is closed as a zone.
+fn alarms() -> BTreeMap<AlarmId, AlarmPlan> {
+    let places = ["Dock", "IC Corridor 1", "PC Corridor 4"].map(slug::<PlaceId>);
+    let crossing = MapPart::Zone(Zone { name: slug("crossing"), places: [slug("Crossing")].into() });
+    let fire = AlarmPlan { robots: AlarmResponse::Assemble, places: places.into(), closes: [crossing].into() };
+    let freeze = AlarmPlan { robots: AlarmResponse::Stop, places: BTreeSet::new(), closes: BTreeSet::new() };
+    [(slug("fire"), fire), (slug("freeze"), freeze)].into()
 }

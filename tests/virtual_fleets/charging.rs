@@ -164,6 +164,21 @@ fn a_held_robot_does_not_drive_to_a_charger_after_a_restart() {
 }
 
 #[test]
+fn a_robot_stays_at_its_charger_during_an_alarm_to_stop() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, vec![carrier("fern", ROOMS[1], BELOW - 0.05)], BELOW).await;
+        fleet.wait_for_audit_trail().await;
+        fleet.wait_until("a connection", SOON, |fleet| is_connected(fleet, "fern")).await;
+        let reply = fleet.request_answered(ApiCall::Alarm, &json!({ "action": "raise", "alarm": "freeze" })).await;
+        assert!(reply.get("error").is_none(), "seed {seed}: {reply}");
+        let (place, charge) = (fleet.position("fern"), battery(&fleet, "fern"));
+        let leaves = |fleet: &Fleet| fleet.position("fern") != place;
+        fleet.assert_never("a move", Duration::from_secs(10), leaves).await;
+        assert!(battery(&fleet, "fern") > charge, "seed {seed}: it charges");
+    });
+}
+
+#[test]
 fn two_robots_use_a_single_charger_in_turn() {
     for_each_seed(SEEDS, async |seed| {
         let robots = vec![carrier("fern", "IC Room 1", BELOW - 0.05), carrier("gorse", "IC Room 4", BELOW - 0.1)];

@@ -14,7 +14,8 @@ use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBa
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::{
-    AwardNotice, Beacon, ClusterEnvelope, Exchange, OrderNotice, OrdersNotice, RecordUpdate, ReportReply, SignalHistory,
+    AlarmNotice, AwardNotice, Beacon, ClusterEnvelope, Exchange, OrderNotice, OrdersNotice, RecordUpdate, ReportReply,
+    SignalHistory,
 };
 use consort_protocol::trust::NodeRole;
 use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent, slug};
@@ -277,6 +278,8 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
             (keys.write(&Key::Api(ApiCall::Close)), json!({ "places": ["Dock"], "reason": "stolen" })),
             (keys.write(&Key::Api(ApiCall::Open)), json!({ "places": ["Dock"] })),
             (keys.write(&Key::Api(ApiCall::Limit)), json!({ "places": ["Dock"], "action": "set", "speed_mps": 0.1 })),
+            (keys.write(&Key::Api(ApiCall::Alarm)), json!({ "action": "raise", "alarm": "freeze" })),
+            (keys.write(&Key::Api(ApiCall::Alarm)), json!({ "action": "clear" })),
             (keys.write(&Key::Api(ApiCall::Backup)), json!({})),
             (keys.write(&Key::Api(ApiCall::Upgrade)), json!({ "finish": true })),
             (keys.write(&Key::Leave("clove".parse().expect("a name"))), json!({})),
@@ -303,6 +306,35 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
         assert_eq!(submitted, 1, "seed {seed}\n{}", fleet.event_log_text());
         let left = fleet.event_log.count(|what| matches!(what, EventKind::Left { .. }));
         assert_eq!(left, 0, "seed {seed}: a node left\n{}", fleet.event_log_text());
+    });
+}
+
+#[test]
+fn a_signed_alarm_names_the_signer_and_the_key_of_a_robot_does_not_clear_it() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        fleet.wait_for_audit_trail().await;
+        let mission = fleet.submit("a", ROOM).await;
+        let start = fleet.position("gorse");
+        fleet.wait_until("a move", SOON, |fleet| fleet.position("gorse") != start).await;
+        let raise = json!({ "action": "raise", "alarm": "freeze", "by": "Nia" });
+        let reply = fleet.request_answered(ApiCall::Alarm, &raise).await;
+        assert_eq!(reply["alarms"][0]["order"]["by"], "Nia, according to client", "seed {seed}: {reply}");
+        fleet.wait_for_rest("gorse").await;
+        let place = fleet.position("gorse");
+        let StolenKey { signing, plain } = stolen(&fleet, "fern", NodeRole::Robot).await;
+        let sealed: SharedBus = signing;
+        let key = fleet.keys().write(&Key::Api(ApiCall::Alarm));
+        let clear = json!({ "action": "clear" });
+        for bus in [&sealed, &plain] {
+            for reply in replies(bus, &key, Bytes::from(clear.to_string()), Bytes::new()).await {
+                assert!(reply.contains("\"error\""), "seed {seed}: {reply}");
+            }
+        }
+        fleet.assert_never("a move", Duration::from_secs(10), |fleet| fleet.position("gorse") != place).await;
+        assert_eq!(fleet.ledger(|ledger| ledger.alarms().count()), Some(1), "seed {seed}");
+        fleet.request_answered(ApiCall::Alarm, &clear).await;
+        fleet.assert_completes(&mission).await;
     });
 }
 
@@ -574,7 +606,8 @@ fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
         let mission = fleet.submit("a", ROOM).await;
         let bus = stolen(&fleet, "dill", NodeRole::Voter).await.in_cluster(&fleet);
         let hold = Some(OrderNotice { text: "held by dill".to_owned(), remaining_ms: None });
-        let orders = OrdersNotice { as_of: Epoch { term: u64::MAX, index: 1 }, hold, ..OrdersNotice::default() };
+        let alarm = hold.clone().map(|order| AlarmNotice { order, places: BTreeSet::new(), closes: BTreeSet::new() });
+        let orders = OrdersNotice { as_of: Epoch { term: u64::MAX, index: 1 }, hold, alarm, ..OrdersNotice::default() };
         let payload = wire(&AwardNotice::Orders(orders));
         for robot in ["gorse", "lab-arm"] {
             let key = fleet.keys().write(&Key::Award(robot.parse().expect("a name")));

@@ -1,5 +1,6 @@
 //! Whole fleets on virtual time.
 
+mod alarms;
 mod answers;
 mod building;
 mod canceling;

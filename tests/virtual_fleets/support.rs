@@ -22,24 +22,36 @@ pub(crate) async fn fleet(seed: u64, room: &'static str) -> Fleet {
     fleet
 }
 
-/// Starts two slow carriers, far from the rooms, and three stations; `aster` coordinates, and takes a role from a robot
-/// that ends no step for `stall_timeout`. The fleet file declares one zone, by its name and places.
+/// Returns two slow carriers, far from the rooms.
+pub(crate) fn slow_carriers() -> Vec<RobotSpec> {
+    vec![RobotSpec::carrier("fern", "Dock").with_speed(0.6), RobotSpec::carrier("gorse", "PC Room 8").with_speed(0.7)]
+}
+
+/// Starts the slow carriers and three stations; `aster` coordinates, and takes a role from a robot that ends no step for
+/// `stall_timeout`. The fleet file declares one zone, by its name and places.
 pub(crate) async fn slow_fleet(
     seed: u64,
     rooms: &[&str],
     stall_timeout: Duration,
     (zone, places): (&str, &[&str]),
 ) -> Fleet {
-    let robots = vec![
-        RobotSpec::carrier("fern", "Dock").with_speed(0.6),
-        RobotSpec::carrier("gorse", "PC Room 8").with_speed(0.7),
-    ];
     let zones = BTreeMap::from([(slug(zone), places.iter().map(|place| slug(place)).collect())]);
-    let adjust = Box::new(move |settings: &mut NodeSettings| {
+    let adjust = move |settings: &mut NodeSettings| {
         settings.fleet.stall_timeout = stall_timeout;
         settings.fleet.domain = Arc::new(Domain::clone(&settings.fleet.domain).with_zones(zones.clone()));
-    });
-    let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster", "basil", "clove"], rooms, adjust).await;
+    };
+    fleet_of(seed, slow_carriers(), rooms, adjust).await
+}
+
+/// Starts these robots and three stations with changed node settings; `aster` coordinates.
+pub(crate) async fn fleet_of(
+    seed: u64,
+    robots: Vec<RobotSpec>,
+    rooms: &[&str],
+    adjust: impl FnMut(&mut NodeSettings) + 'static,
+) -> Fleet {
+    let stations = ["aster", "basil", "clove"];
+    let mut fleet = Fleet::adjusted_hospital(seed, robots, &stations, rooms, Box::new(adjust)).await;
     assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the coordinator");
     fleet
 }

@@ -3,8 +3,8 @@
 use crate::support::{fleet, task_began};
 use consort_bus::{Bus, VirtualBus};
 use consort_protocol::api::{
-    AnswerReply, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply, MissionChangeReply, OrdersReply,
-    ScheduleReply, UpgradeReply,
+    AlarmsReply, AnswerReply, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply, MissionChangeReply,
+    OrdersReply, ScheduleReply, UpgradeReply,
 };
 use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
@@ -290,6 +290,11 @@ fn views_and_replies_contain_exactly_the_fields_of_their_types() {
         let reply = ask(ApiCall::Limit, limit).await;
         check_type::<LimitsReply>("limit", &reply);
         assert_eq!(reply["speed_limits"][0]["speed_mps"], json!(0.5), "seed {seed}: {reply}");
+        let alarm = ask(ApiCall::Alarm, json!({ "action": "raise", "alarm": "freeze" })).await;
+        check_type::<AlarmsReply>("alarm", &alarm);
+        assert_eq!(alarm["alarms"].as_array().map(Vec::len), Some(1), "seed {seed}: {alarm}");
+        fleet.view("fleet").await.iter().for_each(|(name, view)| check_view(name, view));
+        check_type::<AlarmsReply>("alarm", &ask(ApiCall::Alarm, json!({ "action": "clear" })).await);
         check_type::<WithProvenance<ExplainReply>>("explain", &ask(ApiCall::Explain, named.clone()).await);
         check_type::<HelpReply>("help", &ask(ApiCall::Help, Value::Null).await);
         check_type::<UpgradeReply>("upgrade", &ask(ApiCall::Upgrade, json!({})).await);

@@ -1,8 +1,8 @@
 //! Descriptions of all calls on `api/**`, for clients.
 
 use consort_protocol::api::{
-    AnswerReply, CallHelp, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply, MissionChangeReply,
-    OrdersReply, ScheduleReply, SubmitReply, UpgradeReply, example, payload_schema,
+    AlarmsReply, AnswerReply, CallHelp, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply,
+    MissionChangeReply, OrdersReply, ScheduleReply, SubmitReply, UpgradeReply, example, payload_schema,
 };
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::view::{
@@ -40,6 +40,7 @@ fn reply_schema(call: ApiCall) -> Schema {
         ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance => schema_of::<OrdersReply>(),
         ApiCall::Close | ApiCall::Open => schema_of::<ClosuresReply>(),
         ApiCall::Limit => schema_of::<LimitsReply>(),
+        ApiCall::Alarm => schema_of::<AlarmsReply>(),
         ApiCall::Schedules => schema_of::<WithProvenance<SchedulesView>>(),
         ApiCall::Audit => schema_of::<WithProvenance<AuditView>>(),
         ApiCall::Requests => schema_of::<WithProvenance<RequestsView>>(),

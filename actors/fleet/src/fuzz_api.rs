@@ -5,8 +5,9 @@
 
 use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
-    AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery,
-    OpenRequest, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
+    AlarmRequest, AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest,
+    MissionQuery, OpenRequest, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options,
+    parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -77,6 +78,7 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
         ApiCall::Close => drop(parse_request::<CloseRequest>(call, payload)?),
         ApiCall::Open => drop(parse_request::<OpenRequest>(call, payload)?),
         ApiCall::Limit => drop(parse_request::<LimitRequest>(call, payload)?),
+        ApiCall::Alarm => drop(parse_request::<AlarmRequest>(call, payload)?),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
             parse_read_options(call, payload)?;
         }

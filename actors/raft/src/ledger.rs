@@ -41,6 +41,7 @@ impl StateMachine for Ledger {
             | Command::EndOrders { .. }
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
+            | Command::ChangeAlarms { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

@@ -317,6 +317,8 @@ fn detect_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
                 "lease",
                 "auction",
                 "charging",
+                "zones",
+                "alarms",
                 "ensemble",
             ],
         ),

@@ -1,9 +1,9 @@
 //! The command line.
 
 use crate::command::{
-    answer, audit, backup, cancel, cert, check, close, completions, doctor, domain, driver, dry_run, explain, fleet,
-    hold, keys, lab, leave, limit, maintenance, map, missions, record, recover, replay, requests, resolve, restore,
-    robot, schedule, schema, station, submit, token, upgrade, watch, world,
+    alarm, answer, audit, backup, cancel, cert, check, close, completions, doctor, domain, driver, dry_run, explain,
+    fleet, hold, keys, lab, leave, limit, maintenance, map, missions, record, recover, replay, requests, resolve,
+    restore, robot, schedule, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -75,6 +75,7 @@ enum Command {
     Close(close::CloseArgs),
     Open(close::OpenArgs),
     Limit(limit::Args),
+    Alarm(alarm::Args),
     Audit(audit::Args),
     Requests(requests::Args),
     Answer(answer::Args),
@@ -133,6 +134,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Close(args) => close::run(args),
             Command::Open(args) => close::open(args),
             Command::Limit(args) => limit::run(args),
+            Command::Alarm(args) => alarm::run(args),
             Command::Audit(args) => audit::run(args),
             Command::Requests(args) => requests::run(args),
             Command::Answer(args) => answer::run(args),

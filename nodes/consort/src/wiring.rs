@@ -143,12 +143,16 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
     let lanes = edges.into_iter().map(|edge| (edge.a, edge.b));
     let domain = domain.with_places(places.into_keys()).with_lanes(lanes).with_zones(config.zones.clone());
     let domain = domain.with_ensembles(ensembles.names().cloned());
+    let alarms = config::alarm_plans(&config.alarms, &domain).map_err(|problems| {
+        Diagnostics(problems.into_iter().map(|problem| Diagnostic::for_file("", problem)).collect())
+    })?;
     let missions = mission_files::of_fleet(&config.missions, &domain, &domains::library(extensions)?)?;
     Ok(FleetSettings {
         fleet: config.name.clone(),
         ensembles: Arc::new(ensembles),
         domain: Arc::new(domain),
         missions: Arc::new(missions),
+        alarms: Arc::new(alarms),
         limits: limits(config),
         charging,
         promises: config.auction.promise_terms(),

@@ -52,6 +52,10 @@ pub fn describe_event(event: &Event) -> EventText {
             normal("schedule", format!("{schedule} {} by {by}", change.as_str()))
         }
         EventKind::RobotOrders { robot, orders } => normal("orders", format!("{robot} is {}", orders.state_text())),
+        EventKind::AlarmChanged { raised: Some(raised), .. } => {
+            alarm("alarm", format!("the fleet is {}; {}", raised.text(), raised.plan_text()))
+        }
+        EventKind::AlarmChanged { alarm, raised: None } => normal("alarm", format!("alarm {alarm} is cleared")),
         EventKind::OccurrenceSubmitted { schedule, due_ms, mission } => {
             normal("schedule", format!("{schedule} submitted {mission}, due {}", time_in_zone(*due_ms, "UTC")))
         }

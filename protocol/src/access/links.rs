@@ -134,7 +134,8 @@ pub fn required_scope(call: ApiCall) -> AccessScope {
         | ApiCall::Maintenance
         | ApiCall::Close
         | ApiCall::Open
-        | ApiCall::Limit => AccessScope::Submit,
+        | ApiCall::Limit
+        | ApiCall::Alarm => AccessScope::Submit,
         // Also any call that is added without a decision about its scope.
         _ => AccessScope::Operate,
     }

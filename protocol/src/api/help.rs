@@ -1,8 +1,8 @@
 //! Descriptions of the calls, for clients.
 
 use super::request::{
-    AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery,
-    OpenRequest, ReadOptions, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
+    AlarmRequest, AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest,
+    MissionQuery, OpenRequest, ReadOptions, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
 };
 use crate::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
@@ -67,6 +67,7 @@ pub fn example(call: ApiCall) -> Option<Value> {
             "places": ["IC Corridor 5"], "action": "set", "speed_mps": 0.3, "for_s": 3600, "reason": "wet floor",
             "by": "Nia",
         })),
+        ApiCall::Alarm => Some(json!({ "action": "raise", "alarm": "fire", "reason": "smoke", "by": "Nia" })),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
             Some(json!({ "linearizable": true }))
         }
@@ -89,6 +90,7 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
         ApiCall::Close => Some(schema_for!(CloseRequest)),
         ApiCall::Open => Some(schema_for!(OpenRequest)),
         ApiCall::Limit => Some(schema_for!(LimitRequest)),
+        ApiCall::Alarm => Some(schema_for!(AlarmRequest)),
         ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => Some(schema_for!(ReadOptions)),
         ApiCall::Upgrade => Some(schema_for!(UpgradeRequest)),
         ApiCall::Help | ApiCall::Backup => None,

@@ -12,6 +12,7 @@
 //! | `close` | `{"places": ["IC Room 6"], "lanes": [["IC Corridor 5", "IC Room 5"]], "for_s": 3600, "reason": "wet floor", "by": "Nia"}`; `places` may contain zones; optional: `places` or `lanes`, `for_s` or `until` (RFC 3339), `reason` | `{"closures": […]}`: all that are in force |
 //! | `open` | `{"places": ["IC Room 6"], "by": "Nia"}`; optional: `places` or `lanes` | as of `close` |
 //! | `limit` | `{"places": ["IC Corridor 5"], "action": "set", "speed_mps": 0.3, "reason": "wet floor", "by": "Nia"}`; `action` may also be `clear`; `places` may contain zones; optional: `places` or `lanes`, `for_s` or `until` (RFC 3339), `reason` | `{"speed_limits": […]}`: all that are in force |
+//! | `alarm` | `{"action": "raise", "alarm": "fire", "reason": "smoke", "by": "Nia"}`; `action` may also be `clear`, then without `alarm` for all; optional: `reason` | `{"alarms": […]}`: all that are in force |
 //! | `backup` | nothing | a copy of the ledger, with everything acknowledged before the request: with key figures as plain text |
 //! | `upgrade` | `{"finish": false}`: the wire versions that each node reads; with `true` the fleet writes the next version from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
 //! | `get` | `{"mission": "vital-signs-1"}`; optional: `linearizable` | the mission, as in `view/mission/{id}` |
@@ -50,12 +51,13 @@ mod request;
 pub use help::{CallHelp, HelpReply, example, payload_schema};
 pub use parse::{RequestError, parse_read_options, parse_request};
 pub use reply::{
-    AnswerReply, ClosuresReply, ErrorReply, ExplainReply, LimitsReply, MissionChangeReply, NodeVersions, OrdersReply,
-    ScheduleReply, SubmitReply, UninvitedRobot, UpgradeReply,
+    AlarmsReply, AnswerReply, ClosuresReply, ErrorReply, ExplainReply, LimitsReply, MissionChangeReply, NodeVersions,
+    OrdersReply, ScheduleReply, SubmitReply, UninvitedRobot, UpgradeReply,
 };
 pub use request::{
-    AllRobots, AnswerRequest, AnswerWord, CLOSE_S_MAX, CloseRequest, HOLD_S, HOLD_S_MAX, HoldRequest,
-    LATER_MINUTES_MAX, LimitAction, LimitRequest, MaintenanceAction, MaintenanceRequest, MissionChangeRequest,
-    MissionQuery, MissionSource, OpenRequest, ReadOptions, ReleaseRequest, RobotCondition, RobotSelection, RobotZone,
-    SPEED_LIMIT_MIN_MPS, ScheduleAction, ScheduleRequest, StartTime, SubmitRequest, UpgradeRequest,
+    AlarmAction, AlarmRequest, AllRobots, AnswerRequest, AnswerWord, CLOSE_S_MAX, CloseRequest, HOLD_S, HOLD_S_MAX,
+    HoldRequest, LATER_MINUTES_MAX, LimitAction, LimitRequest, MaintenanceAction, MaintenanceRequest,
+    MissionChangeRequest, MissionQuery, MissionSource, OpenRequest, ReadOptions, ReleaseRequest, RobotCondition,
+    RobotSelection, RobotZone, SPEED_LIMIT_MIN_MPS, ScheduleAction, ScheduleRequest, StartTime, SubmitRequest,
+    UpgradeRequest,
 };

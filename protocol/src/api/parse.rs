@@ -107,8 +107,8 @@ fn kind(value: &Value) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::request::{
-        AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest, MissionQuery,
-        OpenRequest, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
+        AlarmRequest, AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest,
+        MissionQuery, OpenRequest, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
     };
     use super::*;
 
@@ -132,6 +132,7 @@ mod tests {
                 ApiCall::Close => parse_request::<CloseRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Open => parse_request::<OpenRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Limit => parse_request::<LimitRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Alarm => parse_request::<AlarmRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::List | ApiCall::Requests | ApiCall::Schedules | ApiCall::Audit => {
                     parse_read_options(*call, bytes.as_bytes()).map(drop)
                 }

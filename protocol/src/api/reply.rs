@@ -2,7 +2,9 @@
 
 use crate::auction::Explanation;
 use crate::ids::{MissionId, NodeId, RobotId};
-use crate::ledger::{Closure, MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease, SpeedLimit};
+use crate::ledger::{
+    Alarm, Closure, MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease, SpeedLimit,
+};
 use crate::view::{MissionStateName, ScheduleView};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -66,6 +68,13 @@ pub struct ClosuresReply {
 pub struct LimitsReply {
     /// All speed limits.
     pub speed_limits: Vec<SpeedLimit>,
+}
+
+/// Alarms after a change.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct AlarmsReply {
+    /// All alarms in force.
+    pub alarms: Vec<Alarm>,
 }
 
 /// Progress of the upgrade to the next wire version.

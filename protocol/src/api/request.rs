@@ -1,6 +1,6 @@
 //! Payloads of requests.
 
-use crate::ids::{MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId, TaskId, ZoneId};
+use crate::ids::{AlarmId, MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId, TaskId, ZoneId};
 use crate::ledger::{MissedOccurrences, PersonRequestId};
 use crate::mission::IhtnFields;
 use crate::scalar::Scalar;
@@ -319,6 +319,19 @@ order_requests! {
         #[serde(default, skip_serializing_if = "String::is_empty")]
         reason: String,
     }
+
+    /// Raises an alarm that the fleet file declares, or clears alarms.
+    AlarmRequest {
+        /// The change.
+        action: AlarmAction,
+        /// The alarm. For `clear` it may be omitted: all alarms end.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(with = "Option<String>")]
+        alarm: Option<AlarmId>,
+        /// For `raise`: the reason, for display.
+        #[serde(default, skip_serializing_if = "String::is_empty")]
+        reason: String,
+    }
 }
 
 /// Seconds after which a hold ends by default.
@@ -350,6 +363,16 @@ pub enum LimitAction {
     /// Set them. The latest limit of a zone, place or lane counts.
     Set,
     /// Clear them.
+    Clear,
+}
+
+/// Change of the alarms.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AlarmAction {
+    /// The alarm begins.
+    Raise,
+    /// The alarms end.
     Clear,
 }
 

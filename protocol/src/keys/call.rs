@@ -56,6 +56,8 @@ words! {
         Open = "open",
         /// Set or clear speed limits.
         Limit = "limit",
+        /// Raise an alarm, or clear alarms.
+        Alarm = "alarm",
         /// Get a backup of the ledger.
         Backup = "backup",
         /// Get the progress of an upgrade to the next wire version, and complete it.
@@ -129,6 +131,7 @@ impl ApiCall {
             | ApiCall::Close
             | ApiCall::Open
             | ApiCall::Limit
+            | ApiCall::Alarm
             | ApiCall::Backup
             | ApiCall::Upgrade => false,
             ApiCall::Get

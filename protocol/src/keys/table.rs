@@ -99,6 +99,7 @@ table! {
     Key::Api(ApiCall::Close) => "api/close", "the coordinator" Answers JSON, "closes zones, places or lanes: no robot enters them";
     Key::Api(ApiCall::Open) => "api/open", "the coordinator" Answers JSON, "opens closed zones, places or lanes";
     Key::Api(ApiCall::Limit) => "api/limit", "the coordinator" Answers JSON, "sets or clears speed limits in zones, at places or on lanes";
+    Key::Api(ApiCall::Alarm) => "api/alarm", "the coordinator" Answers JSON, "raises an alarm that the fleet file declares, or clears alarms";
     Key::Api(ApiCall::Audit) => "api/audit", "any node" Answers JSON, "the changes that people have requested, as in view/audit";
     Key::Api(ApiCall::Schedules) => "api/schedules", "any node" Answers JSON, "the schedules, as in view/schedules";
     Key::Api(ApiCall::Requests) => "api/requests", "any node" Answers JSON, "the requests to people, as in view/requests";

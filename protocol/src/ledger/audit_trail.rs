@@ -55,6 +55,10 @@ pub enum AuditAction {
     LimitSpeed,
     /// Speed limits were cleared.
     ClearSpeedLimit,
+    /// An alarm was raised.
+    RaiseAlarm,
+    /// Alarms were cleared.
+    ClearAlarm,
 }
 
 impl fmt::Display for AuditAction {
@@ -75,7 +79,7 @@ pub struct AuditEntry {
     pub by: String,
     /// Kind of change.
     pub action: AuditAction,
-    /// What was changed: a mission, a request to a person, a schedule, robots, zones, places and lanes, or the wire version.
+    /// What was changed: a mission, a request to a person, a schedule, robots, zones, places and lanes, alarms, or the wire version.
     pub subject: String,
     /// Details, such as the reason; may be empty.
     pub details: String,

@@ -1,5 +1,6 @@
 //! Commands of the ledger and their outcomes.
 
+use super::alarm::AlarmChange;
 use super::branch::Branch;
 use super::closure::{CLOSURES_BYTES_MAX, ClosureChange};
 use super::entry::MissionState;
@@ -300,6 +301,11 @@ pub enum Command {
         /// The change of the limits, with the person who requests it.
         order: OrderRequest<SpeedLimitChange>,
     },
+    /// Raises or clears alarms.
+    ChangeAlarms {
+        /// The change of the alarms, with the person who requests it.
+        order: OrderRequest<AlarmChange>,
+    },
 }
 
 /// Change of the robot of a promised role, after an auction.
@@ -357,6 +363,7 @@ impl Command {
             | Command::EndOrders { .. }
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
+            | Command::ChangeAlarms { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,
         }
@@ -541,7 +548,7 @@ pub enum CommandError {
     },
     /// The fleet writes a wire version without orders of people.
     #[error(
-        "holds, maintenance, closures and speed limits need wire version {since}; consort upgrade shows how far the fleet is"
+        "holds, maintenance, closures, speed limits and alarms need wire version {since}; consort upgrade shows how far the fleet is"
     )]
     NoOrdersYet {
         /// Wire version since which there are orders.
@@ -550,7 +557,7 @@ pub enum CommandError {
     /// The orders to robots exceed their size limit.
     #[error("the orders to robots would take more than {} bytes; end some of them first", ORDERS_BYTES_MAX)]
     OrdersFull,
-    /// The robot gets no role, because a person holds it or has taken it out of service.
+    /// The robot gets no role, because a person holds it or has taken it out of service, or because of an alarm.
     #[error("{robot} is {problem}")]
     UnderOrders {
         /// The robot.
@@ -615,6 +622,12 @@ pub enum CommandError {
         SPEED_LIMITS_BYTES_MAX
     )]
     SpeedLimitsFull,
+    /// The alarms in force exceed their limits.
+    #[error("{problem}; clear another alarm first")]
+    AlarmsFull {
+        /// The exceeded limit, as text.
+        problem: String,
+    },
 }
 
 /// Cause of a release.

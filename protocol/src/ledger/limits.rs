@@ -6,8 +6,9 @@
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
 //! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one of 1 KiB and an open question of 1 KiB for each role, and 16 closed ones of 1 KiB |
-//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], orders to robots, closures and speed limits ([`ORDERS_BYTES_MAX`], [`CLOSURES_BYTES_MAX`], [`SPEED_LIMITS_BYTES_MAX`], [`ORDER_REQUESTS_BYTES_MAX`]), and the audit trail ([`AUDIT_BYTES_MAX`]) |
+//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], orders to robots, closures, speed limits and alarms ([`ORDERS_BYTES_MAX`], [`CLOSURES_BYTES_MAX`], [`SPEED_LIMITS_BYTES_MAX`], [`ALARMS_BYTES_MAX`], [`ORDER_REQUESTS_BYTES_MAX`]), and the audit trail ([`AUDIT_BYTES_MAX`]) |
 
+use super::alarm::{ALARMS_BYTES_MAX, AlarmChange};
 use super::apply::Ledger;
 use super::audit_trail::AUDIT_BYTES_MAX;
 use super::closure::{CLOSURES_BYTES_MAX, ClosureChange};
@@ -37,6 +38,7 @@ const _: () = assert!(
         + ORDERS_BYTES_MAX
         + CLOSURES_BYTES_MAX
         + SPEED_LIMITS_BYTES_MAX
+        + ALARMS_BYTES_MAX
         + ORDER_REQUESTS_BYTES_MAX
         + AUDIT_BYTES_MAX
         < codec::RECORD_BYTES_MAX,
@@ -91,6 +93,12 @@ impl Command {
             Command::ChangeSpeedLimits { order, .. } => {
                 limit_text(&mut order.by, PERSON_BYTES_MAX);
                 if let SpeedLimitChange::Set { reason, .. } = &mut order.change {
+                    limit_text(reason, PERSON_BYTES_MAX);
+                }
+            }
+            Command::ChangeAlarms { order } => {
+                limit_text(&mut order.by, PERSON_BYTES_MAX);
+                if let AlarmChange::Raise { reason, .. } = &mut order.change {
                     limit_text(reason, PERSON_BYTES_MAX);
                 }
             }

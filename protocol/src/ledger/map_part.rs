@@ -2,6 +2,8 @@
 
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{PlaceId, ZoneId};
+use crate::mission::Domain;
+use consort_text::AllowedNames;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -35,9 +37,51 @@ impl Zone {
 }
 
 impl MapPart {
+    /// Returns the zone of this name that the domain has, otherwise the place.
+    pub fn named(name: &PlaceId, domain: &Domain) -> MapPart {
+        match domain.zones().get_key_value(&ZoneId::from(name.clone())) {
+            Some((zone, places)) => MapPart::Zone(Zone { name: zone.clone(), places: places.clone() }),
+            None => MapPart::Place(name.clone()),
+        }
+    }
+
     /// Returns the lane between two places.
     pub fn of_lane(a: PlaceId, b: PlaceId) -> MapPart {
         if a <= b { MapPart::Lane(a, b) } else { MapPart::Lane(b, a) }
+    }
+
+    /// Checks that a place or lane is on the map of the domain, if the map is known. The places of a zone are checked when
+    /// the fleet file is read.
+    ///
+    /// # Errors
+    /// The unknown name, with those that are allowed.
+    pub fn check(&self, domain: &Domain) -> Result<(), String> {
+        let ends = match self {
+            MapPart::Zone(_) => return Ok(()),
+            MapPart::Place(place) => vec![place],
+            MapPart::Lane(a, b) => vec![a, b],
+        };
+        if let Some(places) = domain.places()
+            && let Some(unknown) = ends.into_iter().find(|end| !places.contains(*end))
+        {
+            let mut zones =
+                domain.zones().keys().map(ZoneId::as_str).filter(|_| matches!(self, MapPart::Place(_))).peekable();
+            let kind = if zones.peek().is_none() { "place" } else { "place or zone" };
+            let names = zones.chain(places.iter().map(PlaceId::as_str));
+            return Err(format!(
+                "there is no {kind} {unknown}; {}",
+                AllowedNames::suggest_for(unknown.as_str(), names)
+            ));
+        }
+        match (self, domain.lanes()) {
+            (MapPart::Lane(a, b), Some(lanes)) if !lanes.contains(&(a.clone(), b.clone())) => {
+                let of_place = lanes.iter().filter(|(from, to)| [from, to].contains(&a));
+                let others = of_place.map(|(from, to)| if from == a { to.as_str() } else { from.as_str() });
+                let others = others.collect::<Vec<_>>().join(", ");
+                Err(format!("there is no lane {self}; the lanes of {a} lead to {others}"))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Returns the lane by its two ends, or each of the places twice.

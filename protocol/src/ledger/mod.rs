@@ -24,8 +24,8 @@
 //!
 //! The requests of people are recorded (the module `audit`).
 //!
-//! People hold robots, take them out of service for maintenance, and close places and lanes (the module
-//! `robot_orders`).
+//! People hold robots, take them out of service for maintenance, close places and lanes, and raise alarms (the
+//! module `robot_orders`).
 //!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
@@ -34,6 +34,7 @@
 //! intervention* instead, and stays there until a person closes it. If it has a recovery branch, it
 //! continues with that branch. The module `custody` computes which robot has which item.
 
+mod alarm;
 mod apply;
 mod audit;
 mod audit_trail;
@@ -62,6 +63,7 @@ mod submission;
 #[cfg(test)]
 mod test_values;
 
+pub use alarm::{Alarm, AlarmChange, AlarmPlan, AlarmResponse, alarm_size_problem};
 pub use apply::Ledger;
 pub use audit_trail::{AuditAction, AuditEntry};
 pub use branch::Branch;

@@ -1,8 +1,9 @@
 //! The orders of people in force, as the ledger stores them.
 
+use super::alarm::Alarm;
 use super::map_part::MapPart;
 use super::robot_order::{RobotOrder, RobotOrders};
-use crate::ids::{RequestId, RobotId};
+use crate::ids::{AlarmId, RequestId, RobotId};
 use crate::lease::Epoch;
 use crate::units::MetresPerSecond;
 use serde::{Deserialize, Serialize};
@@ -35,6 +36,8 @@ pub(super) struct Orders {
     pub(super) closures: BTreeMap<MapPart, RobotOrder>,
     /// Speed limits in zones, at places and on lanes. No zone is contained twice.
     pub(super) speed_limits: BTreeMap<MapPart, (MetresPerSecond, RobotOrder)>,
+    /// Alarms in force. They have no end.
+    pub(super) alarms: BTreeMap<AlarmId, Alarm>,
 }
 
 impl Orders {

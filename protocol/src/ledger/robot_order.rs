@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Maximum encoded size of all orders to robots in bytes. Raised: a snapshot may be too large for every replica.
 pub(super) const ORDERS_BYTES_MAX: usize = 160 * 1024;
 
-/// Request of a person that changes orders: those to robots, closures, or speed limits.
+/// Request of a person that changes orders: those to robots, closures, speed limits, or alarms.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OrderRequest<Change = OrderChange> {
     /// The change.

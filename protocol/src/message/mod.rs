@@ -24,7 +24,7 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::{Closure, HeldItem, Ledger, MapPart, RobotOrder, SpeedLimit, TaskQuestion};
+use crate::ledger::{Alarm, AlarmResponse, Closure, HeldItem, Ledger, MapPart, RobotOrder, SpeedLimit, TaskQuestion};
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -215,6 +215,21 @@ pub struct OrdersNotice {
     /// The speed limits.
     #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
     pub speed_limits: Vec<SpeedLimitNotice>,
+    /// Present while alarms are in force.
+    pub alarm: Option<AlarmNotice>,
+}
+
+/// All alarms in force, as a single order: the robot suspends its plan.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlarmNotice {
+    /// The alarms, as text: `under alarm fire by Nia: smoke`.
+    pub order: OrderNotice,
+    /// Assembly places: the robot drives to the nearest that it can reach. Empty if it stands still.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+    pub places: BTreeSet<PlaceId>,
+    /// Zones, places and lanes that it does not enter.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+    pub closes: BTreeSet<MapPart>,
 }
 
 /// A speed limit in a zone, at a place or on a lane.
@@ -250,10 +265,11 @@ pub struct OrderNotice {
 }
 
 impl OrdersNotice {
-    /// Checks whether it contains neither orders, closures nor speed limits, nor a reason to stay.
+    /// Checks whether it contains neither orders, closures, speed limits nor alarms, nor a reason to stay.
     pub fn is_empty(&self) -> bool {
-        let OrdersNotice { as_of: _, hold, maintenance, closures, stay, speed_limits } = self;
-        hold.is_none() && maintenance.is_none() && closures.is_empty() && stay.is_none() && speed_limits.is_empty()
+        let OrdersNotice { as_of: _, hold, maintenance, closures, stay, speed_limits, alarm } = self;
+        let orders = [hold, maintenance, stay];
+        orders.into_iter().all(Option::is_none) && closures.is_empty() && speed_limits.is_empty() && alarm.is_none()
     }
 
     /// Returns the orders of a robot. `confirmed_ms` is the time of day that a majority of the voters confirms, in
@@ -293,7 +309,26 @@ impl OrdersNotice {
                     remaining_ms: remaining_ms(&order),
                 })
                 .collect(),
+            alarm: AlarmNotice::of(ledger),
         }
+    }
+}
+
+impl AlarmNotice {
+    /// Returns the alarms in force. To stop prevails over assembly.
+    fn of(ledger: &Ledger) -> Option<AlarmNotice> {
+        if !ledger.has_alarm() {
+            return None;
+        }
+        let mut text = ledger.alarms().map(Alarm::text).collect::<Vec<_>>().join("; ");
+        bounds::limit_text(&mut text, bounds::TEXT_BYTES_MAX);
+        let plans = || ledger.alarms().map(|alarm| &alarm.plan);
+        let stops = plans().any(|plan| plan.robots == AlarmResponse::Stop);
+        Some(AlarmNotice {
+            order: OrderNotice { text, remaining_ms: None },
+            places: plans().filter(|_| !stops).flat_map(|plan| &plan.places).cloned().collect(),
+            closes: plans().flat_map(|plan| &plan.closes).cloned().collect(),
+        })
     }
 }
 

@@ -4,7 +4,7 @@ use super::readable;
 use crate::ensemble::{ExchangedValue, Membership};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskType};
 use crate::knowledge::RobotKnowledge;
-use crate::ledger::{Closure, RobotOrders, SpeedLimit};
+use crate::ledger::{Alarm, Closure, RobotOrders, SpeedLimit};
 use crate::scalar::Scalar;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,6 +28,9 @@ pub struct FleetView {
     /// Speed limits that people have set; none if the replying node has no ledger.
     #[serde(default, deserialize_with = "readable")]
     pub speed_limits: Vec<SpeedLimit>,
+    /// Alarms in force; none if the replying node has no ledger.
+    #[serde(default, deserialize_with = "readable")]
+    pub alarms: Vec<Alarm>,
 }
 
 /// A node, as seen by the node that replies.

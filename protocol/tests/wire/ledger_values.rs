@@ -8,9 +8,9 @@ use consort_protocol::auction::{
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome, HeldItem, HistoryLimits,
-    MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId, Priority, Reassignment,
-    RecoveryBranch, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, Submission,
+    AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome,
+    HeldItem, HistoryLimits, MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId,
+    Priority, Reassignment, RecoveryBranch, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -288,6 +288,7 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(parts, order)| Command::ChangeClosures { parts, order }),
         (btree_set(map_part(), 0..3), order_request(speed_limit_change()))
             .prop_map(|(parts, order)| Command::ChangeSpeedLimits { parts, order }),
+        order_request(alarm_change()).prop_map(|order| Command::ChangeAlarms { order }),
         (any::<u8>(), text(), any::<u64>()).prop_map(|(wire, by, at_ms)| Command::RaiseWireVersion { wire, by, at_ms }),
         (any::<u32>(), any::<u64>(), any::<u64>()).prop_map(|(missions_max, outcome_age_max_ms, outcome_bytes_max)| {
             Command::SetHistoryLimits(HistoryLimits { missions_max, outcome_age_max_ms, outcome_bytes_max })
@@ -319,6 +320,16 @@ fn speed_limit_change() -> impl Strategy<Value = SpeedLimitChange> {
             reason
         }),
         Just(SpeedLimitChange::Clear),
+    ]
+}
+
+fn alarm_change() -> impl Strategy<Value = AlarmChange> {
+    let response = prop_oneof![Just(AlarmResponse::Stop), Just(AlarmResponse::Assemble)];
+    let plan = (response, btree_set(place(), 0..3), btree_set(map_part(), 0..3))
+        .prop_map(|(robots, places, closes)| AlarmPlan { robots, places, closes });
+    prop_oneof![
+        (name(), plan, text()).prop_map(|(alarm, plan, reason)| AlarmChange::Raise { alarm, plan, reason }),
+        option::of(name()).prop_map(|alarm| AlarmChange::Clear { alarm }),
     ]
 }
 

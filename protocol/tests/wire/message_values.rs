@@ -5,8 +5,8 @@ use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
 use consort_protocol::ledger::{PersonQuestion, TaskQuestion};
 use consort_protocol::message::{
-    AwardNotice, AwardReply, ClosureNotice, FailureKind, OrderNotice, OrdersNotice, QuestionAnswer, Report,
-    ReportReply, SpeedLimitNotice, TaskFailure,
+    AlarmNotice, AwardNotice, AwardReply, ClosureNotice, FailureKind, OrderNotice, OrdersNotice, QuestionAnswer,
+    Report, ReportReply, SpeedLimitNotice, TaskFailure,
 };
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
@@ -51,15 +51,18 @@ fn orders() -> impl Strategy<Value = OrdersNotice> {
         speed,
         remaining_ms,
     });
+    let alarm = (order(), btree_set(place(), 0..3), btree_set(map_part(), 0..3))
+        .prop_map(|(order, places, closes)| AlarmNotice { order, places, closes });
     let of_robot = (option::of(order()), option::of(order()), option::of(order()));
-    (epoch(), of_robot, vec(closure, 0..3), vec(limit, 0..3)).prop_map(
-        |(as_of, (hold, maintenance, stay), closures, speed_limits)| OrdersNotice {
+    (epoch(), of_robot, vec(closure, 0..3), vec(limit, 0..3), option::of(alarm)).prop_map(
+        |(as_of, (hold, maintenance, stay), closures, speed_limits, alarm)| OrdersNotice {
             as_of,
             hold,
             maintenance,
             closures,
             stay,
             speed_limits,
+            alarm,
         },
     )
 }

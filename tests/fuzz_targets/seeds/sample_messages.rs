@@ -18,13 +18,13 @@ use consort_protocol::knowledge::{
 };
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    AnswerContent, Branch, ClosureChange, Command, Ledger, MapPart, MissedOccurrences, OrderChange, OrderRequest,
-    PersonAnswer, PersonQuestion, PersonRequestId, Reassignment, Schedule, SchedulePause, ScheduleRule,
-    SpeedLimitChange, TaskQuestion, Zone,
+    AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, Ledger, MapPart,
+    MissedOccurrences, OrderChange, OrderRequest, PersonAnswer, PersonQuestion, PersonRequestId, Reassignment,
+    Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, TaskQuestion, Zone,
 };
 use consort_protocol::message::{
-    AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope, Exchange,
-    FailureKind, FollowedLeader, OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory,
+    AlarmNotice, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope,
+    Exchange, FailureKind, FollowedLeader, OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory,
     SpeedLimitNotice, TaskFailure,
 };
 use consort_protocol::mission::{Escalation, TaskOutcome, TaskOutcomes};
@@ -378,6 +378,22 @@ fn ledger_commands() -> Vec<Command> {
                 request: Some(slug("kim-9")),
             },
         },
+        Command::ChangeAlarms {
+            order: OrderRequest {
+                change: AlarmChange::Raise {
+                    alarm: slug("fire"),
+                    plan: AlarmPlan {
+                        robots: AlarmResponse::Assemble,
+                        places: ["Dock".parse().expect("a place")].into(),
+                        closes: [MapPart::Place("IC Room 6".parse().expect("a place"))].into(),
+                    },
+                    reason: "smoke".to_owned(),
+                },
+                by: "Nia".to_owned(),
+                at_ms: 8,
+                request: Some(slug("kim-10")),
+            },
+        },
     ]
 }
 
@@ -396,7 +412,20 @@ fn orders() -> OrdersNotice {
         speed: MetresPerSecond::new(0.3).expect("a speed"),
         remaining_ms: None,
     }];
-    OrdersNotice { as_of: EPOCH, hold: Some(hold), maintenance: None, closures, stay: None, speed_limits }
+    let alarm = AlarmNotice {
+        order: OrderNotice { text: "under alarm fire by Nia: smoke".to_owned(), remaining_ms: None },
+        places: ["Dock".parse().expect("a place")].into(),
+        closes: [MapPart::Place("IC Room 6".parse().expect("a place"))].into(),
+    };
+    OrdersNotice {
+        as_of: EPOCH,
+        hold: Some(hold),
+        maintenance: None,
+        closures,
+        stay: None,
+        speed_limits,
+        alarm: Some(alarm),
+    }
 }
 
 fn schedule() -> Schedule {
@@ -440,7 +469,8 @@ pub(super) fn awards() -> Vec<Vec<u8>> {
 pub(super) fn checkpoints() -> Vec<Vec<u8>> {
     let page = |(role, plan): (RoleId, LocalPlan)| {
         let own = OwnProgress { ended: BTreeSet::from([0]), outcomes: outcomes(), ..OwnProgress::default() };
-        Checkpoint { award: award(role.as_str(), plan), own, first_goal: GoalId(3) }.encode()
+        let left = Some("IC Corridor 6".parse().expect("a place"));
+        Checkpoint { award: award(role.as_str(), plan), own, first_goal: GoalId(3), left }.encode()
     };
     plans().into_iter().map(page).collect()
 }

@@ -138,6 +138,7 @@ impl<'s> TrialRun<'s> {
             ensembles: Arc::clone(&setup.ensembles),
             domain: Arc::clone(&setup.domain),
             missions: Arc::default(),
+            alarms: Arc::default(),
             limits: BidLimits::default(),
             charging: None,
             promises: PromiseTerms::default(),

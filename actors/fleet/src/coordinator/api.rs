@@ -15,10 +15,10 @@ use consort_protocol::api::{
 };
 use consort_protocol::ensemble::Ensembles;
 use consort_protocol::event::{EventKind, ScheduleChange};
-use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId, ScheduleId};
+use consort_protocol::ids::{AlarmId, FleetId, MissionId, NodeId, RequestId, ScheduleId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{
-    AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer, ScheduleEntry, SchedulePause,
+    AlarmPlan, AnswerContent, Command, CommandError, CommandOutcome, Ledger, PersonAnswer, ScheduleEntry, SchedulePause,
 };
 use consort_protocol::mission::{Domain, check_results};
 use consort_protocol::trust::MissionNotPermitted;
@@ -51,6 +51,8 @@ pub(super) struct ApiHandler {
     pub(super) ensembles: Arc<Ensembles>,
     /// The missions that a request may name.
     pub(super) missions: Arc<NamedMissions>,
+    /// The alarms that a request may raise.
+    pub(super) alarms: Arc<BTreeMap<AlarmId, AlarmPlan>>,
     /// Prefix of generated request ids, different from the prefixes of other coordinators.
     pub(super) request_prefix: String,
     /// Time of day in milliseconds since 1970, if it is known.
@@ -119,6 +121,7 @@ impl ApiHandler {
             ApiCall::Close => self.close(payload).await.map(json),
             ApiCall::Open => self.open(payload).await.map(json),
             ApiCall::Limit => self.limit(payload).await.map(json),
+            ApiCall::Alarm => self.alarm(payload).await.map(json),
             ApiCall::Backup => self.backup().await,
             ApiCall::Upgrade => self.upgrade(payload).await.map(json),
             ApiCall::Get

@@ -1,9 +1,8 @@
 //! The zones, places and lanes of a request.
 
-use consort_protocol::ids::{PlaceId, ZoneId};
-use consort_protocol::ledger::{MapPart, Zone};
+use consort_protocol::ids::PlaceId;
+use consort_protocol::ledger::MapPart;
 use consort_protocol::mission::Domain;
-use consort_text::AllowedNames;
 use std::collections::BTreeSet;
 
 /// Returns the zones, places and lanes of a request. `names` are those of places and zones. Those under an order already
@@ -20,54 +19,27 @@ pub(super) fn map_parts(
     if let Some((place, _)) = lanes.iter().find(|(a, b)| a == b) {
         return Err(format!("a lane from {place} to {place} is given; a lane has two ends"));
     }
-    let named = names.into_iter().map(|name| part_named(name, domain, known));
+    let named = names.into_iter().map(|name| part_named(&name, domain, known));
     let parts: BTreeSet<MapPart> = named.chain(lanes.into_iter().map(|(a, b)| MapPart::of_lane(a, b))).collect();
     if parts.is_empty() {
         return Err("name a place or a zone in `places`, or a lane in `lanes`".to_owned());
     }
-    parts.difference(known).try_for_each(|part| check(part, domain))?;
+    parts.difference(known).try_for_each(|part| part.check(domain))?;
     Ok(parts)
 }
 
-fn part_named(name: PlaceId, domain: &Domain, known: &BTreeSet<MapPart>) -> MapPart {
-    let zone = ZoneId::from(name.clone());
-    if let Some(places) = domain.zones().get(&zone) {
-        return MapPart::Zone(Zone { name: zone, places: places.clone() });
-    }
-    let is_zone = |part: &&MapPart| matches!(part, MapPart::Zone(known) if known.name == zone);
-    known.iter().find(is_zone).cloned().unwrap_or(MapPart::Place(name))
-}
-
-/// Checks that a place or lane is on the map of the fleet, if the map is known.
-fn check(part: &MapPart, domain: &Domain) -> Result<(), String> {
-    let ends = match part {
-        MapPart::Zone(_) => return Ok(()),
-        MapPart::Place(place) => vec![place],
-        MapPart::Lane(a, b) => vec![a, b],
-    };
-    if let Some(places) = domain.places()
-        && let Some(unknown) = ends.into_iter().find(|end| !places.contains(*end))
-    {
-        let mut zones =
-            domain.zones().keys().map(ZoneId::as_str).filter(|_| matches!(part, MapPart::Place(_))).peekable();
-        let kind = if zones.peek().is_none() { "place" } else { "place or zone" };
-        let names = zones.chain(places.iter().map(PlaceId::as_str));
-        return Err(format!("there is no {kind} {unknown}; {}", AllowedNames::suggest_for(unknown.as_str(), names)));
-    }
-    match (part, domain.lanes()) {
-        (MapPart::Lane(a, b), Some(lanes)) if !lanes.contains(&(a.clone(), b.clone())) => {
-            let of_place = lanes.iter().filter(|(from, to)| [from, to].contains(&a));
-            let others = of_place.map(|(from, to)| if from == a { to.as_str() } else { from.as_str() });
-            let others = others.collect::<Vec<_>>().join(", ");
-            Err(format!("there is no lane {part}; the lanes of {a} lead to {others}"))
-        }
-        _ => Ok(()),
-    }
+/// Returns the zone or place of this name. A zone that the fleet file does not declare is that of its order.
+fn part_named(name: &PlaceId, domain: &Domain, known: &BTreeSet<MapPart>) -> MapPart {
+    let part = MapPart::named(name, domain);
+    let is_zone = |known: &&MapPart| matches!(known, MapPart::Zone(zone) if zone.name.as_str() == name.as_str());
+    let of_order = known.iter().find(is_zone).filter(|_| matches!(part, MapPart::Place(_)));
+    of_order.cloned().unwrap_or(part)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::ledger::Zone;
     use std::collections::BTreeMap;
 
     fn place(name: &str) -> PlaceId {
@@ -103,7 +75,7 @@ mod tests {
     fn places_and_lanes_of_the_map_are_accepted() {
         let parts = checked(&["W"], &[("W", "Main"), ("Main", "W"), ("E", "Main")]);
         assert_eq!(parts, Ok(["W", "E – Main", "Main – W"].map(str::to_owned).into()));
-        assert_eq!(check(&MapPart::Place(place("X")), &Domain::default()), Ok(()), "the map is unknown");
+        assert_eq!(MapPart::Place(place("X")).check(&Domain::default()), Ok(()), "the map is unknown");
     }
 
     #[test]

@@ -16,6 +16,7 @@
 
 mod actions;
 mod actor;
+mod alarm_requests;
 mod api;
 mod auctioneer;
 mod auctions;

@@ -55,7 +55,7 @@ fn add_promise(queue: &mut RobotQueue, promise: &RoleAssignment, is_lower: bool)
 /// Checks whether a robot may return the role that it holds for now. A robot under orders keeps its role, since it would get no
 /// other.
 pub(super) fn may_return(ledger: &Ledger, entry: &MissionEntry, role: &RoleId, holder: &RoleAssignment) -> bool {
-    entry.only_waits(role) && ledger.orders_of(&holder.robot).is_none()
+    entry.only_waits(role) && !ledger.is_under_orders(&holder.robot)
 }
 
 /// Queues of robots.

@@ -64,6 +64,10 @@ pub(super) fn pending_actions(
         }
     }
     actions.extend(promises_due(ledger, &missions, state, is_notice_due));
+    // Robots keep their roles during an alarm, since they would get no others.
+    if ledger.has_alarm() {
+        return actions;
+    }
     let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
     let give_way = |(awarded, to)| CoordinatorAction::AskToGiveWay { awarded, to, for_now: false };
     actions.extend(circular.map(give_way));

@@ -77,6 +77,7 @@ impl Requests {
             domain: Arc::clone(&context.settings.domain),
             ensembles: Arc::clone(&context.settings.auctions.ensembles),
             missions: Arc::clone(&context.settings.missions),
+            alarms: Arc::clone(&context.settings.alarms),
             request_prefix: format!(
                 "unnamed-{}-{:x}-{}",
                 context.term,

@@ -1,13 +1,14 @@
-//! Orders of people during a session: the coordinator sends them to the robots with the closures, publishes the
-//! changes of those to robots, and proposes the end of those whose time has passed, or whose robot has left the fleet.
+//! Orders of people during a session: the coordinator sends them to the robots with the closures and alarms, publishes
+//! the changes of alarms and of the orders to robots, and proposes the end of orders whose time has passed, or whose
+//! robot has left the fleet.
 //!
 //! A robot that holds a role also gets its orders with each renewal of its lease.
 
 use super::session_context::SessionContext;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::ids::{AlarmId, NodeId, RobotId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Command, Ledger, RobotOrders};
+use consort_protocol::ledger::{Alarm, Command, Ledger, RobotOrders};
 use consort_protocol::message::OrdersNotice;
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,8 +27,8 @@ const REPEAT_INTERVAL: Duration = Duration::from_secs(2);
 /// Orders during a session.
 pub(super) struct OrderDelivery {
     sent: BTreeMap<RobotId, SentOrders>,
-    /// Orders of each robot when they were last compared, and the position of their latest change.
-    published: BTreeMap<RobotId, RobotOrders>,
+    /// Orders when they were last compared, and the position of their latest change.
+    published: PublishedOrders,
     position: Epoch,
     /// Time of the latest search for robots that need a notice.
     checked_at: NodeTime,
@@ -35,10 +36,44 @@ pub(super) struct OrderDelivery {
     ended_at: Option<NodeTime>,
 }
 
+/// Orders whose changes are published.
+struct PublishedOrders {
+    robots: BTreeMap<RobotId, RobotOrders>,
+    alarms: BTreeMap<AlarmId, Alarm>,
+}
+
+impl PublishedOrders {
+    fn of(ledger: &Ledger) -> PublishedOrders {
+        PublishedOrders {
+            robots: ledger.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone())).collect(),
+            alarms: ledger.alarms().map(|alarm| (alarm.alarm.clone(), alarm.clone())).collect(),
+        }
+    }
+
+    /// Returns the changes from these orders to the `present` ones.
+    fn changes(&self, present: &PublishedOrders) -> Vec<EventKind> {
+        let robots = changes(&self.robots, &present.robots)
+            .map(|(robot, orders)| EventKind::RobotOrders { robot, orders: orders.unwrap_or_default() });
+        let alarms =
+            changes(&self.alarms, &present.alarms).map(|(alarm, raised)| EventKind::AlarmChanged { alarm, raised });
+        robots.chain(alarms).collect()
+    }
+}
+
+/// Returns the keys whose values have changed, in their order, with their present values.
+fn changes<K: Clone + Ord, V: Clone + PartialEq>(
+    before: &BTreeMap<K, V>,
+    present: &BTreeMap<K, V>,
+) -> impl Iterator<Item = (K, Option<V>)> {
+    let keys: BTreeSet<&K> = before.keys().chain(present.keys()).collect();
+    let changed = keys.into_iter().filter(move |key| before.get(*key) != present.get(*key));
+    changed.map(move |key| (key.clone(), present.get(key).cloned()))
+}
+
 /// Latest notice to a robot.
 struct SentOrders {
     as_of: Epoch,
-    /// True if it contains an order or a closure.
+    /// True if it contains an order, a closure or an alarm.
     has_orders: bool,
     at: NodeTime,
     is_acknowledged: bool,
@@ -59,7 +94,8 @@ impl SentOrders {
 impl OrderDelivery {
     /// Creates the state of a session. Orders that are in the ledger before the session are not published.
     pub(super) fn new(context: &SessionContext) -> OrderDelivery {
-        let (published, position) = context.read_ledger(|ledger| (all_orders(ledger), ledger.orders_changed()));
+        let (published, position) =
+            context.read_ledger(|ledger| (PublishedOrders::of(ledger), ledger.orders_changed()));
         OrderDelivery { sent: BTreeMap::new(), published, position, checked_at: NodeTime::ZERO, ended_at: None }
     }
 
@@ -121,11 +157,9 @@ impl OrderDelivery {
 
     /// Publishes the orders that have changed since the last comparison.
     fn publish(&mut self, context: &SessionContext) {
-        let present = context.read_ledger(all_orders);
-        let robots: BTreeSet<&RobotId> = self.published.keys().chain(present.keys()).collect();
-        for robot in robots.into_iter().filter(|robot| self.published.get(*robot) != present.get(*robot)) {
-            let orders = present.get(robot).cloned().unwrap_or_default();
-            context.publish_event(EventKind::RobotOrders { robot: robot.clone(), orders });
+        let present = context.read_ledger(PublishedOrders::of);
+        for event in self.published.changes(&present) {
+            context.publish_event(event);
         }
         self.published = present;
     }
@@ -147,10 +181,6 @@ fn end_of_orders(context: &SessionContext, confirmed_ms: Option<u64>) -> Option<
     }
     let now_ms = confirmed_ms?;
     context.read_ledger(|ledger| ledger.has_order_to_expire(now_ms)).then_some(Command::ExpireOrders { now_ms })
-}
-
-fn all_orders(ledger: &Ledger) -> BTreeMap<RobotId, RobotOrders> {
-    ledger.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone())).collect()
 }
 
 #[cfg(test)]

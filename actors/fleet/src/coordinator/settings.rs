@@ -9,13 +9,14 @@ use consort_bus::wire_version::WireVersion;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::auction::{Allocator, BidLimits, PromiseTerms};
 use consort_protocol::ensemble::Ensembles;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{AlarmId, NodeId};
 use consort_protocol::keys::Keys;
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::{HistoryLimits, Ledger};
+use consort_protocol::ledger::{AlarmPlan, HistoryLimits, Ledger};
 use consort_protocol::mission::Domain;
 use consort_raft::Replica;
 use consort_skills::missions::NamedMissions;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -30,6 +31,8 @@ pub(crate) struct CoordinatorSettings {
     pub(crate) domain: Arc<Domain>,
     /// The missions that a request may name.
     pub(crate) missions: Arc<NamedMissions>,
+    /// The alarms that a request may raise.
+    pub(crate) alarms: Arc<BTreeMap<AlarmId, AlarmPlan>>,
     /// Limits of accepted requests and missions.
     pub(crate) request_limits: RequestLimits,
     /// Limits of the ledger's history of ended missions.

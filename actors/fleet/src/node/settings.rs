@@ -8,10 +8,10 @@ use consort_bus::clock::Clock;
 use consort_bus::record_signer::SharedRecordSigner;
 use consort_protocol::auction::{Allocator, BidLimits, PromiseTerms};
 use consort_protocol::ensemble::Ensembles;
-use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::ids::{AlarmId, FleetId, NodeId};
 use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::HistoryLimits;
+use consort_protocol::ledger::{AlarmPlan, HistoryLimits};
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
 use consort_protocol::versions::VersionRange;
@@ -21,6 +21,7 @@ use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::Estimator;
 use consort_skills::library::SkillLibrary;
 use consort_skills::missions::NamedMissions;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -35,6 +36,8 @@ pub struct FleetSettings {
     pub domain: Arc<Domain>,
     /// The missions that a request may name.
     pub missions: Arc<NamedMissions>,
+    /// The alarms that people may raise.
+    pub alarms: Arc<BTreeMap<AlarmId, AlarmPlan>>,
     /// Limits that bids must meet.
     pub limits: BidLimits,
     /// Chargers, and when robots use them; `None` if robots charge by tasks of missions only.

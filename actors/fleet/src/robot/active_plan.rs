@@ -3,6 +3,7 @@
 
 use super::checkpoint::Checkpoint;
 use super::checkpoint_writer::{CheckpointWriter, PendingOutput};
+use super::own_tasks::{drive_to, is_drive};
 use super::recovery_policy::{AttemptFailure, RecoveryAction, RecoveryPolicy};
 use super::release::{DriverActivity, PendingRelease};
 use super::sequencer::{Sequencer, SequencerAction, StepRef};
@@ -12,11 +13,11 @@ use super::task_timeout::TaskTimer;
 use consort_bus::tasks::Tasks;
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, RoleId, TaskId};
+use consort_protocol::ids::{MissionId, PlaceId, RoleId, TaskId};
 use consort_protocol::lease::{Award, RoleHolder};
 use consort_protocol::message::{FailureKind, TaskFailure};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::plan::{Signal, StepIndex};
+use consort_protocol::plan::{LocalPlan, Signal, Step, StepAction, StepIndex};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::GoalId;
@@ -32,6 +33,10 @@ pub(super) struct ActivePlan {
     pub(super) attempt: Option<TaskAttempt>,
     recovery: Recovery,
     checkpoint: PlanCheckpoint,
+    /// The suspended task is a drive, which can go on from anywhere.
+    has_suspended_drive: bool,
+    /// Place that the robot left for an assembly place, and where the plan goes on.
+    left: Option<PlaceId>,
     /// Signals received under awards no longer in force; each is reported once.
     pub(super) stale_signals: StaleSignals,
     /// Subscription to the signals of other roles.
@@ -93,6 +98,8 @@ pub(super) enum PlanAction {
     },
     /// Publish that an awaited signal has arrived.
     ReportReceived(Signal),
+    /// Drive back to the place that the robot left.
+    ReturnTo(PlaceId),
     /// Give up the current task, which cannot start.
     Fail(AttemptFailure),
 }
@@ -126,6 +133,7 @@ impl ActivePlan {
         let up_to_date = restored.as_ref().filter(|checkpoint| !checkpoint.misses_ended_task(recorded));
         let first_goal = up_to_date.map_or(next_goal, |checkpoint| checkpoint.first_goal);
         let is_stored = restored.is_some();
+        let left = restored.as_ref().and_then(|checkpoint| checkpoint.left.clone());
         let own = restored.map(|checkpoint| checkpoint.own).unwrap_or_default();
         let resumed = Sequencer::resume(award.plan.clone(), recorded, own, holders.clone());
         let failure = resumed.as_ref().err().map(|problem| TaskFailure::new(FailureKind::Plan, problem.to_string()));
@@ -144,6 +152,8 @@ impl ActivePlan {
             attempt: None,
             recovery,
             checkpoint: PlanCheckpoint { writer, is_stored, first_goal },
+            has_suspended_drive: false,
+            left,
             stale_signals: StaleSignals::new(),
             subscriptions: Tasks::default(),
         };
@@ -165,8 +175,12 @@ impl ActivePlan {
             if self.is_releasing() || !self.checkpoint.writer.is_idle() || now < self.recovery.retry_at {
                 return None;
             }
+            if let Some(place) = &self.left {
+                return Some(PlanAction::ReturnTo(place.clone()));
+            }
             match self.sequencer.next_action()? {
                 SequencerAction::StartTask { step, task, spec } => {
+                    self.has_suspended_drive = false;
                     return Some(PlanAction::StartTask { step, task, spec });
                 }
                 SequencerAction::SendSignal(signal) => self.checkpoint.writer.queue(PendingOutput::Signal(signal)),
@@ -217,10 +231,44 @@ impl ActivePlan {
         }
     }
 
-    /// Suspends the plan: the lease has expired, or a person holds the robot.
+    /// Suspends the plan: the lease has expired, or a person or an alarm holds the robot.
     pub(super) fn suspend(&mut self) {
         self.stop();
+        if let Some((.., task)) = self.sequencer.current_step() {
+            self.has_suspended_drive = is_drive(task);
+        }
         self.sequencer.abort_task();
+    }
+
+    /// Records that the robot leaves this place for an assembly place. Others may expect the robot there, unless its
+    /// plan has not begun, or lets it drive.
+    pub(super) fn leave(&mut self, place: PlaceId) {
+        if self.left.is_none() && !self.has_suspended_drive && !self.sequencer.is_untouched() {
+            self.left = Some(place);
+            self.checkpoint.writer.mark_outdated();
+        }
+    }
+
+    /// Returns the place that the robot has left, and where the plan goes on.
+    pub(super) fn place_left(&self) -> Option<&PlaceId> {
+        self.left.as_ref()
+    }
+
+    /// Records that the robot is back at the place that it had left.
+    pub(super) fn set_returned(&mut self) {
+        self.left = None;
+    }
+
+    /// Returns the remaining work, with the way back to the place that the robot has left, as a plan that can be
+    /// priced.
+    pub(super) fn remaining_plan(&self) -> LocalPlan {
+        let mut rest = self.sequencer.remaining_plan();
+        if let Some(place) = &self.left {
+            let id = TaskId::new("return").expect("a slug");
+            let action = StepAction::Task { id, spec: drive_to(place) };
+            rest.steps.insert(0, Step { action, after: vec![] });
+        }
+        rest
     }
 
     /// Checks the time limit of the current task.
@@ -325,7 +373,8 @@ impl ActivePlan {
             return None;
         }
         let own = self.sequencer.own_progress();
-        Some(Checkpoint { award: self.award.clone(), own, first_goal: self.checkpoint.first_goal })
+        let (award, first_goal, left) = (self.award.clone(), self.checkpoint.first_goal, self.left.clone());
+        Some(Checkpoint { award, own, first_goal, left })
     }
 
     /// Ends the write of a checkpoint, which may belong to an earlier plan. Returns true if the
@@ -404,6 +453,81 @@ mod tests {
         assert!(active.is_releasing() && needs_report(true) && !needs_report(false));
         assert_eq!(active.next_action(at(9_000)), None);
         assert_eq!(active.recover(failure(FailureKind::Battery), delay, at(9_000)), None, "released already");
+    }
+
+    fn place(name: &str) -> PlaceId {
+        name.parse().unwrap()
+    }
+
+    /// Returns a plan in which the first task has ended and the second has started.
+    fn under_way(award: Award) -> ActivePlan {
+        let mut active = started(award, None);
+        write(&mut active);
+        let (step, task) = start_task(&mut active, at(0));
+        active.end_task(step, task, BTreeMap::new(), GoalId(103));
+        for _ in 0..2 {
+            write(&mut active);
+            assert!(matches!(active.next_action(at(0)), Some(PlanAction::Emit(_))));
+            let next = active.next_action(at(0));
+            assert!(matches!(next, None | Some(PlanAction::StartTask { .. })), "{next:?}");
+        }
+        active
+    }
+
+    #[test]
+    fn a_robot_returns_to_the_place_that_it_left_before_its_plan_goes_on() {
+        let mut active = under_way(award(7));
+        active.suspend();
+        active.leave(place("Ward"));
+        active.leave(place("Dock"));
+        let checkpoint = write(&mut active).unwrap();
+        assert_eq!(checkpoint.left, Some(place("Ward")), "the first place");
+        let tasks: Vec<String> = active.remaining_plan().tasks().map(|(_, task)| task.task_type.to_string()).collect();
+        assert_eq!(tasks, ["navigation", "drive"]);
+        let mut restored = started(award(7), Some(checkpoint));
+        write(&mut restored);
+        for active in [&mut active, &mut restored] {
+            assert_eq!(active.next_action(at(0)), Some(PlanAction::ReturnTo(place("Ward"))));
+            assert_eq!(active.place_left(), Some(&place("Ward")));
+            active.set_returned();
+            assert_eq!(active.remaining_plan().tasks().count(), 1);
+            assert_eq!(start_task(active, at(0)).1.as_str(), "return");
+        }
+    }
+
+    #[test]
+    fn a_robot_goes_on_from_where_it_stands_with_a_drive_and_before_its_first_step() {
+        let mut untouched = started(award(7), None);
+        write(&mut untouched);
+        start_task(&mut untouched, at(0));
+        untouched.suspend();
+        untouched.leave(place("Dock"));
+        let mut drives = award(7);
+        for step in &mut drives.plan.steps {
+            if let StepAction::Task { spec, .. } = &mut step.action {
+                spec.task_type = drive_to(&place("Ward")).task_type;
+            }
+        }
+        let mut drives = under_way(drives);
+        drives.suspend();
+        drives.suspend();
+        drives.leave(place("Dock"));
+        for active in [&mut untouched, &mut drives] {
+            assert_eq!(active.place_left(), None);
+            assert_eq!(write(active), None, "the checkpoint is up to date");
+            start_task(active, at(0));
+        }
+    }
+
+    #[test]
+    fn a_robot_without_a_task_returns_to_where_it_waited() {
+        let mut waits = started(award(7), None);
+        write(&mut waits);
+        let (step, task) = start_task(&mut waits, at(0));
+        waits.end_task(step, task, BTreeMap::new(), GoalId(103));
+        waits.suspend();
+        waits.leave(place("Ward"));
+        assert_eq!(waits.place_left(), Some(&place("Ward")));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::sequencer::OwnProgress;
 use consort_protocol::codec::{self, CodecError};
-use consort_protocol::ids::RobotId;
+use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::lease::Award;
 use consort_protocol::plan::{StepAction, StepIndex};
 use consort_skills::actions::GoalId;
@@ -23,6 +23,8 @@ pub struct Checkpoint {
     pub own: OwnProgress,
     /// This goal of the driver and all later goals belong to steps that have not ended.
     pub first_goal: GoalId,
+    /// Place that the robot left for an assembly place, and where the plan goes on.
+    pub left: Option<PlaceId>,
 }
 
 /// The checkpoint cannot be restored. The robot has lost its role.
@@ -108,7 +110,7 @@ mod tests {
             plan,
             holders: std::collections::BTreeMap::new(),
         };
-        Checkpoint { award, own: own(&[0, 1]), first_goal: GoalId(3) }
+        Checkpoint { award, own: own(&[0, 1]), first_goal: GoalId(3), left: Some("Ward".parse().unwrap()) }
     }
 
     #[test]

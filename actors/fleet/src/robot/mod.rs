@@ -21,9 +21,10 @@
 //! | `Execution` with `ActivePlan` | steps, attempts, recovery, release |
 //! | `CheckpointStorage` | writes of the checkpoint |
 //! | `DriverLink` with `WorkerRecord` | telemetry, and the robot's own knowledge record |
-//! | `StandingOrders` | hold and maintenance, ordered by people |
+//! | `StandingOrders` | hold, maintenance, closures and alarms, ordered by people |
 //! | `LeaderCheck` with `LeaderPoll` | the coordinator, confirmed by the voters |
 //! | `ChargeControl` | charging while the robot is free |
+//! | `AlarmDrive` | drives to assembly places, and back to the plan |
 //!
 //! Each skill runs in an actor of its own: a panic in a skill fails the attempt and not the node.
 //!
@@ -33,6 +34,7 @@
 
 mod active_plan;
 mod actor;
+mod alarm_drive;
 mod bidder;
 mod charging;
 mod checkpoint;
@@ -43,6 +45,7 @@ mod energy_check;
 mod execution;
 mod leader_poll;
 mod lease_client;
+mod own_tasks;
 mod recovery_policy;
 mod release;
 mod report;

@@ -1,4 +1,4 @@
-//! The orders and closures of people that a robot follows, as last received. A robot without contact to the
+//! The orders, closures and alarms of people that a robot follows, as last received. A robot without contact to the
 //! coordinator follows them until their end.
 
 use crate::recurrence::until_text;
@@ -6,8 +6,9 @@ use crate::robot_driver::MapOrders;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::MapPart;
-use consort_protocol::message::{ClosureNotice, OrderNotice, OrdersNotice, SpeedLimitNotice};
+use consort_protocol::message::{AlarmNotice, ClosureNotice, OrderNotice, OrdersNotice, SpeedLimitNotice};
 use consort_protocol::units::{MetresPerSecond, NodeTime};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Time within which a coordinator that reaches a robot sends its orders. Until then a robot that has started leaves
@@ -32,6 +33,7 @@ pub(super) struct StandingOrders {
     unconfirmed_closures: Vec<StandingClosure>,
     stay: Option<StandingOrder>,
     speed_limits: Vec<StandingSpeedLimit>,
+    alarm: Option<StandingAlarm>,
     /// Time from which the robot may act without a role.
     acts_alone_from: NodeTime,
 }
@@ -48,6 +50,14 @@ struct StandingSpeedLimit {
     speed: MetresPerSecond,
     /// End of the limit; `None` for no end.
     until: Option<NodeTime>,
+}
+
+#[derive(Debug)]
+struct StandingAlarm {
+    order: StandingOrder,
+    /// Assembly places; empty if the robot stands still.
+    places: BTreeSet<PlaceId>,
+    closes: BTreeSet<MapPart>,
 }
 
 #[derive(Debug)]
@@ -95,6 +105,12 @@ impl StandingClosure {
     }
 }
 
+impl StandingAlarm {
+    fn new(AlarmNotice { order, places, closes }: AlarmNotice, now: NodeTime) -> StandingAlarm {
+        StandingAlarm { order: StandingOrder::new(order, now), places, closes }
+    }
+}
+
 impl StandingOrders {
     /// Creates the orders of a robot that starts now: they are unknown.
     pub(super) fn new(now: NodeTime) -> StandingOrders {
@@ -103,7 +119,7 @@ impl StandingOrders {
 
     /// Receives the orders from the coordinator. A notice that is older than the latest has no effect.
     pub(super) fn receive(&mut self, notice: OrdersNotice, now: NodeTime) {
-        let OrdersNotice { as_of, hold, maintenance, closures, stay, speed_limits } = notice;
+        let OrdersNotice { as_of, hold, maintenance, closures, stay, speed_limits, alarm } = notice;
         if as_of < self.as_of {
             return;
         }
@@ -111,6 +127,7 @@ impl StandingOrders {
         let (hold, maintenance, stay) = (standing(hold), standing(maintenance), standing(stay));
         let closures = closures.into_iter().map(|closure| StandingClosure::new(closure, now)).collect();
         let speed_limits = speed_limits.into_iter().map(|limit| StandingSpeedLimit::new(limit, now)).collect();
+        let alarm = alarm.map(|alarm| StandingAlarm::new(alarm, now));
         *self = StandingOrders {
             as_of,
             hold,
@@ -118,16 +135,21 @@ impl StandingOrders {
             closures,
             stay,
             speed_limits,
+            alarm,
             acts_alone_from: now,
             ..StandingOrders::default()
         };
     }
 
-    /// Receives orders from a node that may be the coordinator: a hold and closures count for a short time, and nothing
-    /// else. They outlast the `lease` that the robot may have received with them.
+    /// Receives orders from a node that may be the coordinator: for a short time a hold or a new alarm lets the robot
+    /// stand still, and closures count, but nothing else. They outlast the `lease` that the robot may have received
+    /// with them.
     pub(super) fn receive_unconfirmed(&mut self, notice: &OrdersNotice, lease: Duration, now: NodeTime) {
         let end = now + UNCONFIRMED_ORDER.max(lease);
-        self.unconfirmed_hold = notice.hold.clone().map(|hold| StandingOrder::new(hold, now));
+        let is_new = self.alarm_in_force(now).is_none();
+        let alarm = notice.alarm.as_ref().filter(|_| is_new).map(|alarm| &alarm.order);
+        let hold = notice.hold.as_ref().or(alarm);
+        self.unconfirmed_hold = hold.cloned().map(|hold| StandingOrder::new(hold, now));
         let is_other = |closure: &&ClosureNotice| self.closures.iter().all(|known| known.part != closure.part);
         let others = notice.closures.iter().filter(is_other).cloned();
         self.unconfirmed_closures = others.map(|closure| StandingClosure::new(closure, now)).collect();
@@ -152,7 +174,9 @@ impl StandingOrders {
         self.change_session();
         let end = now + FIRST_NOTICE_WAIT;
         let of_closures = self.closures.iter_mut().map(|closure| &mut closure.order);
-        let orders = self.hold.iter_mut().chain(&mut self.maintenance).chain(&mut self.stay).chain(of_closures);
+        let of_alarm = self.alarm.iter_mut().map(|alarm| &mut alarm.order);
+        let others = of_closures.chain(of_alarm);
+        let orders = self.hold.iter_mut().chain(&mut self.maintenance).chain(&mut self.stay).chain(others);
         let ends = orders.map(|order| &mut order.until);
         for until in ends.chain(self.speed_limits.iter_mut().map(|limit| &mut limit.until)) {
             end_by(until, end);
@@ -169,14 +193,26 @@ impl StandingOrders {
         now >= self.acts_alone_from
     }
 
-    /// Checks whether the robot has to stand still.
+    /// Checks whether the plan of the robot is suspended: it has to stand still, or to drive to an assembly place.
     pub(super) fn is_held(&self, now: NodeTime) -> bool {
-        self.hold.iter().chain(&self.unconfirmed_hold).any(|hold| hold.is_in_force(now))
+        self.holds(now).next().is_some() || self.alarm_in_force(now).is_some()
+    }
+
+    /// Returns the places to one of which the robot has to drive; `None` if it has to stand still, or to go on.
+    pub(super) fn assembly_places(&self, now: NodeTime) -> Option<&BTreeSet<PlaceId>> {
+        let alarm = self.alarm_in_force(now).filter(|_| self.holds(now).next().is_none());
+        alarm.map(|alarm| &alarm.places).filter(|places| !places.is_empty())
+    }
+
+    /// Checks whether the robot is in maintenance.
+    pub(super) fn is_in_maintenance(&self, now: NodeTime) -> bool {
+        self.maintenance.as_ref().is_some_and(|order| order.is_in_force(now))
     }
 
     /// Returns the closed lanes by their ends, and each closed place twice, also those of closed zones.
     pub(super) fn closed(&self, now: NodeTime) -> Vec<(PlaceId, PlaceId)> {
-        self.closures_in_force(now).flat_map(|closure| closure.part.pairs()).collect()
+        let of_alarm = self.alarm_in_force(now).into_iter().flat_map(|alarm| &alarm.closes);
+        self.closures_in_force(now).map(|closure| &closure.part).chain(of_alarm).flat_map(MapPart::pairs).collect()
     }
 
     /// Returns the orders about the map.
@@ -194,14 +230,23 @@ impl StandingOrders {
         self.closures_in_force(now).map(|closure| closure.order.text.as_str()).collect()
     }
 
+    fn holds(&self, now: NodeTime) -> impl Iterator<Item = &StandingOrder> {
+        self.hold.iter().chain(&self.unconfirmed_hold).filter(move |hold| hold.is_in_force(now))
+    }
+
+    fn alarm_in_force(&self, now: NodeTime) -> Option<&StandingAlarm> {
+        self.alarm.as_ref().filter(|alarm| alarm.order.is_in_force(now))
+    }
+
     fn closures_in_force(&self, now: NodeTime) -> impl Iterator<Item = &StandingClosure> {
         self.closures.iter().chain(&self.unconfirmed_closures).filter(move |closure| closure.order.is_in_force(now))
     }
 
     /// Returns the order for which the robot takes no role, as text; `None` if there is none.
     pub(super) fn problem(&self, now: NodeTime) -> Option<&str> {
-        let mut orders = self.hold.iter().chain(&self.unconfirmed_hold).chain(&self.maintenance);
-        orders.find(|order| order.is_in_force(now)).map(|order| order.text.as_str())
+        let alarm = self.alarm_in_force(now).map(|alarm| &alarm.order);
+        let maintenance = self.maintenance.as_ref().filter(|order| order.is_in_force(now));
+        self.holds(now).chain(alarm).chain(maintenance).next().map(|order| order.text.as_str())
     }
 }
 
@@ -351,6 +396,55 @@ mod tests {
         assert!(!orders.is_held(at(500)) && orders.problem(at(500)).is_none());
         orders.receive(notice(6, None), at(2_000));
         assert!(orders.closed(at(2_000)).is_empty());
+    }
+
+    fn alarm(places: &[&str]) -> Option<AlarmNotice> {
+        let order = OrderNotice { text: "under alarm fire by Nia".to_owned(), remaining_ms: None };
+        let closes = BTreeSet::from([MapPart::Place("Lift".parse().unwrap())]);
+        Some(AlarmNotice { order, places: places.iter().map(|name| name.parse().unwrap()).collect(), closes })
+    }
+
+    #[test]
+    fn an_alarm_suspends_the_plan_and_closes_places_until_it_is_cleared() {
+        let lift: (PlaceId, PlaceId) = ("Lift".parse().unwrap(), "Lift".parse().unwrap());
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { alarm: alarm(&[]), ..notice(5, None) }, at(0));
+        assert!(orders.is_held(at(900_000)) && orders.assembly_places(at(0)).is_none(), "it stands still");
+        assert_eq!(orders.problem(at(0)), Some("under alarm fire by Nia"));
+        assert_eq!(orders.closed(at(900_000)), [lift]);
+        orders.receive(OrdersNotice { alarm: alarm(&["Dock"]), ..notice(6, None) }, at(0));
+        assert!(orders.is_held(at(0)) && orders.assembly_places(at(0)).is_some());
+        orders.receive(notice(7, None), at(0));
+        assert!(!orders.is_held(at(0)) && orders.assembly_places(at(0)).is_none());
+        assert!(orders.problem(at(0)).is_none() && orders.closed(at(0)).is_empty());
+    }
+
+    #[test]
+    fn a_hold_prevails_over_assembly_until_it_ends() {
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { alarm: alarm(&["Dock"]), ..notice(5, order("held by Nia", Some(1_000))) }, at(0));
+        assert!(orders.assembly_places(at(999)).is_none() && orders.assembly_places(at(1_000)).is_some());
+        assert!(orders.is_held(at(1_000)));
+    }
+
+    #[test]
+    fn an_unconfirmed_alarm_stops_for_a_short_time_and_moves_nothing() {
+        let mut orders = StandingOrders::default();
+        let unconfirmed = OrdersNotice { alarm: alarm(&["Dock"]), ..notice(u64::MAX, None) };
+        orders.receive_unconfirmed(&unconfirmed, at(0));
+        assert!(orders.is_held(at(2_999)) && !orders.is_held(at(3_000)));
+        assert!(orders.assembly_places(at(0)).is_none() && orders.closed(at(0)).is_empty());
+        orders.receive(OrdersNotice { alarm: alarm(&["Dock"]), ..notice(5, None) }, at(4_000));
+        orders.receive_unconfirmed(&unconfirmed, at(4_000));
+        assert!(orders.assembly_places(at(4_000)).is_some(), "a repetition of the confirmed alarm");
+    }
+
+    #[test]
+    fn an_alarm_of_another_cluster_ends() {
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { alarm: alarm(&["Dock"]), ..notice(100, None) }, at(0));
+        orders.change_cluster(at(1_000));
+        assert!(orders.is_held(at(10_999)) && !orders.is_held(at(11_000)));
     }
 
     #[test]

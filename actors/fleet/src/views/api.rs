@@ -58,6 +58,7 @@ impl ViewService {
             | ApiCall::Close
             | ApiCall::Open
             | ApiCall::Limit
+            | ApiCall::Alarm
             | ApiCall::Backup
             | ApiCall::Upgrade => Err(error_reply(format!("{} is served by the coordinator only", call.as_str()))),
         };

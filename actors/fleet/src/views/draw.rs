@@ -193,12 +193,14 @@ impl ViewContext<'_> {
             .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
         let closures = self.ledger(|ledger| ledger.closures().collect()).unwrap_or_default();
         let speed_limits = self.ledger(|ledger| ledger.speed_limits().collect()).unwrap_or_default();
+        let alarms = self.ledger(|ledger| ledger.alarms().cloned().collect()).unwrap_or_default();
         FleetView {
             cluster: self.views.membership.cluster(),
             nodes,
             ensembles: self.ensembles(),
             closures,
             speed_limits,
+            alarms,
         }
     }
 
@@ -362,6 +364,7 @@ impl ViewContext<'_> {
         });
         self.ledger(|ledger| {
             inputs.blocking = Blocking::of(ledger);
+            inputs.alarms = ledger.alarms().map(|alarm| (alarm.alarm.clone(), alarm.text())).collect();
             for (robot, orders) in ledger.robot_orders().filter(|(robot, _)| ledger.held_by(robot).is_some()) {
                 inputs.held.extend(orders.hold.as_ref().map(|hold| (robot.clone(), hold.hold_text())));
             }

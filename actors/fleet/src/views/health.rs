@@ -1,7 +1,7 @@
 //! Health of a fleet: findings with a severity and a text.
 
 use consort_protocol::auction::{BidVerdict, RefusalReason};
-use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{AlarmId, ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, PersonRequestId};
 use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
 use consort_text::count;
@@ -18,6 +18,8 @@ pub(super) struct HealthInputs {
     pub(super) voters: Vec<(NodeId, bool)>,
     /// Other clusters with the name of this fleet, each with a node of it.
     pub(super) foreign: Vec<(ClusterId, NodeId)>,
+    /// Alarms in force, as text.
+    pub(super) alarms: Vec<(AlarmId, String)>,
     /// Nodes that are down or suspected, with the status and the age of their last record in
     /// milliseconds.
     pub(super) unreachable: Vec<(NodeId, &'static str, u64)>,
@@ -129,6 +131,9 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
         );
         add(HealthLevel::Error, "cluster", Some(node.as_str()), text);
     }
+    for (alarm, text) in &inputs.alarms {
+        add(HealthLevel::Error, "alarm", Some(alarm.as_str()), format!("the fleet is {text}"));
+    }
     for (mission, reason) in &inputs.needs_intervention {
         add(HealthLevel::Error, "mission", Some(mission), format!("{mission} needs intervention: {reason}"));
     }
@@ -236,6 +241,7 @@ mod tests {
     fn the_most_severe_finding_comes_first() {
         let mut inputs = healthy();
         inputs.unreachable = vec![(node("d"), "down", 9000)];
+        inputs.alarms = vec![("fire".parse().unwrap(), "under alarm fire by Nia: smoke".to_owned())];
         inputs.out_of_service = vec![(node("e"), "its battery is empty".to_owned())];
         inputs.held = vec![("g".parse().unwrap(), "held by Nia: a spill".to_owned())];
         inputs.suspended = vec![(node("f"), "r1 of m-1".to_owned())];
@@ -248,6 +254,7 @@ mod tests {
         use HealthLevel::{Error, Warning};
         let expected = [
             (Error, "cluster"),
+            (Error, "alarm"),
             (Error, "mission"),
             (Warning, "node"),
             (Warning, "robot"),
@@ -256,10 +263,11 @@ mod tests {
             (Warning, "mission"),
         ];
         assert_eq!(levels, expected);
-        let text: Vec<String> = texts(&inputs).into_iter().map(|(_, text)| text).skip(1).take(5).collect();
+        let text: Vec<String> = texts(&inputs).into_iter().map(|(_, text)| text).skip(1).take(6).collect();
         assert_eq!(
             text,
             [
+                "the fleet is under alarm fire by Nia: smoke",
                 "m-3 needs intervention: g was lost with the parcel",
                 "d is down; last contact 9.0 s ago",
                 "e is out of service: its battery is empty",

@@ -1,5 +1,6 @@
 //! `consort fleet`: shows the nodes of a fleet, the feedback and the readings of its robots, and its coordinator.
 
+use super::alarm::alarms_text;
 use super::close::closures_text;
 use super::limit::limits_text;
 use crate::client::{Client, QueryFlags};
@@ -16,7 +17,7 @@ use std::collections::BTreeMap;
 /// Show the nodes of a fleet, the feedback and the readings of its robots, and its coordinator
 ///
 /// The data comes from the nearest node; each row has the age of its last contact. Robots that people
-/// hold or maintain are shown with these orders, and closed places and lanes follow. The nearest node
+/// hold or maintain are shown with these orders. Alarms, and closed places and lanes follow. The nearest node
 /// queries the nodes of the robots for the readings, and for the feedback of the goals in progress.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
@@ -97,9 +98,10 @@ fn format_fleet(FleetStatus { fleet, coordinator, readings, feedback }: &FleetSt
         row(node, fleet, &coordinator.content).into_iter().chain(orders).chain(values).collect::<Vec<String>>()
     });
     let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
-    let orders = [closures_text(&fleet.closures), limits_text(&fleet.speed_limits)];
-    let orders: String = orders.iter().filter(|text| !text.is_empty()).map(|text| format!("\n{text}")).collect();
-    format!("{}\n{}{orders}", format_coordinator(coordinator), output::table(&rows))
+    let lines = [format_coordinator(coordinator), output::table(&rows)];
+    let orders = [alarms_text(&fleet.alarms), closures_text(&fleet.closures), limits_text(&fleet.speed_limits)];
+    let orders = orders.into_iter().filter(|text| !text.is_empty());
+    lines.into_iter().chain(orders).collect::<Vec<_>>().join("\n")
 }
 
 /// Formats values: `dust_g 12.5, door open`.

@@ -61,8 +61,7 @@ pub(crate) fn run(args: Args) -> Result<(), Failure> {
     let Places { places, lanes } = parts.places();
     let for_s = length.map(|length| seconds(length, CLOSE_S_MAX)).transpose()?;
     let action = if clear { LimitAction::Clear } else { LimitAction::Set };
-    let request =
-        |by, request| LimitRequest { places, lanes, action, speed_mps, for_s, until, reason, by, request };
+    let request = |by, request| LimitRequest { places, lanes, action, speed_mps, for_s, until, reason, by, request };
     change.send(ApiCall::Limit, request, reply_text)
 }
 

@@ -1,5 +1,6 @@
 //! The commands, each in its own file with its flags and a function `run`.
 
+pub(crate) mod alarm;
 pub(crate) mod answer;
 pub(crate) mod audit;
 pub(crate) mod backup;

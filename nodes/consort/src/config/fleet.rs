@@ -1,5 +1,6 @@
 //! The fleet file: settings shared by all nodes of a fleet.
 
+use super::alarms::{AlarmConfig, alarm_plans};
 use super::charging::ChargingConfig;
 use super::read::{join_normalized, resolve_path};
 use super::{ConfigFile, load, load_unchecked};
@@ -9,7 +10,7 @@ use consort_fleet::autopilot;
 use consort_fleet::coordinator::RequestLimits;
 use consort_protocol::auction::{BidLimits, Objective, PromiseTerms};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue, private_attribute_problems};
-use consort_protocol::ids::{EnsembleId, FleetId, PlaceId, TaskType, ZoneId};
+use consort_protocol::ids::{AlarmId, EnsembleId, FleetId, PlaceId, TaskType, ZoneId};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{HistoryLimits, Zone};
 use consort_protocol::mission::Domain;
@@ -99,6 +100,10 @@ pub struct FleetConfig {
     /// another name than each place. Default: none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub zones: BTreeMap<ZoneId, BTreeSet<PlaceId>>,
+    /// Alarms that people may raise, such as `fire`, by name. Default: none.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(with = "BTreeMap<String, AlarmConfig>")]
+    pub alarms: BTreeMap<AlarmId, AlarmConfig>,
     /// Ensembles: groups of robots that receive calls for bids. A mission file names those that it
     /// prefers. Default: the ensemble `workers`, of robots with any skill that a mission can use.
     pub ensemble: Vec<EnsembleSpec>,
@@ -222,6 +227,7 @@ impl Default for FleetConfig {
             auction: AuctionConfig::default(),
             charging: None,
             zones: BTreeMap::new(),
+            alarms: BTreeMap::new(),
             ensemble: vec![],
         }
     }
@@ -398,6 +404,8 @@ impl ConfigFile for FleetConfig {
         }
         validate.extend(wrong);
         validate.extend(self.charging.iter().flat_map(ChargingConfig::validate));
+        let with_zones = domain.clone().with_zones(self.zones.clone());
+        validate.extend(alarm_plans(&self.alarms, &with_zones).err().into_iter().flatten());
         let mut compiled = vec![];
         for (index, spec) in self.ensemble.iter().enumerate() {
             if self.ensemble[..index].iter().any(|other| other.name == spec.name) {

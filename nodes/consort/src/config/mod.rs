@@ -19,6 +19,7 @@
 //! # Ok::<(), consort_nodes::diagnostic::Diagnostics>(())
 //! ```
 
+mod alarms;
 mod bus;
 mod calibration;
 mod charging;
@@ -30,6 +31,8 @@ mod station;
 mod telemetry;
 mod world;
 
+pub(crate) use alarms::alarm_plans;
+pub use alarms::{AlarmConfig, PartConfig};
 pub use bus::{BusConfig, trust_files};
 pub use charging::{ChargerConfig, ChargingConfig};
 pub use fleet::{AuctionConfig, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, ObjectiveName, RequestsConfig};

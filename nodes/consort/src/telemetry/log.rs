@@ -73,6 +73,7 @@ fn level(event: &Event) -> Level {
         | EventKind::Submitted { .. }
         | EventKind::ScheduleChanged { .. }
         | EventKind::RobotOrders { .. }
+        | EventKind::AlarmChanged { .. }
         | EventKind::OccurrenceSubmitted { .. }
         | EventKind::Awarded { .. }
         | EventKind::Released { .. }

@@ -53,6 +53,26 @@ fn check_reports_every_error_with_file_and_position() {
 }
 
 #[test]
+fn an_alarm_with_an_unknown_place_or_key_is_reported_with_what_is_allowed() {
+    let of = |name: &str, text: &str| {
+        let file = test_file(name, &format!("name = \"ward\"\n[alarms.fire]\n{text}"));
+        let ran = run(&["check", &file]);
+        assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
+        ran.out
+    };
+    let unknown_key = of("alarm_key.toml", "robots = \"stop\"\nplace = [\"Dock\"]\n");
+    assert!(unknown_key.contains(":4:1: unknown key `place` in a fleet file; allowed: robots, places, closes"));
+    let unknown_place = of("alarm_place.toml", "robots = \"assemble\"\nplaces = [\"Dok\"]\ncloses = [\"Kitchen\"]\n");
+    for expected in
+        ["alarms.fire: places: there is no place Dok; allowed: ", "alarms.fire: closes: there is no place Kitchen; "]
+    {
+        assert!(unknown_place.contains(expected), "{expected:?} is missing in\n{unknown_place}");
+    }
+    let response = of("alarm_response.toml", "robots = \"flee\"\n");
+    assert!(response.contains("`stop`") && response.contains("`assemble`"), "{response}");
+}
+
+#[test]
 fn invalid_policies_are_reported_with_what_is_allowed() {
     let ensemble = |name: &str, condition: &str| {
         format!("[[ensemble]]\nname = {name:?}\nmembership = [{condition:?}]\nstale_after_ms = 1000\n")
@@ -231,6 +251,7 @@ fn the_example_fleet_file_contains_every_key() {
         ("[lease]", part("lease")),
         ("[auction]", part("auction")),
         ("[charging]", part("charging")),
+        ("[alarms.fire]", part("alarms")["fire"].as_table().expect("a table").clone()),
         ("[[ensemble]]", part("ensemble")),
     ] {
         let keys = allowed_keys("fleet", heading);

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 31] = [
+const COMMANDS: [&str; 32] = [
     "robot",
     "station",
     "world",
@@ -32,6 +32,7 @@ const COMMANDS: [&str; 31] = [
     "close",
     "open",
     "limit",
+    "alarm",
 ];
 
 #[test]
@@ -90,6 +91,20 @@ fn a_speed_limit_needs_a_place_and_a_speed() {
         (&["limit", "IC Room 6", "--speed", "0"], "0 is not a speed"),
         (&["limit", "IC Room 6", "--speed", "0.3", "--clear"], "cannot be used with"),
         (&["limit", "IC Room 6", "--clear", "--reason", "dry"], "cannot be used with"),
+    ];
+    for (args, expected) in cases {
+        let ran = run(args);
+        assert_eq!(ran.code, Some(2), "{args:?}: {}", ran.err);
+        assert!(ran.err.contains(expected), "{args:?}: {}", ran.err);
+    }
+}
+
+#[test]
+fn an_alarm_needs_a_name_unless_it_is_cleared() {
+    let cases: [(&[&str], &str); 3] = [
+        (&["alarm"], "<NAME>"),
+        (&["alarm", "--clear", "--reason", "smoke"], "cannot be used with"),
+        (&["alarm", "fire drill"], "cannot name an alarm"),
     ];
     for (args, expected) in cases {
         let ran = run(args);

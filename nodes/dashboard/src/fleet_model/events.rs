@@ -84,6 +84,7 @@ impl FleetModel {
             | EventKind::Voters { .. }
             | EventKind::ScheduleChanged { .. }
             | EventKind::RobotOrders { .. }
+            | EventKind::AlarmChanged { .. }
             | EventKind::OccurrenceSubmitted { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. }

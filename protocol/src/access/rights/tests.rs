@@ -23,7 +23,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 41] = [
+const TABLE: [(&str, [&str; 3]); 42] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
@@ -59,6 +59,7 @@ const TABLE: [(&str, [&str; 3]); 41] = [
     ("api/close", ["", "", "vV"]),
     ("api/open", ["", "", "vV"]),
     ("api/limit", ["", "", "vV"]),
+    ("api/alarm", ["", "", "vV"]),
     ("api/resolve", ["", "", "vV"]),
     ("api/backup", ["", "", "vV"]),
     ("api/explain", ["", "", ANY]),

@@ -86,6 +86,7 @@ impl Ledger {
             Command::OrderRobots { robots, order } => self.order_robots(&robots, &order, at),
             Command::ChangeClosures { parts, order } => self.change_closures(&parts, &order, at),
             Command::ChangeSpeedLimits { parts, order } => self.change_speed_limits(&parts, &order, at),
+            Command::ChangeAlarms { order } => self.change_alarms(&order, at),
             Command::ExpireOrders { now_ms } => Ok(self.expire_orders(now_ms, at)),
             Command::EndOrders { robots } => Ok(self.end_orders(&robots, at)),
             Command::RaiseWireVersion { wire, .. } => Ok(self.raise(wire)),

@@ -3,6 +3,7 @@
 //! The entry is made by the command that makes the change, so no change is without its entry. A command that
 //! changes nothing, such as a repeated request, makes none.
 
+use super::alarm::{Alarm, AlarmChange};
 use super::apply::Ledger;
 use super::audit_trail::{AuditAction, AuditEntry};
 use super::closure::{Closure, ClosureChange};
@@ -13,7 +14,7 @@ use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, Per
 use super::robot_order::{OrderChange, OrderRequest, RobotOrders};
 use super::schedule::SchedulePause;
 use super::speed_limit::{SpeedLimit, SpeedLimitChange};
-use crate::ids::{MissionId, RobotId, ScheduleId};
+use crate::ids::{AlarmId, MissionId, RobotId, ScheduleId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Request of a person that is about to be executed.
@@ -45,7 +46,12 @@ enum SubjectState {
         pause: Option<SchedulePause>,
     },
     /// The orders, not the position of their latest change: an entry of the log may contain two orders.
-    Orders(BTreeMap<RobotId, RobotOrders>, Vec<Closure>, Vec<SpeedLimit>),
+    Orders {
+        robots: BTreeMap<RobotId, RobotOrders>,
+        closures: Vec<Closure>,
+        speed_limits: Vec<SpeedLimit>,
+        alarms: Vec<Alarm>,
+    },
     WireVersion(Option<u8>),
 }
 
@@ -92,7 +98,12 @@ impl Ledger {
             }
             Subject::Orders => {
                 let orders = self.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone()));
-                SubjectState::Orders(orders.collect(), self.closures().collect(), self.speed_limits().collect())
+                SubjectState::Orders {
+                    robots: orders.collect(),
+                    closures: self.closures().collect(),
+                    speed_limits: self.speed_limits().collect(),
+                    alarms: self.alarms().cloned().collect(),
+                }
             }
             Subject::WireVersion => SubjectState::WireVersion(self.wire()),
         }
@@ -176,6 +187,18 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
                 SpeedLimitChange::Clear => (AuditAction::ClearSpeedLimit, String::new()),
             };
             Some((Subject::Orders, entry(action, by, *at_ms, part_names(parts), details)))
+        }
+        Command::ChangeAlarms { order: OrderRequest { change, by, at_ms, .. } } => {
+            let entry = match change {
+                AlarmChange::Raise { alarm, reason, .. } => {
+                    entry(AuditAction::RaiseAlarm, by, *at_ms, alarm.to_string(), reason.clone())
+                }
+                AlarmChange::Clear { alarm } => {
+                    let name = alarm.as_ref().map_or("all", AlarmId::as_str);
+                    plain(AuditAction::ClearAlarm, by, *at_ms, name.to_owned())
+                }
+            };
+            Some((Subject::Orders, entry))
         }
         Command::RaiseWireVersion { wire, by, at_ms } => {
             let entry = plain(AuditAction::RaiseWireVersion, by, *at_ms, format!("wire version {wire}"));

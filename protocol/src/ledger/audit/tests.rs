@@ -2,7 +2,7 @@ use super::*;
 use crate::lease::Epoch;
 use crate::ledger::history::HISTORY_SINCE;
 use crate::ledger::test_values::rounds;
-use crate::ledger::{MissedOccurrences, Schedule, ScheduleRule, Submission};
+use crate::ledger::{AlarmPlan, AlarmResponse, MissedOccurrences, Schedule, ScheduleRule, Submission};
 use crate::units::MetresPerSecond;
 
 fn ledger() -> Ledger {
@@ -125,6 +125,33 @@ fn speed_limits_are_recorded_with_their_speeds() {
         "100 Nia limit_speed Ward A 0.3 m/s",
         "150 Nia limit_speed Ward A 0.3 m/s: for 60 s: a spill",
         "200 Nia clear_speed_limit Ward A",
+    ];
+    assert_eq!(trail(&ledger), expected);
+}
+
+#[test]
+fn alarms_are_recorded_with_their_reasons() {
+    let mut ledger = ledger();
+    let mut change = |change, at_ms| {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms, request: None };
+        apply(&mut ledger, Command::ChangeAlarms { order });
+    };
+    let raise = |alarm: &str| AlarmChange::Raise {
+        alarm: alarm.parse().unwrap(),
+        plan: AlarmPlan { robots: AlarmResponse::Stop, places: BTreeSet::new(), closes: BTreeSet::new() },
+        reason: "smoke".to_owned(),
+    };
+    change(AlarmChange::Clear { alarm: None }, 50);
+    change(raise("fire"), 100);
+    change(raise("flood"), 150);
+    change(AlarmChange::Clear { alarm: Some("fire".parse().unwrap()) }, 200);
+    change(AlarmChange::Clear { alarm: None }, 250);
+    change(AlarmChange::Clear { alarm: None }, 300);
+    let expected = [
+        "100 Nia raise_alarm fire smoke",
+        "150 Nia raise_alarm flood smoke",
+        "200 Nia clear_alarm fire",
+        "250 Nia clear_alarm all",
     ];
     assert_eq!(trail(&ledger), expected);
 }

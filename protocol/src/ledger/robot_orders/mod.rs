@@ -1,10 +1,13 @@
-//! Orders of people in the ledger: hold and maintenance of robots, and closures and speed limits of zones, places and
-//! lanes.
+//! Orders of people in the ledger: hold and maintenance of robots, closures and speed limits of zones, places and lanes,
+//! and alarms.
 //!
 //! A held robot stands still and keeps its role. A robot in maintenance finishes its role. Neither gets
-//! another role. No robot enters a closed zone, place or lane, or exceeds a speed limit. The coordinator sends
-//! the orders to the robots, and proposes the end of an order whose time has passed, since a ledger has no clock.
+//! another role. No robot enters a closed zone, place or lane, or exceeds a speed limit. An alarm holds all robots,
+//! except that they may drive to its assembly places, and closes the zones, places and lanes of its plan. The
+//! coordinator sends the orders to the robots, and proposes the end of an order whose time has passed, since a ledger
+//! has no clock.
 
+use super::alarm::{Alarm, AlarmChange, alarm_size_problem};
 use super::apply::Ledger;
 use super::closure::{CLOSURES_BYTES_MAX, Closure, ClosureChange};
 use super::command::{CommandError, CommandOutcome};
@@ -30,9 +33,14 @@ impl Ledger {
         self.order_book().orders.robots.get(robot)
     }
 
-    /// Checks whether a robot is held.
+    /// Checks whether a robot is held, by a person or by an alarm.
     pub fn is_held(&self, robot: &RobotId) -> bool {
-        self.orders_of(robot).is_some_and(|orders| orders.hold.is_some())
+        self.has_alarm() || self.orders_of(robot).is_some_and(|orders| orders.hold.is_some())
+    }
+
+    /// Checks whether a robot gets no role because of an order or an alarm.
+    pub fn is_under_orders(&self, robot: &RobotId) -> bool {
+        self.check_takes_roles(robot).is_err()
     }
 
     /// Returns the position of the latest change of any order, or of [`held_items`](Self::held_items); the default if
@@ -51,6 +59,16 @@ impl Ledger {
     pub fn speed_limits(&self) -> impl Iterator<Item = SpeedLimit> {
         let limits = self.order_book().orders.speed_limits.iter();
         limits.map(|(part, (speed, order))| SpeedLimit { part: part.clone(), speed_mps: *speed, order: order.clone() })
+    }
+
+    /// Returns the alarms in force, in the order of their names.
+    pub fn alarms(&self) -> impl Iterator<Item = &Alarm> {
+        self.order_book().orders.alarms.values()
+    }
+
+    /// Checks whether an alarm is in force.
+    pub fn has_alarm(&self) -> bool {
+        !self.order_book().orders.alarms.is_empty()
     }
 
     /// Checks whether the time of an order has passed.
@@ -103,6 +121,15 @@ impl Ledger {
         })
     }
 
+    /// Raises or clears alarms.
+    pub(super) fn change_alarms(
+        &mut self,
+        order: &OrderRequest<AlarmChange>,
+        at: Epoch,
+    ) -> Result<CommandOutcome, CommandError> {
+        self.change_orders(order.request.as_ref(), at, |orders| order.change_alarms(&mut orders.alarms))
+    }
+
     /// Changes the orders on a request. A request with the id of a recent one changes nothing.
     fn change_orders(
         &mut self,
@@ -126,6 +153,9 @@ impl Ledger {
         }
         if size(changed.speed_limits.iter()) > SPEED_LIMITS_BYTES_MAX {
             return Err(CommandError::SpeedLimitsFull);
+        }
+        if let Some(problem) = alarm_size_problem(changed.alarms.values().map(|alarm| &alarm.plan)) {
+            return Err(CommandError::AlarmsFull { problem });
         }
         self.set_orders(changed, at);
         let requests = &mut self.order_book_mut().requests;
@@ -160,9 +190,10 @@ impl Ledger {
         }
     }
 
-    /// Checks that no order keeps a robot from getting a role.
+    /// Checks that no order and no alarm keeps a robot from getting a role.
     pub(super) fn check_takes_roles(&self, robot: &RobotId) -> Result<(), CommandError> {
-        match self.orders_of(robot).and_then(RobotOrders::problem) {
+        let ordered = self.orders_of(robot).and_then(RobotOrders::problem);
+        match ordered.or_else(|| self.alarms().next().map(Alarm::text)) {
             None => Ok(()),
             Some(problem) => Err(CommandError::UnderOrders { robot: robot.clone(), problem }),
         }

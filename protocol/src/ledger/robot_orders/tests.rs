@@ -1,9 +1,10 @@
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::{MissionId, PlaceId, RoleId};
+use crate::ledger::alarm::ALARMS_BYTES_MAX;
 use crate::ledger::order_book::ORDER_REQUESTS_BYTES_MAX;
 use crate::ledger::test_values::rounds;
-use crate::ledger::{Branch, Command, OrderChange, RobotOrder, Zone};
+use crate::ledger::{AlarmPlan, AlarmResponse, Branch, Command, OrderChange, RobotOrder, Zone};
 use crate::message::OrdersNotice;
 use crate::units::MetresPerSecond;
 use std::collections::BTreeMap;
@@ -60,6 +61,20 @@ impl Log {
     /// Returns the speed limits as text.
     fn speed_limits(&self) -> Vec<String> {
         self.0.speed_limits().map(|limit| limit.text()).collect()
+    }
+
+    fn raise(&mut self, alarm: &str, plan: &AlarmPlan) -> CommandOutcome {
+        let (alarm, plan) = (alarm.parse().unwrap(), plan.clone());
+        self.change_alarms(AlarmChange::Raise { alarm, plan, reason: "smoke".to_owned() })
+    }
+
+    fn clear(&mut self, alarm: Option<&str>) -> CommandOutcome {
+        self.change_alarms(AlarmChange::Clear { alarm: alarm.map(|alarm| alarm.parse().unwrap()) })
+    }
+
+    fn change_alarms(&mut self, change: AlarmChange) -> CommandOutcome {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 100, request: None };
+        self.apply(Command::ChangeAlarms { order })
     }
 
     /// Returns the closed places and lanes as text.
@@ -286,15 +301,26 @@ fn a_closed_zone_is_known_by_its_name() {
 
 /// A renewal of a lease has other large parts, too.
 #[test]
-fn a_notice_with_all_closures_takes_half_of_a_message_at_most() {
+fn a_notice_with_all_orders_takes_half_of_a_message_at_most() {
     let (mut log, now_ms) = (Log::new(), 1_767_225_600_000);
+    let (until_ms, by) = (Some(now_ms + 31_622_400_000), "N".to_owned());
+    let parts = |number: u64| BTreeSet::from([ward(&format!("W{number}"))]);
     let mut outcomes = (0..1000).map(|number| {
-        let parts = BTreeSet::from([ward(&format!("W{number}"))]);
-        let change = ClosureChange::Close { until_ms: Some(now_ms + 31_622_400_000), reason: String::new() };
-        let order = OrderRequest { change, by: "N".to_owned(), at_ms: now_ms, request: None };
-        log.apply(Command::ChangeClosures { parts, order })
+        let change = ClosureChange::Close { until_ms, reason: String::new() };
+        let order = OrderRequest { change, by: by.clone(), at_ms: now_ms, request: None };
+        log.apply(Command::ChangeClosures { parts: parts(number), order })
     });
     assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::ClosuresFull)));
+    let mut outcomes = (0..1000).map(|number| {
+        let speed = MetresPerSecond::new(0.3).unwrap();
+        let change = SpeedLimitChange::Set { speed, until_ms, reason: String::new() };
+        let order = OrderRequest { change, by: by.clone(), at_ms: now_ms, request: None };
+        log.apply(Command::ChangeSpeedLimits { parts: parts(number), order })
+    });
+    assert!(outcomes.any(|outcome| outcome == CommandOutcome::Refused(CommandError::SpeedLimitsFull)));
+    let places = (0..600).map(|number| place(&format!("W{number}"))).collect();
+    let zone = MapPart::Zone(Zone { name: "all".parse().unwrap(), places });
+    assert_eq!(log.raise("fire", &alarm_plan(AlarmResponse::Stop, &[], &[zone])), CommandOutcome::Done);
     let bytes = codec::encoded_size(&OrdersNotice::of(&log.0, &robot("ada"), Some(now_ms)));
     assert!((CLOSURES_BYTES_MAX..=codec::MESSAGE_BYTES_MAX / 2).contains(&bytes), "{bytes} bytes");
 }
@@ -345,4 +371,83 @@ fn speed_limits_are_limited_in_size_and_need_a_wire_version() {
     let mut before = Log(Ledger::default(), 1);
     let not_yet = CommandOutcome::Refused(CommandError::NoOrdersYet { since: HISTORY_SINCE });
     assert_eq!(before.limit(&[ward("A")], 0.3, None), not_yet);
+}
+
+fn alarm_plan(robots: AlarmResponse, places: &[&str], closes: &[MapPart]) -> AlarmPlan {
+    let places = places.iter().map(|name| place(name)).collect();
+    AlarmPlan { robots, places, closes: closes.iter().cloned().collect() }
+}
+
+#[test]
+fn an_alarm_lasts_until_it_is_cleared_whatever_the_time() {
+    let mut log = Log::new();
+    let plan = alarm_plan(AlarmResponse::Assemble, &["Dock"], &[ward("Lift")]);
+    assert_eq!(log.raise("fire", &plan), CommandOutcome::Done);
+    let order = RobotOrder { by: "Nia".to_owned(), reason: "smoke".to_owned(), since_ms: 100, until_ms: None };
+    let expected = Alarm { alarm: "fire".parse().unwrap(), plan: plan.clone(), order };
+    assert_eq!(log.0.alarms().collect::<Vec<_>>(), [&expected]);
+    assert!(!log.0.has_order_to_expire(u64::MAX));
+    log.apply(Command::ExpireOrders { now_ms: u64::MAX });
+    log.apply(Command::EndOrders { robots: [robot("ada")].into() });
+    assert!(log.0.has_alarm() && log.0.is_held(&robot("ada")));
+    log.raise("flood", &plan);
+    let raised = log.0.orders_changed();
+    log.clear(Some("fire"));
+    assert!(log.0.has_alarm() && log.0.orders_changed() > raised, "the robots are notified");
+    log.raise("fire", &plan);
+    log.clear(None);
+    assert!(!log.0.has_alarm() && !log.0.is_held(&robot("ada")));
+}
+
+#[test]
+fn no_robot_gets_a_role_during_an_alarm_and_each_keeps_its_own() {
+    let mut log = Log::new();
+    let [first, second] = [0, 1].map(|number| {
+        let submission = Box::new(rounds(&format!("request-{number}")));
+        let CommandOutcome::Submitted { mission, .. } = log.apply(Command::Submit(submission)) else { panic!() };
+        mission
+    });
+    assert!(matches!(log.award(&first, "ada"), CommandOutcome::Awarded { .. }));
+    log.raise("fire", &alarm_plan(AlarmResponse::Stop, &[], &[]));
+    assert!(log.0.held_by(&robot("ada")).is_some());
+    let problem = "under alarm fire by Nia: smoke".to_owned();
+    let refused = CommandOutcome::Refused(CommandError::UnderOrders { robot: robot("bob"), problem });
+    assert_eq!(log.award(&second, "bob"), refused);
+    log.clear(None);
+    assert!(matches!(log.award(&second, "bob"), CommandOutcome::Awarded { .. }));
+}
+
+#[test]
+fn a_notice_combines_all_alarms_and_to_stop_prevails() {
+    let mut log = Log::new();
+    let notice = |log: &Log| OrdersNotice::of(&log.0, &robot("ada"), Some(500));
+    let names = |places: &BTreeSet<PlaceId>| places.iter().map(PlaceId::to_string).collect::<Vec<_>>();
+    let closed = |parts: &BTreeSet<MapPart>| parts.iter().map(MapPart::to_string).collect::<Vec<_>>();
+    assert_eq!(notice(&log).alarm, None);
+    log.raise("fire", &alarm_plan(AlarmResponse::Assemble, &["Dock"], &[ward("Lift")]));
+    log.raise("flood", &alarm_plan(AlarmResponse::Assemble, &["Roof"], &[ward("Cellar")]));
+    let both = notice(&log);
+    assert!(!both.is_empty() && both.hold.is_none());
+    let both = both.alarm.unwrap();
+    assert_eq!(both.order.text, "under alarm fire by Nia: smoke; under alarm flood by Nia: smoke");
+    assert_eq!((both.order.remaining_ms, names(&both.places)), (None, vec!["Dock".to_owned(), "Roof".to_owned()]));
+    assert_eq!(closed(&both.closes), ["Cellar", "Lift"]);
+    log.raise("quake", &alarm_plan(AlarmResponse::Stop, &[], &[]));
+    let stop = notice(&log).alarm.unwrap();
+    assert_eq!((names(&stop.places), closed(&stop.closes)), (vec![], vec!["Cellar".to_owned(), "Lift".to_owned()]));
+    log.clear(Some("quake"));
+    assert_eq!(names(&notice(&log).alarm.unwrap().places), ["Dock", "Roof"]);
+}
+
+#[test]
+fn alarms_are_limited_and_need_a_wire_version() {
+    let mut log = Log::new();
+    let plan = alarm_plan(AlarmResponse::Stop, &[], &[ward("Lift")]);
+    let mut outcomes = (0..100).map(|number| log.raise(&format!("alarm-{number}"), &plan));
+    assert!(outcomes.any(|outcome| matches!(outcome, CommandOutcome::Refused(CommandError::AlarmsFull { .. }))));
+    assert_eq!(log.0.alarms().count(), 16);
+    assert!(size(log.0.order_book().orders.alarms.iter()) <= ALARMS_BYTES_MAX);
+    let mut before = Log(Ledger::default(), 1);
+    let not_yet = CommandOutcome::Refused(CommandError::NoOrdersYet { since: HISTORY_SINCE });
+    assert_eq!(before.raise("fire", &plan), not_yet);
 }

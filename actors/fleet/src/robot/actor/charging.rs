@@ -1,14 +1,13 @@
 //! The robot actor charges: it performs the decisions of [`ChargeControl`].
 
 use super::state::RobotState;
-use crate::robot::charging::{ChargeControl, ChargingTask, OtherRobot, Situation};
+use crate::robot::charging::{ChargeControl, OtherRobot, Situation};
 use crate::robot::skill_runner::SkillOutcome;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::Availability;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::NodeTime;
-use consort_skills::skill::SkillContext;
 use ractor::{ActorId, ActorProcessingErr};
 use tracing::{debug, info, warn};
 
@@ -62,18 +61,13 @@ impl RobotState {
     }
 
     async fn start_charging_task(&mut self, task: &TaskSpec, now: NodeTime) -> Result<(), ActorProcessingErr> {
-        let skill = match self.settings.execution.library.load(task, &SkillContext::default()) {
-            Ok(skill) => skill,
-            Err(problem) => {
-                self.fail_charging(&problem.to_string(), now);
-                return Ok(());
+        match self.start_own_task(task).await? {
+            Ok(task) => {
+                if let Some(control) = &mut self.charging {
+                    control.set_running(task);
+                }
             }
-        };
-        let context = self.driver.estimate_context();
-        self.driver.begin_attempt(self.driver.next_goal());
-        let (skill, timer) = self.start_skill(task, skill, &context).await?;
-        if let Some(control) = &mut self.charging {
-            control.set_running(ChargingTask { skill, timer });
+            Err(problem) => self.fail_charging(&problem, now),
         }
         Ok(())
     }

@@ -1,8 +1,10 @@
 //! The robot actor: mailbox, timers and bus around the values that make the decisions.
 //!
-//! `state` holds the values and performs single effects, `plan`, `role`, `coordinator` and `charging` perform the
-//! decisions about the plan, the role, the coordinator and its orders, and the charge, and this file dispatches messages.
+//! `state` holds the values and performs single effects, `plan`, `role`, `coordinator`, `alarm` and `charging`
+//! perform the decisions about the plan, the role, the coordinator and its orders, alarms, and the charge, and this
+//! file dispatches messages.
 
+mod alarm;
 mod charging;
 mod coordinator;
 mod message;
@@ -12,6 +14,7 @@ mod state;
 
 pub(crate) use message::RobotMessage;
 
+use super::alarm_drive::AlarmDrive;
 use super::bidder::{BidContext, Bidder, PresentWork, lacks_charge};
 use super::charging::{ChargeControl, ChargerReserve};
 use super::checkpoint::Checkpoint;
@@ -83,6 +86,7 @@ impl Actor for Robot {
             charging: settings.charging.clone().map(ChargeControl::new),
             decommission: DecommissionRequests::default(),
             orders: StandingOrders::new(now),
+            alarm_drive: AlarmDrive::default(),
             leader_check: LeaderCheck::default(),
             unconfirmed_notices: vec![],
             unconfirmed_reply: None,
@@ -187,6 +191,7 @@ impl RobotState {
         }
         self.check_progress(now).await?;
         self.charge(now).await?;
+        self.obey_alarm(now).await?;
         self.advance().await
     }
 
@@ -255,7 +260,7 @@ impl RobotState {
         }
         let context = self.driver.estimate_context();
         let active = self.execution.continuing_plan()?;
-        let rest = active.sequencer.remaining_plan();
+        let rest = active.remaining_plan();
         PresentWork::of(&active.award, &rest, &self.settings.pricing.estimator, &context)
     }
 

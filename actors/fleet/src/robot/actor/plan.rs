@@ -3,10 +3,13 @@
 use super::message::RobotMessage;
 use super::state::RobotState;
 use crate::robot::active_plan::{PlanAction, RecoveryEffect, ShortfallEffect, TaskAttempt};
+use crate::robot::alarm_drive::AlarmDestination;
+use crate::robot::charging::ChargeControl;
 use crate::robot::energy_check::EnergyForecast;
+use crate::robot::own_tasks::OwnTask;
 use crate::robot::recovery_policy::AttemptFailure;
 use crate::robot::sequencer::{SignalEffect, StaleSignal, StepRef};
-use crate::robot::settings::PricingSettings;
+use crate::robot::settings::{PricingSettings, RobotSettings};
 use crate::robot::signals::ReceivedSignals;
 use crate::robot::skill_runner::{RunningSkill, SkillOutcome, SkillRun};
 use crate::robot::task_timeout::{TaskTimer, is_closed_by_people};
@@ -34,6 +37,9 @@ impl RobotState {
                 PlanAction::Emit(outputs) => self.emit_outputs(outputs),
                 PlanAction::StartTask { step, task, spec } => self.start_task(step, &task, &spec).await?,
                 PlanAction::ReportReceived(signal) => self.emit_received(signal),
+                PlanAction::ReturnTo(place) => {
+                    self.start_alarm_drive(AlarmDestination::Return(place), self.now()).await?;
+                }
                 PlanAction::Fail(failure) => self.recover(failure),
             }
         }
@@ -46,7 +52,7 @@ impl RobotState {
 
     fn next_action(&mut self) -> Option<PlanAction> {
         let now = self.now();
-        let may_act = self.lease.may_act(now) && !self.orders.is_held(now);
+        let may_act = self.lease.may_act(now) && !self.orders.is_held(now) && self.alarm_drive.lets_plan_act(now);
         if may_act { self.execution.next_action(now) } else { None }
     }
 
@@ -81,8 +87,23 @@ impl RobotState {
         Ok(())
     }
 
+    /// Starts a task that belongs to no plan. Returns the problem of a task that cannot start.
+    pub(super) async fn start_own_task(
+        &mut self,
+        task: &TaskSpec,
+    ) -> Result<Result<OwnTask, String>, ActorProcessingErr> {
+        let skill = match self.settings.execution.library.load(task, &SkillContext::default()) {
+            Ok(skill) => skill,
+            Err(problem) => return Ok(Err(problem.to_string())),
+        };
+        let context = self.driver.estimate_context();
+        self.driver.begin_attempt(self.driver.next_goal());
+        let (skill, timer) = self.start_skill(task, skill, &context).await?;
+        Ok(Ok(OwnTask { spec: task.clone(), skill, timer }))
+    }
+
     /// Starts a skill, and the timer of its task. The end of the skill is a message to this actor.
-    pub(super) async fn start_skill(
+    async fn start_skill(
         &mut self,
         spec: &TaskSpec,
         skill: ActiveSkill,
@@ -96,27 +117,28 @@ impl RobotState {
         let period = self.settings.execution.skill_tick_interval;
         let skill_run = SkillRun { run, skill, driver: self.driver.driver(), period, on_end };
         let skill = RunningSkill::start(skill_run, self.myself.get_cell()).await?;
-        Ok((skill, self.task_timer(spec, context)))
-    }
-
-    fn task_timer(&self, spec: &TaskSpec, context: &EstimateContext) -> TaskTimer {
-        let estimate = self.settings.pricing.estimator.estimate(spec, context);
-        let estimate = estimate.ok().map(|estimate| estimate.time);
-        TaskTimer::new(&self.settings.execution.task_timeout, spec, estimate)
+        Ok((skill, task_timer(&self.settings, spec, context)))
     }
 
     /// Gives the task in progress a new time limit, since the speed limits on its way have changed.
-    pub(super) fn renew_timer(&mut self) {
-        let step = self.execution.plan.as_ref().and_then(|active| active.sequencer.current_step());
-        let Some((.., spec)) = step else { return };
-        let timer = self.task_timer(spec, &self.driver.estimate_context());
-        if let Some(active) = &mut self.execution.plan {
+    pub(super) fn renew_timers(&mut self) {
+        let context = self.driver.estimate_context();
+        let RobotState { settings, execution, alarm_drive, charging, .. } = self;
+        if let Some(active) = &mut execution.plan
+            && let Some((.., spec)) = active.sequencer.current_step()
+        {
+            let timer = task_timer(settings, spec, &context);
             active.set_timer(timer);
+        }
+        let own_tasks = [alarm_drive.task_mut(), charging.as_mut().and_then(ChargeControl::task_mut)];
+        for task in own_tasks.into_iter().flatten() {
+            task.timer = task_timer(settings, &task.spec, &context);
         }
     }
 
     pub(super) async fn skill_ended(&mut self, run: u64, outcome: SkillOutcome) -> Result<(), ActorProcessingErr> {
         let Some(outcome) = self.end_charging_task(run, outcome) else { return Ok(()) };
+        let Some(outcome) = self.end_alarm_drive(run, outcome) else { return self.advance().await };
         let Some(active) = self.execution.plan.as_mut() else { return Ok(()) };
         let Some(attempt) = active.take_attempt(run) else {
             return Ok(()); // the skill was halted meanwhile
@@ -136,7 +158,7 @@ impl RobotState {
 
     /// Handles the failure of an actor: if it executed the current skill, the attempt has failed.
     pub(super) async fn skill_crashed(&mut self, actor: ActorId, problem: String) -> Result<(), ActorProcessingErr> {
-        if self.crash_charging_task(actor, &problem) {
+        if self.crash_charging_task(actor, &problem) || self.crash_alarm_drive(actor, &problem) {
             return Ok(());
         }
         let attempt = self.execution.plan.as_mut().map(|active| &mut active.attempt);
@@ -210,7 +232,7 @@ impl RobotState {
             return;
         };
         let PricingSettings { estimator, limits, .. } = &self.settings.pricing;
-        let (rest, context) = (active.sequencer.remaining_plan(), self.driver.estimate_context());
+        let (rest, context) = (active.remaining_plan(), self.driver.estimate_context());
         let forecast = EnergyForecast::new(estimator, &rest, self.driver.worker(), &context, limits);
         let Some(cause) = forecast.ok().and_then(|forecast| forecast.shortfall()) else { return };
         match active.handle_shortfall(cause) {
@@ -260,4 +282,10 @@ impl RobotState {
         }
         if has_new { self.advance().await } else { Ok(()) }
     }
+}
+
+fn task_timer(settings: &RobotSettings, spec: &TaskSpec, context: &EstimateContext) -> TaskTimer {
+    let estimate = settings.pricing.estimator.estimate(spec, context);
+    let estimate = estimate.ok().map(|estimate| estimate.time);
+    TaskTimer::new(&settings.execution.task_timeout, spec, estimate)
 }

@@ -162,6 +162,7 @@ impl RobotState {
                 Action::Halt(reason) => self.halt(reason),
             }
         }
+        self.end_obsolete_drive(self.now());
         self.update_permission();
         if self.lease.award().is_none() {
             self.decommission.reply(true);

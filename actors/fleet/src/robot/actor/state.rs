@@ -2,6 +2,7 @@
 //! and queries.
 
 use super::message::{EndedReport, RobotMessage};
+use crate::robot::alarm_drive::AlarmDrive;
 use crate::robot::charging::ChargeControl;
 use crate::robot::checkpoint_storage::{CheckpointStorage, CheckpointWrite};
 use crate::robot::checkpoint_writer::PendingOutput;
@@ -26,9 +27,9 @@ use ractor::{ActorRef, RpcReplyPort};
 use std::time::Duration;
 use tracing::debug;
 
-/// Time for which a free robot may act, in node time, counted from the latest check of its charge. Raised:
-/// the body of a robot whose node fails drives on for longer. It covers some intervals of the check.
-const CHARGING_PERMISSION: Duration = Duration::from_secs(2);
+/// Time for which a free robot may act, in node time, counted from the latest check of its charge or of the alarms.
+/// Raised: the body of a robot whose node fails drives on for longer. It covers some intervals of the check.
+const FREE_PERMISSION: Duration = Duration::from_secs(2);
 
 /// Cause of a release because of a decommission.
 const DECOMMISSION_CAUSE: &str = "it leaves the fleet";
@@ -46,6 +47,7 @@ pub(crate) struct RobotState {
     pub(super) charging: Option<ChargeControl>,
     pub(super) decommission: DecommissionRequests,
     pub(super) orders: StandingOrders,
+    pub(super) alarm_drive: AlarmDrive,
     pub(super) leader_check: LeaderCheck,
     /// Notices by nodes that a poll may confirm, in the order of their arrival.
     pub(super) unconfirmed_notices: Vec<UnconfirmedNotice>,
@@ -110,14 +112,16 @@ impl RobotState {
         self.settings.links.clock.now()
     }
 
-    /// Lets the driver act until the end of the lease, while the plan continues, and while the robot
-    /// charges without a role; not while the robot is held.
+    /// Lets the driver act until the end of the lease, while the plan continues, and while the robot charges or obeys
+    /// an alarm without a role. While the robot is held it only drives to an assembly place.
     pub(super) fn update_permission(&mut self) {
         let now = self.now();
         let until = self.lease.acts_until().filter(|_| self.execution.continuing_plan().is_some());
         let charges = self.charging.as_ref().is_some_and(ChargeControl::is_acting);
-        let until = until.or_else(|| charges.then(|| now + CHARGING_PERMISSION));
-        self.driver.allow_until(until.filter(|_| !self.orders.is_held(now)));
+        let acts_alone = (charges || self.alarm_drive.is_driving()) && self.lease.award().is_none();
+        let until = until.or_else(|| acts_alone.then(|| now + FREE_PERMISSION));
+        let may_move = !self.orders.is_held(now) || self.alarm_drive.is_assembling();
+        self.driver.allow_until(until.filter(|_| may_move));
     }
 
     /// Publishes an event of the robot.
@@ -154,7 +158,7 @@ impl RobotState {
         self.driver.set_map_orders(self.orders.map_orders(now));
         let worker = self.driver.sense(holding, problem, charging, now);
         if self.driver.speed_limits() != limits {
-            self.renew_timer();
+            self.renew_timers();
         }
         let Some(worker) = worker else { return };
         let worker = self.settings.pricing.ensembles.published(worker);

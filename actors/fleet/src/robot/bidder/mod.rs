@@ -1,7 +1,8 @@
 //! Bids: a robot prices its own work.
 
-use super::charging::{ChargerReserve, drive_to};
+use super::charging::ChargerReserve;
 use super::energy_check::pricing_context;
+use super::own_tasks::drive_to;
 use consort_protocol::auction::{
     Bid, BidLimits, BidRefusal, BidResponse, CallForBids, PlannedRole, PresentRole, PromisedRole, RefusalReason,
     RoleInsertion, RoleReply, RoleSpan, TimelineStart, ViabilityError, insert_role,

@@ -1,10 +1,8 @@
 //! Charging of a robot: its activity, and the tasks that it executes for that.
 
 use super::RobotCharging;
-use super::drives::{dock_at, drive_to, nearest, places};
 use super::policy::{Activity, Claim, OtherRobot, Situation};
-use crate::robot::skill_runner::RunningSkill;
-use crate::robot::task_timeout::TaskTimer;
+use crate::robot::own_tasks::{OwnTask, dock_at, drive_to, nearest, places};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{ChargerClaim, Charging};
 use consort_protocol::mission::TaskSpec;
@@ -51,13 +49,7 @@ struct Rise {
 struct Trip {
     destination: PlaceId,
     tasks: VecDeque<TaskSpec>,
-    running: Option<ChargingTask>,
-}
-
-/// A running task.
-pub(in crate::robot) struct ChargingTask {
-    pub(in crate::robot) skill: RunningSkill,
-    pub(in crate::robot) timer: TaskTimer,
+    running: Option<OwnTask>,
 }
 
 impl ChargeControl {
@@ -204,7 +196,7 @@ impl ChargeControl {
     }
 
     /// Records that the task has started.
-    pub(in crate::robot) fn set_running(&mut self, task: ChargingTask) {
+    pub(in crate::robot) fn set_running(&mut self, task: OwnTask) {
         if let Some(trip) = &mut self.trip {
             trip.running = Some(task);
         }
@@ -212,16 +204,21 @@ impl ChargeControl {
 
     /// Returns the reason to abort the running task, if any.
     pub(in crate::robot) fn check_timer(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
-        self.trip.as_mut()?.running.as_mut()?.timer.check(world, silent_for)
+        self.task_mut()?.timer.check(world, silent_for)
+    }
+
+    /// Returns the running task.
+    pub(in crate::robot) fn task_mut(&mut self) -> Option<&mut OwnTask> {
+        self.trip.as_mut()?.running.as_mut()
     }
 
     /// Takes the running task if it has this number.
-    pub(in crate::robot) fn take_task(&mut self, run: u64) -> Option<ChargingTask> {
+    pub(in crate::robot) fn take_task(&mut self, run: u64) -> Option<OwnTask> {
         self.trip.as_mut()?.running.take_if(|task| task.skill.run() == run)
     }
 
     /// Takes the running task if this actor executes it.
-    pub(in crate::robot) fn take_task_of(&mut self, actor: ActorId) -> Option<ChargingTask> {
+    pub(in crate::robot) fn take_task_of(&mut self, actor: ActorId) -> Option<OwnTask> {
         self.trip.as_mut()?.running.take_if(|task| task.skill.is_executed_by(actor))
     }
 

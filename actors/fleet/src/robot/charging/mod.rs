@@ -12,7 +12,7 @@
 //! charge, or may not use that charger itself: it drives to the nearest place to which no other robot leaves. A robot
 //! whose charge does not rise at a charger tries another.
 //!
-//! An award, a hold and maintenance end each of these activities. After a start of its node a robot begins
+//! An award, a hold, an alarm and maintenance end each of these activities. After a start of its node a robot begins
 //! only when it has received its orders, or after 10 s. A robot bids at any charge that suffices for the role
 //! and for the way to a charger afterwards ([`ChargerReserve`]).
 //!
@@ -23,18 +23,15 @@
 //! claim; the robots then meet at the charger, and one of them gives way once they receive each other's
 //! records.
 //!
-//! The decisions are in `policy`, the estimates of drives in `drives`, and the state of the robot in
-//! `control`. The actor performs them.
+//! The decisions are in `policy`, and the state of the robot in `control`. The actor performs them.
 
 mod control;
-mod drives;
 mod policy;
 mod reserve;
 #[cfg(test)]
 mod tests;
 
-pub(super) use control::{ChargeControl, ChargingTask};
-pub(super) use drives::drive_to;
+pub(super) use control::ChargeControl;
 pub use policy::ChargeThresholds;
 pub(super) use policy::{OtherRobot, Situation};
 pub use reserve::ChargerReserve;

@@ -1,7 +1,7 @@
 //! The reserve of bids: after a role the robot must be able to reach a charger.
 
-use super::drives::nearest;
 use super::{ChargingSettings, RobotCharging};
+use crate::robot::own_tasks::nearest;
 use consort_protocol::auction::{BidLimits, RefusalReason};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::RobotKnowledge;

@@ -1,10 +1,23 @@
-//! Estimates of drives to chargers and parking places.
+//! Tasks of a robot that belong to no plan: drives to chargers, parking places and assembly places, with their
+//! estimates.
 
+use super::skill_runner::RunningSkill;
+use super::task_timeout::TaskTimer;
 use consort_protocol::ids::{PlaceId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::Seconds;
 use consort_skills::descriptor::{EstimateContext, Estimator};
 use consort_skills::environment::Routes;
+
+/// Type of the task of driving to a place, in the standard domain.
+const DRIVE: &str = "navigation";
+
+/// A running task.
+pub(super) struct OwnTask {
+    pub(super) spec: TaskSpec,
+    pub(super) skill: RunningSkill,
+    pub(super) timer: TaskTimer,
+}
 
 /// A drive with its estimated cost.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,8 +50,13 @@ pub(super) fn places(estimator: &Estimator) -> impl Iterator<Item = &PlaceId> {
 }
 
 /// Returns the task of driving to a place.
-pub(in crate::robot) fn drive_to(place: &PlaceId) -> TaskSpec {
-    task("navigation", "to", place)
+pub(super) fn drive_to(place: &PlaceId) -> TaskSpec {
+    task(DRIVE, "to", place)
+}
+
+/// Checks whether a task is a drive to a place.
+pub(super) fn is_drive(task: &TaskSpec) -> bool {
+    task.task_type.as_str() == DRIVE
 }
 
 /// Returns the task of connecting to a charger.
