@@ -5,7 +5,7 @@ use crate::auction::{AuctionRecord, Bid};
 use crate::cause::CauseClass;
 use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::lease::{EndReason, Epoch};
-use crate::ledger::{Alarm, MissionState, RobotOrders};
+use crate::ledger::{Alarm, MapPart, MissionState, RobotOrder, RobotOrders};
 use crate::message::FailureKind;
 use crate::plan::Signal;
 use schemars::JsonSchema;
@@ -104,6 +104,13 @@ pub enum EventKind {
         alarm: AlarmId,
         /// The alarm in force from now on; null once it is cleared.
         raised: Option<Alarm>,
+    },
+    /// The closure of a zone, place or lane has changed: a person closed or opened it, or its time has passed.
+    ClosureChanged {
+        /// The zone, place or lane.
+        part: MapPart,
+        /// Who closed it, why, and until when; null if it is open from now on.
+        order: Option<RobotOrder>,
     },
     /// An occurrence of a schedule was submitted.
     OccurrenceSubmitted {
@@ -417,6 +424,7 @@ impl EventKind {
             EventKind::ScheduleChanged { .. } => "schedule_changed",
             EventKind::RobotOrders { .. } => "robot_orders",
             EventKind::AlarmChanged { .. } => "alarm_changed",
+            EventKind::ClosureChanged { .. } => "closure_changed",
             EventKind::OccurrenceSubmitted { .. } => "occurrence_submitted",
             EventKind::BidsRequested { .. } => "bids_requested",
             EventKind::Bid { .. } => "bid",
@@ -485,6 +493,7 @@ impl EventKind {
             | EventKind::ScheduleChanged { .. }
             | EventKind::RobotOrders { .. }
             | EventKind::AlarmChanged { .. }
+            | EventKind::ClosureChanged { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. } => None,
         }
@@ -508,6 +517,7 @@ mod tests {
             EventKind::ScheduleChanged { schedule, change: ScheduleChange::Added, by: String::new() },
             EventKind::RobotOrders { robot: "ada".parse().unwrap(), orders: RobotOrders::default() },
             EventKind::AlarmChanged { alarm: "fire".parse().unwrap(), raised: None },
+            EventKind::ClosureChanged { part: MapPart::Place("Ward".parse().unwrap()), order: None },
             EventKind::LowCharge { mission, role, cause: String::new() },
         ];
         for kind in kinds {

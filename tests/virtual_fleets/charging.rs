@@ -122,6 +122,9 @@ fn a_fleet_serves_missions_that_need_more_than_its_batteries() {
     for_each_seed(SEEDS, async |seed| {
         let robots = vec![carrier("fern", ROOMS[1], CHARGE), carrier("gorse", ROOMS[1], CHARGE)];
         let mut fleet = fleet(seed, robots, BELOW).await;
+        let view = fleet.view("fleet").await;
+        let expected = json!({ "below": BELOW, "until": UNTIL, "opportunistic": null, "chargers": [CHARGER] });
+        assert_eq!(view["fleet"]["charging"], expected, "seed {seed}");
         for _ in 0..MISSIONS {
             let mission = submit(&fleet, &ROOMS).await;
             fleet.assert_completes(&mission).await;

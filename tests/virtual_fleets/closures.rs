@@ -3,6 +3,7 @@
 use crate::support::{
     assert_completes_by, audited_changes, drive_to_room, longer_than_a_lease, released, request, slow_fleet,
 };
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_tests::{Fleet, for_each_seed};
@@ -80,6 +81,12 @@ fn a_robot_under_way_waits_before_a_closed_place_until_it_is_opened() {
         assert_waits(&mut fleet, &carrier, longer_than_a_lease()).await;
         open(&fleet, &[GATE]).await;
         assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
+        let events = fleet.events().into_iter().filter_map(|what| match what {
+            EventKind::ClosureChanged { part, order } => Some((part.to_string(), order.map(|order| order.by))),
+            _ => None,
+        });
+        let expected = [(GATE.to_owned(), Some("Nia".to_owned())), (GATE.to_owned(), None)];
+        assert_eq!(events.collect::<Vec<_>>(), expected, "seed {seed}");
         let changes = audited_changes(&fleet).await;
         let expected = json!([["a client", "submit", mission], ["Nia", "close", GATE], ["Abe", "open", GATE]]);
         assert_eq!(json!(changes), expected, "seed {seed}");

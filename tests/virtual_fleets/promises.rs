@@ -1,6 +1,7 @@
 //! Promises: missions that share a scarce robot.
 
 use crate::support::task_began;
+use consort_bus::Bus as _;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::auction::PromiseTerms;
 use consort_protocol::event::EventKind;
@@ -52,6 +53,18 @@ fn has_promises(fleet: &Fleet, count: usize) -> bool {
     fleet.ledger(promised).is_some_and(|promised| promised.len() >= count)
 }
 
+/// Returns the roles of a robot in the view of the coordinator: the role that it holds, and those that it gets later.
+async fn timeline_of(fleet: &mut Fleet, robot: &str) -> Vec<Value> {
+    let key = format!("consort/ward/seen/{}/fleet", fleet.wait_for_coordinator().await);
+    let mut replies = fleet.client.query_nearest(&key, vec![].into(), SOON).await.expect("a virtual bus");
+    let reply = replies.recv().await.expect("a reply");
+    let view: Value = serde_json::from_slice(&reply.payload.expect("a view")).expect("JSON");
+    let nodes = view["nodes"].as_array().expect("nodes");
+    let node = nodes.iter().find(|node| node["node"] == robot).expect("the robot");
+    let held = Some(&node["holds"]).filter(|role| !role.is_null());
+    held.into_iter().chain(node["promised"].as_array().expect("roles")).cloned().collect()
+}
+
 async fn assert_all_complete(fleet: &mut Fleet, missions: &[MissionId]) {
     for (mission, room) in missions.iter().zip(ROOMS) {
         fleet.assert_completes(mission).await;
@@ -93,6 +106,11 @@ fn one_arm_serves_missions_that_are_under_way_together() {
         let lines = reply["text"].as_array().cloned().unwrap_or_default();
         let explains = |line: &Value| line.as_str().is_some_and(|line| line.starts_with(planned));
         assert!(lines.iter().any(explains), "seed {seed}: {reply}");
+        let timeline = timeline_of(&mut fleet, "lab-arm").await;
+        let mut shown: Vec<&Value> = timeline.iter().map(|role| &role["mission"]).collect();
+        shown.sort_by(|a, b| a.as_str().cmp(&b.as_str()));
+        assert_eq!(json!(shown), json!(missions), "seed {seed}: {timeline:?}");
+        assert!(timeline.iter().all(|role| role["time_s"].as_f64() > Some(0.0)), "seed {seed}: {timeline:?}");
         assert_all_complete(&mut fleet, &missions).await;
         let arm: RoleId = slug("lab_arm");
         let ended = fleet.ledger(|ledger| {

@@ -56,6 +56,7 @@ pub fn describe_event(event: &Event) -> EventText {
             alarm("alarm", format!("the fleet is {}; {}", raised.text(), raised.plan_text()))
         }
         EventKind::AlarmChanged { alarm, raised: None } => normal("alarm", format!("alarm {alarm} is cleared")),
+        EventKind::ClosureChanged { part, order } => normal("closure", part.state_text(order.as_ref())),
         EventKind::OccurrenceSubmitted { schedule, due_ms, mission } => {
             normal("schedule", format!("{schedule} submitted {mission}, due {}", time_in_zone(*due_ms, "UTC")))
         }
@@ -209,6 +210,15 @@ mod tests {
             json!({ "event": "occurrence_submitted", "schedule": "rounds", "due_ms": 60_000, "mission": "m-1" });
         let expected = "rounds submitted m-1, due 1970-01-01 00:01 UTC".to_owned();
         assert_eq!(text_of(submitted), ("schedule", expected, false));
+    }
+
+    #[test]
+    fn closure_events_name_the_part_and_the_reason() {
+        let order = json!({ "by": "Nia", "reason": "wet floor", "since_ms": 1, "until_ms": null });
+        let closed = json!({ "event": "closure_changed", "part": { "lane": ["A", "B"] }, "order": order });
+        assert_eq!(text_of(closed), ("closure", "A – B is closed by Nia: wet floor".to_owned(), false));
+        let open = json!({ "event": "closure_changed", "part": { "zone": { "name": "icu", "places": ["Ward"] } }, "order": null });
+        assert_eq!(text_of(open), ("closure", "zone icu is open".to_owned(), false));
     }
 
     #[test]

@@ -42,8 +42,9 @@ pub fn subscribe_fleet(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, list
         }
     }));
     tasks.spawn(receive(on(bodies), |payload| {
-        let DriverState { robot, telemetry, .. } = read(payload)?;
-        Some(FleetInput::Telemetry { robot: robot.to_string(), telemetry })
+        let state: DriverState = read(payload)?;
+        let feedback = state.feedback();
+        Some(FleetInput::Telemetry { robot: state.robot.to_string(), telemetry: state.telemetry, feedback })
     }));
     tasks.spawn(receive(on(beacons), |payload| {
         Some(FleetInput::Beacon(read(&read::<ClusterEnvelope>(payload)?.payload)?))

@@ -32,6 +32,13 @@ pub struct Closure {
     pub order: RobotOrder,
 }
 
+impl MapPart {
+    /// Formats its state, as `IC Room 6 is closed by Nia: a spill`, or `IC Room 6 is open`.
+    pub fn state_text(&self, closure: Option<&RobotOrder>) -> String {
+        format!("{self} is {}", closure.map_or_else(|| "open".to_owned(), RobotOrder::closure_text))
+    }
+}
+
 impl OrderRequest<ClosureChange> {
     /// Returns the order of what is closed; `None` if the request opens it.
     pub(super) fn closure(&self) -> Option<RobotOrder> {

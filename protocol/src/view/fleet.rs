@@ -1,11 +1,12 @@
 //! Views of nodes, robots and ensembles.
 
-use super::readable;
+use super::{readable, readable_or_default};
 use crate::ensemble::{ExchangedValue, Membership};
-use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskType};
+use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
 use crate::knowledge::RobotKnowledge;
 use crate::ledger::{Alarm, Closure, RobotOrders, SpeedLimit};
 use crate::scalar::Scalar;
+use crate::units::{BatteryShare, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,6 +32,24 @@ pub struct FleetView {
     /// Alarms in force; none if the replying node has no ledger.
     #[serde(default, deserialize_with = "readable")]
     pub alarms: Vec<Alarm>,
+    /// Charging by the robots themselves; null if robots charge by tasks of missions only.
+    #[serde(default, deserialize_with = "readable_or_default")]
+    pub charging: Option<ChargingView>,
+}
+
+/// Charging of a fleet by the robots themselves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ChargingView {
+    /// Charge below which a free robot goes to a charger, as a share.
+    pub below: BatteryShare,
+    /// Charge at which a robot has charged enough, as a share.
+    pub until: BatteryShare,
+    /// Charge below which a free robot uses a charger that no other robot needs, as a share; null for none.
+    #[serde(default)]
+    pub opportunistic: Option<BatteryShare>,
+    /// Places of the chargers.
+    #[serde(default, deserialize_with = "readable")]
+    pub chargers: Vec<PlaceId>,
 }
 
 /// A node, as seen by the node that replies.
@@ -54,6 +73,9 @@ pub struct NodeView {
     /// Orders of people to its robot, by the ledger; none if the replying node has no ledger.
     #[serde(default)]
     pub orders: RobotOrders,
+    /// Roles that its robot gets later, in their order, by the ledger; none if the replying node has no ledger.
+    #[serde(default, deserialize_with = "readable")]
+    pub promised: Vec<PromisedRoleView>,
 }
 
 /// Contact with a node.
@@ -137,6 +159,21 @@ pub struct HeldRole {
     /// Epoch of the award, as `term.index`; null if it is not known.
     #[serde(default)]
     pub epoch: Option<String>,
+    /// Estimated time for its tasks; null if it is not known.
+    #[serde(default)]
+    pub time_s: Option<Seconds>,
+}
+
+/// Role that a robot gets later.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct PromisedRoleView {
+    /// The mission.
+    pub mission: MissionId,
+    /// The role in it.
+    pub role: RoleId,
+    /// Estimated time for its tasks; null if it is not known.
+    #[serde(default)]
+    pub time_s: Option<Seconds>,
 }
 
 /// A robot's node. `age_ms` is the age of its record, and `version` the version of its record.

@@ -38,8 +38,8 @@ pub use auction::{AuctionView, AuctionsView};
 pub use audit::AuditView;
 pub use coordinator::{AutopilotView, CoordinatorView, VoterChange};
 pub use fleet::{
-    Contact, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HeldRole, MemberKnowledge,
-    NodeStatus, NodeTraits, NodeView, PublishedRecord, RobotView,
+    ChargingView, Contact, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView, HeldRole,
+    MemberKnowledge, NodeStatus, NodeTraits, NodeView, PromisedRoleView, PublishedRecord, RobotView,
 };
 pub use health::{HealthFinding, HealthLevel, HealthView};
 pub use map::{DoorView, LaneView, LevelView, LiftView, MapBounds, MapView, PlaceView, WallView};

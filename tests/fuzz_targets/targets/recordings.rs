@@ -53,9 +53,11 @@ pub(super) fn fleet_model(bytes: &[u8]) -> bool {
         let input = match kind % 8 {
             0 => serde_json::from_slice(piece).ok().map(FleetInput::Event),
             1 => codec::decode::<Beacon>(piece).ok().map(FleetInput::Beacon),
-            2 => codec::decode::<DriverState>(piece)
-                .ok()
-                .map(|state| FleetInput::Telemetry { robot: state.robot.to_string(), telemetry: state.telemetry }),
+            2 => codec::decode::<DriverState>(piece).ok().map(|state| FleetInput::Telemetry {
+                robot: state.robot.to_string(),
+                feedback: state.feedback(),
+                telemetry: state.telemetry,
+            }),
             3 => {
                 now_ms = now_ms.saturating_add(1 << (kind / 8));
                 None

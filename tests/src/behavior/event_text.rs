@@ -30,6 +30,7 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::RobotOrders { robot, orders } => format!("{robot} is {}", orders.state_text()),
         EventKind::AlarmChanged { raised: Some(raised), .. } => format!("the fleet is {}", raised.text()),
         EventKind::AlarmChanged { alarm, raised: None } => format!("alarm {alarm} is cleared"),
+        EventKind::ClosureChanged { part, order } => part.state_text(order.as_ref()),
         EventKind::OccurrenceSubmitted { schedule, mission, .. } => format!("{schedule} submits {mission}"),
         EventKind::Closed { mission, record } => {
             let why = record.failure.as_ref().map(|why| format!(": {why}")).unwrap_or_default();

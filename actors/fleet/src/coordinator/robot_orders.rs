@@ -1,6 +1,5 @@
 //! Orders of people during a session: the coordinator sends them to the robots with the closures and alarms, publishes
-//! the changes of alarms and of the orders to robots, and proposes the end of orders whose time has passed, or whose
-//! robot has left the fleet.
+//! the changes of all of them, and proposes the end of orders whose time has passed, or whose robot has left the fleet.
 //!
 //! A robot that holds a role also gets its orders with each renewal of its lease.
 
@@ -8,7 +7,7 @@ use super::session_context::SessionContext;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{AlarmId, NodeId, RobotId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Alarm, Command, Ledger, RobotOrders};
+use consort_protocol::ledger::{Alarm, Closure, Command, Ledger, RobotOrders};
 use consort_protocol::message::OrdersNotice;
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
@@ -39,6 +38,8 @@ pub(super) struct OrderDelivery {
 /// Orders whose changes are published.
 struct PublishedOrders {
     robots: BTreeMap<RobotId, RobotOrders>,
+    /// Closures by their texts: a closed zone is the same if its places change.
+    closures: BTreeMap<String, Closure>,
     alarms: BTreeMap<AlarmId, Alarm>,
 }
 
@@ -46,28 +47,25 @@ impl PublishedOrders {
     fn of(ledger: &Ledger) -> PublishedOrders {
         PublishedOrders {
             robots: ledger.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone())).collect(),
+            closures: ledger.closures().map(|closure| (closure.part.to_string(), closure)).collect(),
             alarms: ledger.alarms().map(|alarm| (alarm.alarm.clone(), alarm.clone())).collect(),
         }
     }
 
     /// Returns the changes from these orders to the `present` ones.
     fn changes(&self, present: &PublishedOrders) -> Vec<EventKind> {
-        let robots = changes(&self.robots, &present.robots)
-            .map(|(robot, orders)| EventKind::RobotOrders { robot, orders: orders.unwrap_or_default() });
-        let alarms =
-            changes(&self.alarms, &present.alarms).map(|(alarm, raised)| EventKind::AlarmChanged { alarm, raised });
-        robots.chain(alarms).collect()
+        let robots = changes(&self.robots, &present.robots).map(|(robot, orders)| EventKind::RobotOrders {
+            robot: robot.clone(),
+            orders: orders.cloned().unwrap_or_default(),
+        });
+        let closures = changes(&self.closures, &present.closures).filter_map(|(text, closure)| {
+            let part = closure.or_else(|| self.closures.get(text))?.part.clone();
+            Some(EventKind::ClosureChanged { part, order: closure.map(|closure| closure.order.clone()) })
+        });
+        let alarms = changes(&self.alarms, &present.alarms)
+            .map(|(alarm, raised)| EventKind::AlarmChanged { alarm: alarm.clone(), raised: raised.cloned() });
+        robots.chain(closures).chain(alarms).collect()
     }
-}
-
-/// Returns the keys whose values have changed, in their order, with their present values.
-fn changes<K: Clone + Ord, V: Clone + PartialEq>(
-    before: &BTreeMap<K, V>,
-    present: &BTreeMap<K, V>,
-) -> impl Iterator<Item = (K, Option<V>)> {
-    let keys: BTreeSet<&K> = before.keys().chain(present.keys()).collect();
-    let changed = keys.into_iter().filter(move |key| before.get(*key) != present.get(*key));
-    changed.map(move |key| (key.clone(), present.get(key).cloned()))
 }
 
 /// Latest notice to a robot.
@@ -155,7 +153,7 @@ impl OrderDelivery {
         due
     }
 
-    /// Publishes the orders that have changed since the last comparison.
+    /// Publishes the orders and closures that have changed since the last comparison.
     fn publish(&mut self, context: &SessionContext) {
         let present = context.read_ledger(PublishedOrders::of);
         for event in self.published.changes(&present) {
@@ -183,9 +181,20 @@ fn end_of_orders(context: &SessionContext, confirmed_ms: Option<u64>) -> Option<
     context.read_ledger(|ledger| ledger.has_order_to_expire(now_ms)).then_some(Command::ExpireOrders { now_ms })
 }
 
+/// Returns the keys with changed values, each with its present value.
+fn changes<'a, K: Ord, V: PartialEq>(
+    before: &'a BTreeMap<K, V>,
+    present: &'a BTreeMap<K, V>,
+) -> impl Iterator<Item = (&'a K, Option<&'a V>)> {
+    let keys: BTreeSet<&K> = before.keys().chain(present.keys()).collect();
+    let changed = keys.into_iter().filter(move |key| before.get(*key) != present.get(*key));
+    changed.map(move |key| (key, present.get(key)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::ledger::{MapPart, RobotOrder, Zone};
 
     fn at(ms: u64) -> NodeTime {
         NodeTime::at(Duration::from_millis(ms))
@@ -202,5 +211,22 @@ mod tests {
         let without = SentOrders { has_orders: false, ..sent };
         assert!(!without.needs_repetition(held, at(9_000)));
         assert!(without.needs_repetition(released, at(1)));
+    }
+
+    #[test]
+    fn a_zone_that_is_closed_again_with_other_places_changes_once() {
+        let published = |places: &[&str], reason: &str| {
+            let places = places.iter().map(|name| name.parse().unwrap()).collect();
+            let part = MapPart::Zone(Zone { name: "icu".parse().unwrap(), places });
+            let order = RobotOrder { by: "Nia".to_owned(), reason: reason.to_owned(), since_ms: 1, until_ms: None };
+            let closures = BTreeMap::from([(part.to_string(), Closure { part, order })]);
+            PublishedOrders { robots: BTreeMap::new(), closures, alarms: BTreeMap::new() }
+        };
+        let (before, present) = (published(&["A"], "smoke"), published(&["B"], "fire"));
+        let Closure { part, order } = present.closures["zone icu"].clone();
+        let closed = EventKind::ClosureChanged { part: part.clone(), order: Some(order) };
+        assert_eq!(before.changes(&present), [closed]);
+        let open = PublishedOrders { robots: BTreeMap::new(), closures: BTreeMap::new(), alarms: BTreeMap::new() };
+        assert_eq!(present.changes(&open), [EventKind::ClosureChanged { part, order: None }]);
     }
 }

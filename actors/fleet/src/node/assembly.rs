@@ -364,6 +364,7 @@ impl Assembly {
             driver: Arc::clone(&self.driver),
             exchanges: self.exchanges.clone(),
             map: self.fleet.map.clone(),
+            charging: self.fleet.charging.as_deref().map(Into::into),
             beacon_interval: self.times.beacon_interval,
         };
         Ok(views.serve(&mut self.tasks).await?)

@@ -2,8 +2,10 @@
 
 use super::state_order::StateStamp;
 use consort_protocol::ids::{RobotId, RoleId};
+use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{Goal, GoalId, GoalResult, GoalStatus, PersonRequest, PersonResult, Telemetry};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Command from the driver client of a robot to its driver server. A command without a request is a
 /// heartbeat.
@@ -68,6 +70,23 @@ pub struct DriverState {
     pub goals: Vec<(GoalId, GoalStatus)>,
     /// Completed goals among them that must not be repeated, with their results.
     pub completed: Vec<(GoalId, Goal, GoalResult)>,
+}
+
+impl DriverState {
+    /// Returns the latest values of the feedback of the goal in progress; empty without such a goal.
+    pub fn feedback(&self) -> BTreeMap<String, Scalar> {
+        feedback_of(self.goals.iter().map(|(_, status)| status))
+    }
+}
+
+/// Returns the values of the feedback of the goal in progress; empty without such a goal. The goals are in the order of
+/// their ids.
+pub(super) fn feedback_of<'a>(goals: impl DoubleEndedIterator<Item = &'a GoalStatus>) -> BTreeMap<String, Scalar> {
+    let values = goals.rev().find_map(|status| match status {
+        GoalStatus::Executing(feedback) => Some(feedback.values.clone()),
+        _ => None,
+    });
+    values.unwrap_or_default()
 }
 
 /// Command about a person request: send, repeat or cancel it.

@@ -12,19 +12,20 @@ use consort_protocol::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Ledger, MissionState};
+use consort_protocol::ledger::{Ledger, MissionState, RoleAssignment};
 use consort_protocol::scalar::Scalar;
-use consort_protocol::units::NodeTime;
+use consort_protocol::units::{NodeTime, Seconds};
 use consort_protocol::view::{
     AuditView, Contact, CoordinatorView, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView,
-    HealthView, HeldRole, LedgerCopy, MemberKnowledge, NodeStatus, NodeTraits, NodeView, PersonRequestView, Provenance,
-    PublishedRecord, RequestsView, RobotView, WithProvenance,
+    HealthView, HeldRole, LedgerCopy, MemberKnowledge, NodeStatus, NodeTraits, NodeView, PersonRequestView,
+    PromisedRoleView, Provenance, PublishedRecord, RequestsView, RobotView, WithProvenance,
 };
 use consort_raft::Replica;
 use serde::Serialize;
 use serde_json::Value;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
+use std::sync::OnceLock;
 use std::time::Duration;
 
 /// Maximum number of closed requests to people in the view.
@@ -38,6 +39,8 @@ pub(super) struct ViewContext<'a> {
     pub(super) linearizable: bool,
     /// Values of the drivers of the robots of other nodes, from these nodes.
     pub(super) received_values: BTreeMap<NodeId, DriverValues>,
+    /// Promised roles of each robot, once they are needed.
+    pub(super) promised: OnceLock<BTreeMap<RobotId, Vec<PromisedRoleView>>>,
     pub(super) now: NodeTime,
 }
 
@@ -201,6 +204,7 @@ impl ViewContext<'_> {
             closures,
             speed_limits,
             alarms,
+            charging: self.views.charging.clone(),
         }
     }
 
@@ -274,6 +278,7 @@ impl ViewContext<'_> {
                 mission: entry.id.clone(),
                 role: role.clone(),
                 epoch: Some(epoch.to_string()),
+                time_s: entry.roles.get(role).and_then(|role| estimated_time(role.holder.as_ref()?)),
             })
         });
         let mut robot = record.knowledge.robot.clone();
@@ -285,7 +290,7 @@ impl ViewContext<'_> {
         // Without the ledger, use the robot's own record.
         let holds = by_ledger.unwrap_or_else(|| match robot.as_ref().map(|worker| &worker.availability) {
             Some(Availability::Holding { mission, role, .. }) => {
-                Some(HeldRole { mission: mission.clone(), role: role.clone(), epoch: None })
+                Some(HeldRole { mission: mission.clone(), role: role.clone(), epoch: None, time_s: None })
             }
             Some(Availability::Free | Availability::OutOfService { .. }) | None => None,
         });
@@ -314,7 +319,14 @@ impl ViewContext<'_> {
                 .ledger(|ledger| ledger.orders_of(&RobotId::from(node.clone())).cloned())
                 .flatten()
                 .unwrap_or_default(),
+            promised: self.promised(&RobotId::from(node.clone())),
         }
+    }
+
+    /// Returns the promised roles of a robot in their order, if this node has a copy of the ledger.
+    fn promised(&self, robot: &RobotId) -> Vec<PromisedRoleView> {
+        let promised = self.promised.get_or_init(|| self.ledger(promised_by_robot).unwrap_or_default());
+        promised.get(robot).cloned().unwrap_or_default()
     }
 
     /// Returns the JSON of the fleet's map, if this node has a map.
@@ -383,6 +395,21 @@ impl ViewContext<'_> {
         });
         inputs
     }
+}
+
+/// Returns the promised roles of each robot in their order.
+fn promised_by_robot(ledger: &Ledger) -> BTreeMap<RobotId, Vec<PromisedRoleView>> {
+    let mut robots: BTreeMap<RobotId, Vec<PromisedRoleView>> = BTreeMap::new();
+    for (entry, role, promise) in ledger.promises_in_order() {
+        let (mission, role, time_s) = (entry.id.clone(), role.clone(), estimated_time(promise));
+        robots.entry(promise.robot.clone()).or_default().push(PromisedRoleView { mission, role, time_s });
+    }
+    robots
+}
+
+/// Returns the time that the bid of a robot has estimated for the tasks of its role, if the bid was stored with its parts.
+fn estimated_time(assignment: &RoleAssignment) -> Option<Seconds> {
+    Some(assignment.time).filter(|time| *time > Seconds::ZERO)
 }
 
 fn with<T: Serialize>(provenance: &Provenance, content: T) -> Value {

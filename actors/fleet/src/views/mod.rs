@@ -47,7 +47,7 @@ use consort_protocol::ids::{EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::units::NodeTime;
-use consort_protocol::view::{MapView, RobotView};
+use consort_protocol::view::{ChargingView, MapView, RobotView};
 use consort_raft::{RaftId, Replica};
 use draw::{DriverValues, ViewContext, json, millis};
 use ractor::ActorRef;
@@ -107,6 +107,8 @@ pub(crate) struct Views {
     pub(crate) exchanges: SharedExchanges,
     /// The fleet's map, to be served.
     pub(crate) map: Option<Arc<MapView>>,
+    /// Charging by the robots themselves.
+    pub(crate) charging: Option<ChargingView>,
     /// Interval of a coordinator's beacons.
     pub(crate) beacon_interval: Duration,
 }
@@ -382,6 +384,7 @@ impl ViewService {
             status: self.status(coordinator_status, now),
             linearizable: false,
             received_values: BTreeMap::new(),
+            promised: OnceLock::new(),
             now,
         }
     }

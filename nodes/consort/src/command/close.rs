@@ -111,7 +111,7 @@ fn reply_text(ClosuresReply { closures }: &ClosuresReply) -> String {
 /// Formats closures, a line for each: `IC Room 6 is closed by Nia: wet floor, until 2026-12-31 17:00 UTC`.
 pub(super) fn closures_text(closures: &[Closure]) -> String {
     let line =
-        |Closure { part, order }: &Closure| format!("{part} is {}{}", order.closure_text(), until_text(order.until_ms));
+        |Closure { part, order }: &Closure| format!("{}{}", part.state_text(Some(order)), until_text(order.until_ms));
     closures.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 

@@ -74,6 +74,7 @@ fn level(event: &Event) -> Level {
         | EventKind::ScheduleChanged { .. }
         | EventKind::RobotOrders { .. }
         | EventKind::AlarmChanged { .. }
+        | EventKind::ClosureChanged { .. }
         | EventKind::OccurrenceSubmitted { .. }
         | EventKind::Awarded { .. }
         | EventKind::Released { .. }

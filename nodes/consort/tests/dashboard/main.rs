@@ -7,6 +7,7 @@
 
 mod browser;
 mod closed;
+mod closures;
 mod demo_fleet;
 mod doors_and_interventions;
 mod many_robots;
@@ -14,7 +15,9 @@ mod mission_files;
 mod orders;
 mod people;
 mod recording;
+mod robot_panel;
 mod schedules;
+mod shown_model;
 #[path = "../../../../tests/support/slots.rs"]
 mod slots;
 mod station;

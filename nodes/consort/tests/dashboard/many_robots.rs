@@ -1,26 +1,15 @@
 //! Two hundred robots that report five times a second, and a page that draws every report.
 
 use crate::browser::Browser;
+use crate::shown_model::ShownModel;
 use crate::support::Folder;
-use consort_bus::clock::Clock;
-use consort_dashboard::address::BoundAddress;
-use consort_dashboard::fleet_model::{FleetModel, FloorPlan};
-use consort_dashboard::server::{Dashboard, FramePublisher};
-use consort_nodes::map_loader;
-use consort_protocol::ids::NodeId;
+use consort_dashboard::fleet_model::FleetModel;
 use consort_protocol::keys::Key;
-use consort_protocol::message::Beacon;
 use consort_skills::actions::Telemetry;
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
-use std::net::SocketAddr;
-use std::sync::Arc;
-use std::time::Duration;
 
 const ROBOTS: usize = 200;
-
-/// Five reports per second.
-const REPORTS: Duration = Duration::from_millis(200);
 
 /// Largest number of table rows that change in a frame: the visible rows (a dozen, and a partly
 /// visible row at either end), and ten of the others in turn.
@@ -61,16 +50,10 @@ fn telemetry(index: usize, now_ms: u64) -> Telemetry {
     serde_json::from_value(telemetry).expect("telemetry of a robot")
 }
 
-fn report(board: &FramePublisher) {
-    let coordinator = NodeId::new(name(0)).expect("a slug");
-    let beacon = Beacon { node: coordinator, term: 1, voters: [].into(), since_ms: 1000, cluster: None, wire: None };
-    board.with_model(|model, now_ms| {
-        model.apply_beacon(&beacon, now_ms);
-        model.apply_links(3, now_ms);
-        for index in 0..ROBOTS {
-            model.apply_telemetry(&name(index), &telemetry(index, now_ms), now_ms);
-        }
-    });
+fn report(model: &mut FleetModel, now_ms: u64) {
+    for index in 0..ROBOTS {
+        model.apply_telemetry(&name(index), &telemetry(index, now_ms), now_ms);
+    }
 }
 
 /// Counts for some seconds: the frames of the browser, its dropped frames (gaps above one and a
@@ -112,31 +95,13 @@ const MEASURE: &str = "((seconds) => new Promise((tell) => {
 fn two_hundred_robots_are_drawn_in_every_frame() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let runtime =
-        tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().expect("a runtime");
-    let clock = runtime.block_on(async { Clock::real() });
-    let plan = FloorPlan::new(&map_loader::load("hospital").expect("a shipped map"));
-    let mut model = FleetModel::new("many", "station-1", plan, clock.wall_ms());
-    model.apply_view(&Key::ViewFleet, &fleet(), clock.wall_ms());
-    let board = Arc::new(FramePublisher::new(model, clock));
-    report(&board);
-    let dashboard = runtime.block_on(async {
-        let address =
-            BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
-        Dashboard::serve_view_only(address, Arc::clone(&board))
-    });
-    runtime.spawn(async move {
-        let mut ticks = tokio::time::interval(REPORTS);
-        loop {
-            ticks.tick().await;
-            report(&board);
-        }
-    });
+    let shown = ShownModel::serve("many", report);
+    shown.change(|model, now_ms| model.apply_view(&Key::ViewFleet, &fleet(), now_ms));
     // The frame rate of this machine without the page.
     let measure = |seconds: u32| browser.value(&format!("{MEASURE}({seconds})"));
     browser.open("about:blank");
     let machine = measure(5);
-    browser.open(&dashboard.url());
+    browser.open(&shown.url());
     browser.wait_until("all robots", &format!("document.querySelectorAll('#robots tbody tr').length === {ROBOTS}"));
     // By then the initial work is done.
     browser.wait_until("frames", "consort.drawStats.frames > 100");

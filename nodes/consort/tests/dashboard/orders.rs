@@ -66,7 +66,7 @@ fn hold_and_release(browser: &Browser, fleet: &mut Fleet) {
     browser.wait_until("its role", "/ of lab-samples-1$/.test(document.querySelector('#robot-state').innerText)");
     press_order(browser, "hold");
     wait_for_form(browser);
-    let roles = browser.text("#order-roles");
+    let roles = browser.text("#order-affected");
     assert!(roles.starts_with("ada: ") && roles.ends_with(" of lab-samples-1 waits"), "{roles}");
     assert_eq!(browser.value("document.querySelector('#order-until').checkVisibility()"), false);
     check_access(browser, "the form of a hold");

@@ -167,11 +167,12 @@ fn a_recorded_takeover_is_replayed_in_both_directions() {
     assert_eq!(browser.console(), Vec::<String>::new());
 
     // A recorded fleet accepts no requests.
-    for action in ["#new-mission", "#hold-all", "#robot-orders"] {
+    for action in ["#new-mission", "#hold-all", "#robot-orders", "#part-orders"] {
         assert_eq!(browser.value(&format!("document.querySelector('{action}').checkVisibility()")), false, "{action}");
     }
     let of_mission = ["/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/resolve"];
-    for path in ["/api/missions", "/api/hold", "/api/release", "/api/maintenance"].into_iter().chain(of_mission) {
+    let orders = ["/api/hold", "/api/release", "/api/maintenance", "/api/close", "/api/open"];
+    for path in ["/api/missions"].into_iter().chain(orders).chain(of_mission) {
         let refused = browser.value(&format!(
             "fetch('{path}', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{{}}' }}).then(async (answer) => [answer.status, (await answer.json()).error])"
         ));

@@ -49,9 +49,13 @@ impl MissionModel {
 
     /// Checks whether a robot has a role.
     pub(super) fn is_assigned(&self, role: &str, by: &str) -> bool {
-        self.assignments
-            .iter()
-            .any(|assignment| assignment.to_ms.is_none() && assignment.role == role && assignment.by == by)
+        self.assigned_from_ms(role, by).is_some()
+    }
+
+    /// Returns the start of the current assignment of a role to a robot.
+    pub(super) fn assigned_from_ms(&self, role: &str, by: &str) -> Option<u64> {
+        let is_it = |shown: &&RoleAssignment| shown.to_ms.is_none() && shown.role == role && shown.by == by;
+        self.assignments.iter().find(is_it).map(|shown| shown.from_ms)
     }
 
     /// Ends the assignment of a role.
@@ -185,7 +189,7 @@ impl WorldRate {
         self.from = Some((robot.to_owned(), world_s, now_ms));
     }
 
-    fn rate(&self) -> Option<f64> {
+    pub(super) fn rate(&self) -> Option<f64> {
         self.rate
     }
 }

@@ -85,6 +85,7 @@ impl FleetModel {
             | EventKind::ScheduleChanged { .. }
             | EventKind::RobotOrders { .. }
             | EventKind::AlarmChanged { .. }
+            | EventKind::ClosureChanged { .. }
             | EventKind::OccurrenceSubmitted { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. }

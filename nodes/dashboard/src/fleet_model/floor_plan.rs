@@ -34,13 +34,12 @@ impl FloorPlan {
         self.places.get(&PlaceId::new(name).ok()?).copied()
     }
 
-    /// Returns the points of the route of a robot at `pose` that passed `passed` last; empty if
+    /// Returns the places of the route of a robot at `pose` that passed `passed` last; empty if
     /// there is none.
-    pub(super) fn route(&self, passed: &str, pose: Pose, to: &str) -> Vec<(f64, f64)> {
+    pub(super) fn route(&self, passed: &str, pose: Pose, to: &str) -> Vec<PlaceId> {
         let (Some(routes), Ok(passed), Ok(to)) = (&self.routes, PlaceId::new(passed), PlaceId::new(to)) else {
             return vec![];
         };
-        let legs = routes.legs(&passed, pose, &to).unwrap_or_default();
-        legs.iter().filter_map(|place| self.places.get(place)).map(|pose| (pose.x, pose.y)).collect()
+        routes.legs(&passed, pose, &to).unwrap_or_default()
     }
 }

@@ -4,8 +4,10 @@ use super::FleetModel;
 use consort_protocol::event::Event;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
+use consort_protocol::scalar::Scalar;
 use consort_skills::actions::Telemetry;
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// An input from a fleet.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +20,8 @@ pub enum FleetInput {
         robot: String,
         /// The telemetry.
         telemetry: Telemetry,
+        /// Values of the feedback of its goal in progress, by name.
+        feedback: BTreeMap<String, Scalar>,
     },
     /// A coordinator's beacon.
     Beacon(Beacon),
@@ -50,7 +54,10 @@ impl FleetModel {
     pub fn apply(&mut self, heard: &FleetInput, now_ms: u64) {
         match heard {
             FleetInput::Event(event) => self.apply_event(event, now_ms),
-            FleetInput::Telemetry { robot, telemetry } => self.apply_telemetry(robot, telemetry, now_ms),
+            FleetInput::Telemetry { robot, telemetry, feedback } => {
+                self.apply_telemetry(robot, telemetry, now_ms);
+                self.apply_feedback(robot, feedback);
+            }
             FleetInput::Beacon(beacon) => self.apply_beacon(beacon, now_ms),
             FleetInput::Links(links) => self.apply_links(*links, now_ms),
             FleetInput::View { key, view } => self.apply_view(key, view, now_ms),

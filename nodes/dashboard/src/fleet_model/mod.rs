@@ -11,12 +11,14 @@
 
 mod assignments;
 mod auctions;
+mod charge_trend;
 pub mod delta;
 mod events;
 mod floor_plan;
 mod input;
 mod kpi;
 mod missions;
+mod next_roles;
 mod schedules;
 mod state;
 mod tracked;
@@ -32,7 +34,8 @@ pub use state::{
     ReachabilityState, RobotModel, Takeover,
 };
 
-use consort_protocol::view::HealthFinding;
+use consort_protocol::ledger::Closure;
+use consort_protocol::view::{ChargingView, HealthFinding};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -49,13 +52,17 @@ pub mod bounds {
     pub(crate) const AUCTIONS: usize = 60;
     /// Bars of a mission on the chart.
     pub const BARS: usize = 200;
+    /// Closed zones, places and lanes. The ledger's limit is smaller.
+    pub(crate) const CLOSURES: usize = 1000;
+    /// Promised roles of a robot.
+    pub(crate) const NEXT_ROLES: usize = 64;
     /// Next occurrences of a schedule.
     pub const OCCURRENCES: usize = 20;
     /// Changes of the coordinator.
     pub const TAKEOVERS: usize = 50;
     /// Health findings.
     pub(crate) const FINDINGS: usize = 50;
-    /// Nodes, robots and people, each; a larger fleet is shown in part.
+    /// Nodes, robots, people and chargers, each; a larger fleet is shown in part.
     pub(crate) const NODES: usize = 2000;
 }
 
@@ -81,12 +88,16 @@ pub struct FleetModel {
     robots: TrackedMap<String, RobotModel>,
     people: TrackedMap<String, PersonModel>,
     doors: TrackedMap<String, String>,
+    /// Closed zones, places and lanes, by their texts, as `A – B`.
+    closures: TrackedMap<String, Closure>,
     missions: TrackedMap<String, MissionModel>,
     schedules: TrackedMap<String, ScheduleModel>,
     auctions: TrackedMap<String, AuctionModel>,
     /// Bids received in open auctions, with their parts, by mission.
     open_bids: BTreeMap<String, Vec<consort_protocol::auction::Bid>>,
     ensembles: TrackedMap<String, EnsembleModel>,
+    /// Charging by the robots themselves.
+    charging: Option<ChargingView>,
     /// Health findings, the worst first.
     health: Vec<HealthFinding>,
     log: TrackedMap<u64, LogEntry>,
@@ -149,6 +160,7 @@ impl FleetModel {
             reachability: &self.reachability,
             coordinator: self.coordinator.as_ref(),
             takeovers: &self.takeovers,
+            charging: self.charging.as_ref(),
             health: &self.health,
             views: &self.views,
             kpis: self.kpis(),
@@ -157,6 +169,7 @@ impl FleetModel {
         section("robots", &mut self.robots, drawn, &mut patch);
         section("people", &mut self.people, drawn, &mut patch);
         section("doors", &mut self.doors, drawn, &mut patch);
+        section("closures", &mut self.closures, drawn, &mut patch);
         section("missions", &mut self.missions, drawn, &mut patch);
         section("schedules", &mut self.schedules, drawn, &mut patch);
         section("auctions", &mut self.auctions, drawn, &mut patch);
@@ -172,6 +185,7 @@ impl FleetModel {
         self.robots.mark_all_changed();
         self.people.mark_all_changed();
         self.doors.mark_all_changed();
+        self.closures.mark_all_changed();
         self.missions.mark_all_changed();
         self.schedules.mark_all_changed();
         self.auctions.mark_all_changed();
@@ -255,6 +269,7 @@ struct StateMembers<'a> {
     reachability: &'a Reachability,
     coordinator: Option<&'a CoordinatorModel>,
     takeovers: &'a [Takeover],
+    charging: Option<&'a ChargingView>,
     health: &'a [HealthFinding],
     views: &'a BTreeMap<String, u64>,
     kpis: Kpis,

@@ -1,7 +1,9 @@
 //! Parts of the fleet model, as serialised for clients.
 
+use super::charge_trend::{ChargeForecast, ChargeTrend};
 use consort_protocol::auction::BidPart;
 use consort_protocol::cause::CauseClass;
+use consort_protocol::knowledge::Charging;
 use consort_protocol::ledger::{Branch, HeldItem, RobotOrders, RolePhase};
 use consort_protocol::mission::{RoleKind, TaskNode};
 use consort_protocol::scalar::Scalar;
@@ -108,6 +110,15 @@ pub struct RobotModel {
     pub battery: f64,
     /// Charge below which it takes no work, as a share.
     pub useful_charge: f64,
+    /// Time of the next threshold of the charge, if the charge changes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub forecast: Option<ChargeForecast>,
+    /// Samples of the charge since its availability has changed.
+    #[serde(skip)]
+    pub(super) charge_trend: ChargeTrend,
+    /// Charging of a free robot.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub charging: Option<Charging>,
     /// True if it can move.
     pub can_move: bool,
     /// `free`, `charging`, `holding`, `suspended` or `out_of_service`.
@@ -121,22 +132,41 @@ pub struct RobotModel {
     pub mission: Option<String>,
     /// The role in the mission.
     pub role: Option<String>,
+    /// Roles that it gets later, in their order, as far as the observing node knows them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub next: Vec<NextRole>,
     /// The current task.
     pub task: Option<String>,
     /// The destination.
     pub destination: Option<String>,
-    /// Points of the route, in metres.
-    pub route: Vec<(f64, f64)>,
+    /// Places of the route ahead.
+    pub route: Vec<String>,
     /// Its average speed in metres per second.
     pub speed: Option<f64>,
     /// The skills.
     pub skills: Vec<String>,
     /// Latest readings of its driver, by name.
     pub readings: BTreeMap<String, Scalar>,
+    /// Latest values of the feedback of its goal in progress, by name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub feedback: BTreeMap<String, Scalar>,
     /// Time of the last contact with its node.
     pub last_contact_ms: u64,
     /// Time of the last telemetry.
     pub telemetry_ms: Option<u64>,
+}
+
+/// A role that a robot gets later.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct NextRole {
+    /// The mission.
+    pub mission: String,
+    /// The role in it.
+    pub role: String,
+    /// Planned start, if the roles before it have estimates.
+    pub start_ms: Option<u64>,
+    /// Estimated duration in milliseconds, at the speed of its world.
+    pub planned_ms: Option<u64>,
 }
 
 /// A person.

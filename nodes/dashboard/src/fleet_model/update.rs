@@ -1,6 +1,9 @@
 //! Applies views, beacons, links and telemetry to the model.
 
-use super::state::{CoordinatorModel, EnsembleModel, NodeModel, PersonModel, ReachabilityState, RobotModel, Takeover};
+use super::charge_trend::ChargeTrend;
+use super::state::{
+    CoordinatorModel, EnsembleModel, NextRole, NodeModel, PersonModel, ReachabilityState, RobotModel, Takeover,
+};
 use super::{FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, bounds};
 use crate::loaded_map::LoadedMap;
 use consort_protocol::ids::NodeId;
@@ -10,6 +13,7 @@ use consort_protocol::ledger::RobotOrders;
 use consort_protocol::message::Beacon;
 use consort_protocol::mission::{TaskBody, TaskNode};
 use consort_protocol::pose::Pose;
+use consort_protocol::scalar::Scalar;
 use consort_protocol::view::{
     AuctionsView, CoordinatorView, EnsembleView, FleetView, HealthView, MissionView, MissionsView, NodeView,
     Provenance, SchedulesView, WithProvenance,
@@ -18,6 +22,7 @@ use consort_skills::actions::Telemetry;
 use consort_world::world::WorldReport;
 use serde::Deserialize;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use tracing::debug;
 
 impl FleetModel {
@@ -96,9 +101,19 @@ impl FleetModel {
         shown.can_move = telemetry.able;
         shown.readings.clone_from(&telemetry.readings);
         shown.telemetry_ms = Some(now_ms);
+        if shown.charge_trend.observe(shown.battery, now_ms) {
+            shown.forecast = shown.charge_trend.forecast(shown.useful_charge, self.charging.as_ref());
+        }
         // Between two places the rest of the route does not change.
         if passed {
             self.update_route(robot);
+        }
+    }
+
+    /// Applies the feedback of a robot's goal in progress. Without such a goal it is empty.
+    pub fn apply_feedback(&mut self, robot: &str, feedback: &BTreeMap<String, Scalar>) {
+        if let Some(shown) = self.robots.get_mut(&robot.to_owned()) {
+            shown.feedback.clone_from(feedback);
         }
     }
 
@@ -149,7 +164,9 @@ impl FleetModel {
 
     fn take_fleet(&mut self, view: FleetView, published_ms: u64) {
         let mut present = vec![];
-        for NodeView { node: name, contact, record, traits, orders, .. } in view.nodes.into_iter().take(bounds::NODES) {
+        for NodeView { node: name, contact, record, traits, holds, orders, promised } in
+            view.nodes.into_iter().take(bounds::NODES)
+        {
             let node = NodeModel {
                 alive: contact.alive,
                 status: contact.status,
@@ -161,7 +178,8 @@ impl FleetModel {
                 robot: record.robot.is_some(),
             };
             if let Some(robot) = record.robot {
-                self.take_robot(name.as_str(), robot, orders, &node);
+                let next = self.next_roles(name.as_str(), holds.as_ref(), promised);
+                self.take_robot(name.as_str(), robot, orders, next, &node);
             }
             present.push(name.to_string());
             self.nodes.insert(name.to_string(), node);
@@ -171,14 +189,28 @@ impl FleetModel {
             self.robots.retain(|name, _| present.contains(name));
         }
         self.ensembles.replace(view.ensembles.into_iter().map(ensemble_model).collect());
+        self.charging = view.charging;
+        if let Some(charging) = &mut self.charging {
+            charging.chargers.truncate(bounds::NODES);
+        }
+        let closures = view.closures.into_iter().take(bounds::CLOSURES);
+        self.closures.replace(closures.map(|closure| (closure.part.to_string(), closure)).collect());
     }
 
-    /// Applies the record of a robot, and the orders of people to it.
-    fn take_robot(&mut self, name: &str, robot: RobotKnowledge, orders: RobotOrders, node: &NodeModel) {
+    /// Applies the record of a robot, the orders of people to it, and the roles that it gets later.
+    fn take_robot(
+        &mut self,
+        name: &str,
+        robot: RobotKnowledge,
+        orders: RobotOrders,
+        next: Vec<NextRole>,
+        node: &NodeModel,
+    ) {
         let shown = self.robots.get_or_insert_with(name.to_owned(), RobotModel::default);
         shown.alive = node.alive;
         shown.last_contact_ms = node.last_contact_ms;
         let is_charging = robot.is_charging();
+        shown.charging = robot.charging;
         shown.skills = names(robot.skills);
         shown.speed = robot.speed.map(|speed| speed.get());
         shown.useful_charge = robot.useful_charge.get();
@@ -196,9 +228,13 @@ impl FleetModel {
             Availability::Free if is_charging => ("charging", None, None),
             Availability::Free => ("free", None, None),
         };
-        word.clone_into(&mut shown.availability);
+        if shown.availability != word {
+            word.clone_into(&mut shown.availability);
+            // The rate of the charge is another.
+            (shown.charge_trend, shown.forecast) = (ChargeTrend::default(), None);
+        }
         shown.problem = problem.or_else(|| orders.problem());
-        shown.orders = orders;
+        (shown.orders, shown.next) = (orders, next);
         let (mission, role) = held.map(|(mission, role)| (mission.to_string(), role.to_string())).unzip();
         let before = std::mem::replace(&mut shown.mission, mission);
         shown.role = role;
@@ -249,7 +285,7 @@ impl FleetModel {
             destination(tasks, task).map(str::to_owned)
         });
         let pose = Pose::new(shown.x, shown.y, shown.yaw);
-        let route = destination.as_ref().map_or(vec![], |to| self.plan.route(&shown.place, pose, to));
+        let route = names(destination.as_ref().map_or(vec![], |to| self.plan.route(&shown.place, pose, to)));
         if (&shown.destination, &shown.route) != (&destination, &route)
             && let Some(shown) = self.robots.get_mut(&robot.to_owned())
         {

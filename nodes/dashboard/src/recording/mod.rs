@@ -12,7 +12,7 @@
 //! | `/events` | `consort.Event` | events of nodes, with the node's number as sequence number, the time of receipt, and the time of publication |
 //! | `/gaps` | `consort.Gap` | missed events, by the numbers of their node |
 //! | `/coordinator` | `consort.Beacon` | the coordinator's beacons |
-//! | `/robots/NAME/body` | `consort.Body` | telemetry of robots: place, pose, battery |
+//! | `/robots/NAME/body` | `consort.Body` | telemetry of robots: place, pose, battery; with the feedback of their goals |
 //! | `/links` | `consort.Links` | number of nodes linked to the recorder |
 //! | `/view/fleet` … | `consort.View` | the views, as returned by a node; those of single missions on `/view/mission` |
 //! | `/view/again` | `consort.Again` | a view with the same content as the last, except for its age |

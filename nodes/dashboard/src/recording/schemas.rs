@@ -5,12 +5,14 @@ use crate::fleet_model::FleetInput;
 use consort_protocol::event::Event;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::message::Beacon;
+use consort_protocol::scalar::Scalar;
 use consort_skills::actions::Telemetry;
 use consort_world::record::foxglove::Schema;
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+use std::collections::BTreeMap;
 
 /// Name of the metadata record at the beginning of a file.
 pub(super) const FLEET_METADATA: &str = "consort.fleet";
@@ -21,7 +23,7 @@ pub(super) const FORMAT_VERSION: &str = "1";
 pub(super) static EVENT: Schema = Schema::new("consort.Event", inline_schema_of::<Event>);
 pub(super) static GAP: Schema = Schema::new("consort.Gap", inline_schema_of::<EventGap>);
 pub(super) static BEACON: Schema = Schema::new("consort.Beacon", inline_schema_of::<Beacon>);
-pub(super) static TELEMETRY: Schema = Schema::new("consort.Body", inline_schema_of::<Telemetry>);
+pub(super) static TELEMETRY: Schema = Schema::new("consort.Body", inline_schema_of::<TelemetryMessage>);
 pub(super) static LINKS: Schema = Schema::new("consort.Links", inline_schema_of::<LinksMessage>);
 pub(super) static VIEW: Schema = Schema::new("consort.View", inline_schema_of::<ViewMessage<Map<String, Value>>>);
 pub(super) static REPEATED_VIEW: Schema = Schema::new("consort.Again", inline_schema_of::<RepeatedViewMessage>);
@@ -30,6 +32,17 @@ pub(super) static REPEATED_VIEW: Schema = Schema::new("consort.Again", inline_sc
 fn inline_schema_of<T: JsonSchema>() -> Value {
     let settings = SchemaSettings::draft2020_12().for_serialize().with(|settings| settings.inline_subschemas = true);
     settings.into_generator().into_root_schema_for::<T>().to_value()
+}
+
+/// Telemetry of a robot, and the feedback of its goal in progress.
+#[derive(Serialize, Deserialize, JsonSchema)]
+pub(super) struct TelemetryMessage {
+    /// The telemetry.
+    #[serde(flatten)]
+    pub(super) telemetry: Telemetry,
+    /// Values of the feedback, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub(super) feedback: BTreeMap<String, Scalar>,
 }
 
 /// A view with the same content as the last view of this key, except for its age.
@@ -105,7 +118,8 @@ impl MessageKind {
             MessageKind::Links => FleetInput::Links(serde_json::from_slice::<LinksMessage>(data).ok()?.links),
             MessageKind::Telemetry => {
                 let robot = topic.strip_prefix("/robots/")?.strip_suffix("/body")?.to_owned();
-                FleetInput::Telemetry { robot, telemetry: serde_json::from_slice::<Telemetry>(data).ok()? }
+                let TelemetryMessage { telemetry, feedback } = serde_json::from_slice(data).ok()?;
+                FleetInput::Telemetry { robot, telemetry, feedback }
             }
             MessageKind::View => {
                 let ViewMessage::<Value> { key, view } = serde_json::from_slice(data).ok()?;

@@ -3,7 +3,7 @@
 use super::gaps::{EventGap, GapDetector};
 use super::schemas::{
     self, BEACON, EVENT, FLEET_METADATA, FORMAT_VERSION, GAP, LINKS, LinksMessage, REPEATED_VIEW, RepeatedViewMessage,
-    TELEMETRY, VIEW, ViewMessage,
+    TELEMETRY, TelemetryMessage, VIEW, ViewMessage,
 };
 use crate::fleet_model::{FleetInput, FleetModel};
 use crate::loaded_map::LoadedMap;
@@ -104,9 +104,10 @@ impl RecordingWriter {
             FleetInput::Links(links) => {
                 self.file.write("/links", &LINKS, MessageStamp::at(at), &LinksMessage { links: *links })
             }
-            FleetInput::Telemetry { robot, telemetry } => {
+            FleetInput::Telemetry { robot, telemetry, feedback } => {
                 self.recorded.reports += 1;
-                self.file.write(&schemas::telemetry_topic(robot), &TELEMETRY, MessageStamp::at(at), telemetry)?;
+                let message = TelemetryMessage { telemetry: telemetry.clone(), feedback: feedback.clone() };
+                self.file.write(&schemas::telemetry_topic(robot), &TELEMETRY, MessageStamp::at(at), &message)?;
                 self.scene.set_robots(&mut self.file, robot_at(model, robot), at)
             }
             FleetInput::View { key, view } => {

@@ -44,7 +44,7 @@ pub(super) fn router(
     let guarded = |scope, route: MethodRouter<DashboardState>| {
         route.layer(axum::middleware::from_fn_with_state((admission.clone(), scope), admit))
     };
-    let order = |call: ApiCall| guarded(required_scope(call), post(order_robots).layer(Extension(call)));
+    let order = |call: ApiCall| guarded(required_scope(call), post(forward_order).layer(Extension(call)));
     pages
         .route("/ws", guarded(AccessScope::Read, get(open_websocket)))
         .route("/api/fleet", guarded(AccessScope::Read, get(model)))
@@ -59,6 +59,8 @@ pub(super) fn router(
         .route("/api/hold", order(ApiCall::Hold))
         .route("/api/release", order(ApiCall::Release))
         .route("/api/maintenance", order(ApiCall::Maintenance))
+        .route("/api/close", order(ApiCall::Close))
+        .route("/api/open", order(ApiCall::Open))
         .route("/api/audit", guarded(required_scope(ApiCall::Audit), get(audit_trail)))
         .route("/api/audit.jsonl", guarded(required_scope(ApiCall::Audit), get(export_audit_trail)))
         .route("/api/requests", guarded(AccessScope::Read, get(requests)))
@@ -227,8 +229,8 @@ async fn change_schedule(
     Ok(reply_of(forwarder.act(ApiCall::Schedule, fields, client.as_ref()).await))
 }
 
-/// Forwards an order to robots: hold, release or maintenance.
-async fn order_robots(
+/// Forwards an order to robots, or the closure or opening of places and lanes.
+async fn forward_order(
     State(shared): State<DashboardState>,
     Extension(call): Extension<ApiCall>,
     Extension(client): Extension<Option<AuthenticatedClient>>,

@@ -1,7 +1,7 @@
 //! The fleet model that is built from the messages of a fleet.
 
 use consort_dashboard::fleet_model::{
-    FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, ReachabilityState, bounds, delta,
+    FleetInput, FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, ReachabilityState, bounds, delta,
 };
 use consort_dashboard::loaded_map::LoadedMap;
 use consort_protocol::cause::CauseClass;
@@ -84,10 +84,7 @@ fn a_robot_has_the_pose_of_its_telemetry_and_the_route_of_its_task() {
     assert_eq!((ada.availability.as_str(), ada.task.as_deref()), ("holding", Some("navto_room")));
     assert_eq!(ada.last_contact_ms, NOW - 300);
     assert_eq!(ada.destination.as_deref(), Some("IC Room 6"));
-    let map = model.to_json()["map"].clone();
-    let mut places = map["places"].as_array().unwrap().iter();
-    let room = places.find(|place| place["name"] == "IC Room 6").unwrap();
-    assert_eq!(json!(ada.route.last()), json!([room["x_m"], room["y_m"]]));
+    assert_eq!(ada.route.last().map(String::as_str), Some("IC Room 6"));
     assert!(ada.route.len() > 2, "along the corridor: {:?}", ada.route);
 
     // The record of its node is older than its telemetry.
@@ -390,6 +387,29 @@ fn schedules_have_their_next_occurrences() {
 }
 
 #[test]
+fn closures_are_those_of_the_latest_view() {
+    let mut model = model();
+    let order = json!({ "by": "Nia", "reason": "wet floor", "since_ms": 5, "until_ms": null });
+    let mut view = fleet(json!([{ "node": "ada", "alive": true, "robot": worker(json!("free")) }]));
+    view["closures"] = json!([
+        { "part": { "place": "IC Room 6" }, "order": order },
+        { "part": { "lane": ["A", "B"] }, "order": order },
+        { "part": { "zone": { "name": "icu", "places": ["IC Room 4", "IC Room 5"] } }, "order": order },
+    ]);
+    model.apply_view(&Key::ViewFleet, &view, NOW);
+    let order = json!({ "by": "Nia", "reason": "wet floor", "since_ms": 5 });
+    let expected = json!({
+        "IC Room 6": { "part": { "place": "IC Room 6" }, "order": order },
+        "A – B": { "part": { "lane": ["A", "B"] }, "order": order },
+        "zone icu": { "part": { "zone": { "name": "icu", "places": ["IC Room 4", "IC Room 5"] } }, "order": order },
+    });
+    assert_eq!(model.to_json()["closures"], expected);
+    view["closures"] = json!([]);
+    model.apply_view(&Key::ViewFleet, &view, NOW);
+    assert_eq!(model.to_json()["closures"], json!({}));
+}
+
+#[test]
 fn consecutive_patches_equal_the_whole_model() {
     let mut model = model();
     let (mut drawn, mut seen) = (Value::Null, Value::Null);
@@ -484,6 +504,89 @@ fn a_robot_has_the_latest_readings_of_its_driver() {
     assert_eq!(model.to_json()["robots"]["ada"]["readings"], json!({ "bag_g": 2.5, "lid": true }));
     model.apply_telemetry("ada", &with(json!({ "lid": false })), NOW + 200);
     assert_eq!(model.to_json()["robots"]["ada"]["readings"], json!({ "lid": false }));
+}
+
+#[test]
+fn a_robot_has_the_feedback_of_its_goal_in_progress() {
+    let mut model = model();
+    let report = |feedback: Value| FleetInput::Telemetry {
+        robot: "ada".to_owned(),
+        telemetry: telemetry(1.0, 1.0),
+        feedback: serde_json::from_value(feedback).unwrap(),
+    };
+    model.apply(&report(json!({ "phase": "rinse", "soaked": 0.5 })), NOW);
+    assert_eq!(model.to_json()["robots"]["ada"]["feedback"], json!({ "phase": "rinse", "soaked": 0.5 }));
+    model.apply(&report(json!({})), NOW + 200);
+    assert_eq!(model.to_json()["robots"]["ada"]["feedback"], Value::Null, "the goal has ended");
+}
+
+#[test]
+fn a_forecast_begins_again_when_the_availability_changes() {
+    let mut model = model();
+    let charge = |battery: f64| {
+        let mut report = serde_json::to_value(telemetry(1.0, 1.0)).unwrap();
+        report["battery"] = json!(battery);
+        serde_json::from_value::<Telemetry>(report).unwrap()
+    };
+    let view = |charging: Value| {
+        let mut record = worker(json!("free"));
+        record["charging"] = charging;
+        let mut view = fleet(json!([{ "node": "ada", "alive": true, "robot": record }]));
+        view["charging"] = json!({ "below": 0.3, "until": 0.9, "chargers": ["Dock"] });
+        view
+    };
+    model.apply_view(&Key::ViewFleet, &view(Value::Null), NOW);
+    for (after_ms, battery) in [(0, 0.5), (10_000, 0.4)] {
+        model.apply_telemetry("ada", &charge(battery), NOW + after_ms);
+    }
+    let shown = model.to_json();
+    assert_eq!(shown["robots"]["ada"]["forecast"], json!({ "share": 0.3, "at_ms": NOW + 20_000 }));
+    assert_eq!(shown["charging"], json!({ "below": 0.3, "until": 0.9, "chargers": ["Dock"] }));
+    let claim = json!({ "connected": { "charger": "Dock", "battery": 0.4 } });
+    model.apply_view(&Key::ViewFleet, &view(claim.clone()), NOW + 11_000);
+    let shown = model.to_json();
+    assert_eq!(shown["robots"]["ada"]["charging"], claim);
+    assert_eq!(shown["robots"]["ada"]["forecast"], Value::Null);
+    for (after_ms, battery) in [(20_000, 0.4), (30_000, 0.5)] {
+        model.apply_telemetry("ada", &charge(battery), NOW + after_ms);
+    }
+    let forecast = model.to_json()["robots"]["ada"]["forecast"].clone();
+    assert_eq!(forecast, json!({ "share": 0.9, "at_ms": NOW + 70_000 }));
+}
+
+#[test]
+fn promised_roles_start_after_the_roles_before_them() {
+    let mut model = model();
+    let at = |world_s: f64| Telemetry { time: WorldTime::from_secs(world_s), ..telemetry(1.0, 1.0) };
+    // The world is twice as fast as the clock.
+    for (at_ms, world_s) in [(0, 0.0), (5_000, 10.0)] {
+        model.apply_telemetry("ada", &at(world_s), NOW + at_ms);
+    }
+    let role = json!({ "role": "r1", "kind": "managed", "phase": "active", "holder": "ada" });
+    let mission = json!({ "mission": "m-1", "detail": "running", "roles": [role] });
+    model.apply_view(&Key::ViewMission("m-1".parse().unwrap()), &mission, NOW);
+    let mut ada = json!({ "node": "ada", "alive": true, "robot": worker(json!("free")) });
+    ada["holds"] = json!({ "mission": "m-1", "role": "r1", "time_s": 100.0 });
+    ada["promised"] = json!([
+        { "mission": "m-3", "role": "r2", "time_s": 50.0 }, { "mission": "m-2", "role": "r1" },
+        { "mission": "m-4", "role": "r1", "time_s": 50.0 },
+    ]);
+    let next = |model: &FleetModel| {
+        let next = model.robots()["ada"].next.iter();
+        next.map(|next| (next.mission.clone(), next.role.clone(), next.start_ms)).collect::<Vec<_>>()
+    };
+    let expected = |starts: [Option<u64>; 3]| {
+        let roles = [("m-3", "r2"), ("m-2", "r1"), ("m-4", "r1")];
+        roles.into_iter().zip(starts).map(|((mission, role), start)| (mission.to_owned(), role.to_owned(), start))
+    };
+    model.apply_view(&Key::ViewFleet, &fleet(json!([ada])), NOW + 5_000);
+    assert_eq!(next(&model), expected([Some(NOW + 50_000), Some(NOW + 75_000), None]).collect::<Vec<_>>());
+    let durations: Vec<_> = model.robots()["ada"].next.iter().map(|next| next.planned_ms).collect();
+    assert_eq!(durations, [Some(25_000), None, Some(25_000)]);
+    // A robot without a role waits until its next role can start.
+    ada["holds"] = Value::Null;
+    model.apply_view(&Key::ViewFleet, &fleet(json!([ada])), NOW + 6_000);
+    assert_eq!(next(&model), expected([None; 3]).collect::<Vec<_>>());
 }
 
 #[test]

@@ -7,6 +7,7 @@ use consort_protocol::event::Event;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
+use consort_protocol::scalar::Scalar;
 use consort_world::map;
 use consort_world::record::foxglove::ExistingFile;
 use serde_json::{Value, json};
@@ -110,7 +111,9 @@ pub(crate) fn body(robot: &str, x: f64) -> FleetInput {
     let telemetry = json!({
         "time": x, "pose": { "x_m": x, "y_m": 2.5, "yaw_rad": 0.5 }, "place": "Dock", "battery": 0.75, "able": true, "closed": [],
     });
-    FleetInput::Telemetry { robot: robot.to_owned(), telemetry: serde_json::from_value(telemetry).unwrap() }
+    let (telemetry, feedback) =
+        (serde_json::from_value(telemetry).unwrap(), [("done".to_owned(), Scalar::Number(x))].into());
+    FleetInput::Telemetry { robot: robot.to_owned(), telemetry, feedback }
 }
 
 const HALL: &str = "{name: hall, walls: [[[0, 0], [12, 0]]], places: [{name: Dock, kind: dock, x_m: 6, y_m: 2.5}, \

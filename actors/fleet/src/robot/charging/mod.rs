@@ -39,6 +39,7 @@ pub use reserve::ChargerReserve;
 use consort_protocol::ensemble::Eligibility;
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::RobotKnowledge;
+use consort_protocol::view::ChargingView;
 use std::collections::BTreeSet;
 
 /// Charging in a fleet.
@@ -48,6 +49,14 @@ pub struct ChargingSettings {
     pub thresholds: ChargeThresholds,
     /// Chargers.
     pub chargers: Vec<Charger>,
+}
+
+impl From<&ChargingSettings> for ChargingView {
+    fn from(settings: &ChargingSettings) -> ChargingView {
+        let ChargeThresholds { below, until, opportunistic } = settings.thresholds;
+        let chargers = settings.chargers.iter().map(|charger| charger.place.clone()).collect();
+        ChargingView { below, until, opportunistic, chargers }
+    }
 }
 
 /// A charger.

@@ -1,7 +1,7 @@
 //! The goal tracker: latest state of a driver and requests without a reply, as a value.
 
 use super::CLIENT_TIMEOUT;
-use super::messages::{DriverCommand, DriverState, GoalRequest, Permit};
+use super::messages::{DriverCommand, DriverState, GoalRequest, Permit, feedback_of};
 use super::state_order::StateOrder;
 use consort_protocol::lease::keep_for;
 use consort_protocol::scalar::Scalar;
@@ -112,11 +112,7 @@ impl GoalTracker {
 
     /// Returns the latest values of the feedback of the goal in progress; empty without such a goal.
     pub(super) fn feedback(&self) -> BTreeMap<String, Scalar> {
-        let values = self.goals.values().rev().find_map(|status| match status {
-            GoalStatus::Executing(feedback) => Some(feedback.values.clone()),
-            _ => None,
-        });
-        values.unwrap_or_default()
+        feedback_of(self.goals.values())
     }
 
     /// Returns the id of the next goal.

@@ -66,7 +66,9 @@ fn the_feedback_is_that_of_the_goal_in_progress() {
         tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
     }
     assert_eq!(tracker.feedback(), BTreeMap::new(), "no goal has begun");
-    tracker.apply_state(state(1, &[(100, GoalStatus::succeeded()), (101, soaking)]), at(0));
+    let soaks = state(1, &[(100, GoalStatus::succeeded()), (101, soaking)]);
+    assert_eq!(soaks.feedback(), values);
+    tracker.apply_state(soaks, at(0));
     assert_eq!(tracker.feedback(), values);
     tracker.apply_state(state(2, &[(101, GoalStatus::succeeded())]), at(0));
     assert_eq!(tracker.feedback(), BTreeMap::new(), "the goal has ended");

@@ -3,14 +3,18 @@
 import * as auctions from './auctions.js';
 import * as audit from './audit.js';
 import * as calendar from './calendar.js';
+import * as chargers from './chargers.js';
+import * as closures from './closures.js';
 import { byId, tickAges } from './dom.js';
 import * as fleet from './fleet.js';
 import { open } from './connection.js';
 import * as log from './log.js';
 import * as map from './map.js';
 import * as missions from './missions.js';
+import * as orderForm from './order_form.js';
 import * as orders from './orders.js';
 import * as replay from './replay.js';
+import * as robot from './robot.js';
 import * as robots from './robots.js';
 import * as schedule from './schedule.js';
 import * as session from './session.js';
@@ -22,17 +26,28 @@ import * as theme from './theme.js';
 /** Minimum time between table updates, in milliseconds: faster updates cannot be read. */
 const TABLE_INTERVAL = 400;
 
-const selected = { robot: undefined, mission: undefined };
+const selected = { robot: undefined, part: undefined, mission: undefined };
 const dirty = new Set();
 let scheduled = false;
 let drawnAt = 0;
 
-const selectRobot = (robot, focus) => {
-  selected.robot = selected.robot === robot ? undefined : robot;
-  map.choose(selected.robot);
+const updateRobot = () => {
   orders.update(connection.model, selected.robot);
+  robot.update(connection.model, selected.robot);
+};
+
+const selectRobot = (name, focus) => {
+  selected.robot = selected.robot === name ? undefined : name;
+  map.choose(selected.robot);
+  updateRobot();
   if (focus) orders.focus();
   markDirty('robots');
+};
+
+const selectPart = (part) => {
+  selected.part = part;
+  map.choosePart(part);
+  closures.update(connection.model, part);
 };
 
 const selectMission = (mission) => {
@@ -43,8 +58,11 @@ const selectMission = (mission) => {
 const connection = open({
   onChange: (model, patch) => {
     replay.update(connection);
-    if (!patch || patch.map) submit.setPlaces(model);
-    if (!patch || patch.robots || patch.people || patch.doors || patch.map) map.update(model, patch);
+    if (!patch || patch.map) {
+      submit.setPlaces(model);
+      closures.setMap(model.map);
+    }
+    if (!patch || patch.robots || patch.people || patch.doors || patch.closures || patch.charging || patch.map) map.update(model, patch);
     markDirty(...(patch ? Object.keys(patch) : Object.keys(model)));
   },
   onState: () => tick(),
@@ -69,8 +87,10 @@ function draw() {
   if (isDirty('log')) log.alarms(model, replay.hasSeeked());
   if (isDirty('robots', 'people', 'doors')) {
     robots.update(model, selected.robot, selectRobot);
-    orders.update(model, selected.robot);
+    updateRobot();
   }
+  if (isDirty('robots', 'charging', 'map')) chargers.update(model);
+  if (isDirty('closures', 'map')) closures.update(model, selected.part);
   if ((isOpen('missions') || isOpen('history')) && isDirty('missions')) {
     missions.update(model, connection.now(), { mission: selected.mission, select: selectMission, cancel: submit.cancel, resolve: submit.resolve });
     dirty.delete('missions');
@@ -104,10 +124,12 @@ tabs.start(() => {
   redrawAll();
   if (isOpen('audit')) audit.read();
 });
-map.start(selectRobot);
+map.start(selectRobot, (part) => selectPart(part === selected.part ? undefined : part));
 auctions.start(redrawAll);
 log.start(redrawAll);
+orderForm.start();
 orders.start();
+closures.start(selectPart);
 audit.start(() => isOpen('audit'));
 const openMission = (mission) => {
   selected.mission = mission;
@@ -127,5 +149,5 @@ setInterval(() => {
   if (connection.model && (isOpen('missions') || isOpen('schedule')) && !document.body.classList.contains('stale')) markDirty('missions');
 }, 1000);
 
-// For tests: the connection with its model, and drawing statistics.
-window.consort = { connection, drawStats: map.drawStats };
+// For tests: the connection with its model, drawing statistics, and the positions of places on the map.
+window.consort = { connection, drawStats: map.drawStats, positionOf: map.positionOf };

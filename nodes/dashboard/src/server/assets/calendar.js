@@ -2,7 +2,7 @@
 
 import { confirmAndSend } from './action.js';
 import { byId, cells, make, redraw, rows, state } from './dom.js';
-import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, sendForm } from './mission_form.js';
+import { addButtons, addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, sendForm } from './mission_form.js';
 
 const FORM = 'add-schedule';
 /** Number of days on the calendar. */
@@ -18,11 +18,10 @@ let choose = () => {};
 
 export function start(onChoose) {
   choose = onChoose;
-  const dialog = byId(FORM);
+  addButtons(FORM, 'Add');
   addOptions(FORM);
   byId('new-schedule').onclick = () => openForm(FORM, 'name', parameters);
-  byId('add-schedule-close').onclick = () => dialog.close();
-  dialog.onclose = () => byId('add-schedule-parameters').replaceChildren();
+  byId(FORM).onclose = () => byId('add-schedule-parameters').replaceChildren();
   byId('add-schedule-mission').onchange = parameters;
   byId('add-schedule-form').onsubmit = add;
   byId('time-zones').append(...(Intl.supportedValuesOf?.('timeZone') ?? []).map((value) => make('option', { value })));

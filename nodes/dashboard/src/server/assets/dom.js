@@ -154,12 +154,21 @@ export function tickAges(now) {
 
 export const clock = (ms) => new Date(ms).toLocaleTimeString([], { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false });
 
+/** Formats an instant of the next hours. */
+export const hour = (ms) => new Date(ms).toLocaleTimeString([], { hour: '2-digit', minute: '2-digit', hourCycle: 'h23' });
+
 /** Formats an instant with its day, for instants that may be days away. */
 export const moment = (ms) => new Date(ms).toLocaleString([], { dateStyle: 'short', timeStyle: 'short', hourCycle: 'h23' });
 
 export const percent = (share, digits = 0) => `${(share * 100).toFixed(digits)} %`;
 
 export const readable = (text) => (text ?? '').replaceAll('_', ' ');
+
+/** A value of a reading, a feedback or a result, short. */
+export const brief = (value) => String(typeof value === 'number' ? Math.round(value * 100) / 100 : value);
+
+/** A name with its value, in a list of notes. */
+export const note = (name, ...values) => make('div', {}, make('dt', {}, name), values.map((value) => make('dd', {}, value)));
 
 /** A state: a dot and a word, so that no information depends on colour alone. */
 export const state = (kind, text) => make('span', { className: `state ${kind}` }, text);

@@ -1,7 +1,9 @@
 // The map: static parts are drawn once. Robots are drawn in each browser frame, interpolated
 // between two reports.
 
+import { chargersOf } from './chargers.js';
 import { byId, make } from './dom.js';
+import { closedNames, laneName, placesOf } from './places.js';
 import { sheet } from './sprites.js';
 
 const canvas = byId('map');
@@ -11,6 +13,8 @@ const staticLayer = document.createElement('canvas');
 const MARGIN = 26;
 /** Maximum time of the interpolation between two reports, in milliseconds. */
 const INTERPOLATION_MAX = 700;
+/** Distances in pixels within which a click selects a robot, a place or a lane. */
+const [ROBOT_NEAR, PLACE_NEAR, LANE_NEAR] = [24, 16, 8];
 /** Above this number of robots no tasks are shown below the names. */
 const TASKS = 40;
 
@@ -20,12 +24,19 @@ let places = {};
 let lanes = [];
 let people = {};
 let doors = {};
+/** Closures by name, and the names of all closed places and lanes. */
+let closures = {};
+let closed = new Set();
+/** Chargers with their robots, by place. */
+let chargers = new Map();
 let level;
 let scale = 1;
 let offset = [0, 0];
 let size = [0, 0];
 let colours = {};
+/** The selected robot, and the name of the selected place, lane or closed zone. */
 let chosen;
+let chosenPart;
 let stale = false;
 let moving = new Map();
 let frameRequested = false;
@@ -40,7 +51,7 @@ export const drawStats = { frames: 0, took: 0, worst: 0, reports: 0, missed: 0, 
 let fresh = false;
 let framePassed = false;
 
-export function start(onChoose) {
+export function start(onChoose, onChoosePart) {
   new ResizeObserver(() => layOut()).observe(byId('floor'));
   // Another screen or zoom changes the pixel ratio.
   const watchPixels = () => {
@@ -52,8 +63,13 @@ export function start(onChoose) {
     layOut();
   };
   canvas.onclick = (event) => {
-    const near = nearest(event.offsetX, event.offsetY);
-    if (near) onChoose(near);
+    const [x, y] = [event.offsetX, event.offsetY];
+    const robot = nearest(x, y);
+    if (robot) onChoose(robot);
+    else {
+      const part = nearestPart(x, y);
+      if (part) onChoosePart(part);
+    }
   };
 }
 
@@ -69,6 +85,25 @@ export function choose(robot) {
   chosen = robot;
   requestFrame();
 }
+
+/** Highlights a place, a lane or the places of a closed zone, on its level. */
+export function choosePart(part) {
+  chosenPart = part;
+  const [first] = namesOf(part);
+  const at = (places[first] ?? lanes.find((lane) => lane.name === first))?.level;
+  if (at !== undefined && at !== level) {
+    level = at;
+    byId('level').value = level;
+    layOut();
+  }
+  requestFrame();
+}
+
+/** Returns the names of the places of a closed zone, or the name of a place or lane. */
+const namesOf = (part) => (closures[part]?.part.zone ? placesOf(closures[part].part) : [part]);
+
+/** For tests: returns the position of a place on the canvas, in pixels. */
+export const positionOf = (name) => at(places[name].x_m, places[name].y_m);
 
 export function setStale(is) {
   if (is !== stale) {
@@ -88,11 +123,16 @@ export function update(model, patch) {
     byId('level').value = level;
     places = Object.fromEntries((plan?.places ?? []).map((place) => [place.name, place]));
     const end = (name) => [places[name].x_m, places[name].y_m];
-    lanes = (plan?.lanes ?? []).map(({ between: [a, b] }) => ({ line: [end(a), end(b)], level: places[a].level }));
+    lanes = (plan?.lanes ?? []).map(({ between: [a, b] }) => ({ name: laneName(a, b), ends: [a, b], line: [end(a), end(b)], level: places[a].level }));
     layOut();
   }
   people = model.people ?? {};
   doors = model.doors ?? {};
+  closures = model.closures ?? {};
+  closed = closedNames(closures);
+  byId('closure-sign').hidden = closed.size === 0;
+  chargers = chargersOf(model);
+  byId('charger-sign').hidden = chargers.size === 0;
   const robots = model.robots ?? {};
   const changed = patch ? patch.robots ?? {} : robots;
   if (patch?.robots) {
@@ -122,7 +162,7 @@ export function update(model, patch) {
   }
   const all = Object.values(robots);
   const count = (word) => all.filter((robot) => robot.availability === word).length;
-  canvas.setAttribute('aria-label', `Map with ${all.length} robots: ${count('holding')} at work, ${count('free')} free, ${count('out_of_service')} out of service. The table of robots has the same content as text.`);
+  canvas.setAttribute('aria-label', `Map with ${all.length} robots: ${count('holding')} at work, ${count('free')} free, ${count('out_of_service')} out of service. The tables below have the same content as text.`);
   requestFrame();
 }
 
@@ -139,9 +179,26 @@ function nearest(x, y) {
   for (const [name, motion] of moving) {
     const [px, py] = at(motion.to[0], motion.to[1]);
     const distance = Math.hypot(px - x, py - y);
-    if (distance < 24 && (!best || distance < best[0])) best = [distance, name];
+    if (distance < ROBOT_NEAR && (!best || distance < best[0])) best = [distance, name];
   }
   return best?.[1];
+}
+
+/** Returns the name of the nearest place of the shown level, or else of the nearest lane. */
+function nearestPart(x, y) {
+  const closest = (found, limit) => found.filter(([distance]) => distance < limit).sort(([a], [b]) => a - b)[0]?.[1];
+  const onLevel = Object.values(places).filter((place) => place.level === level);
+  const byPlace = onLevel.map((place) => {
+    const [px, py] = at(place.x_m, place.y_m);
+    return [Math.hypot(px - x, py - y), place.name];
+  });
+  const byLane = lanes.filter((lane) => lane.level === level).map(({ name, line }) => {
+    const [[ax, ay], [bx, by]] = line.map((point) => at(...point));
+    const [dx, dy] = [bx - ax, by - ay];
+    const share = Math.min(Math.max(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1), 0), 1);
+    return [Math.hypot(ax + share * dx - x, ay + share * dy - y), name];
+  });
+  return closest(byPlace, PLACE_NEAR) ?? closest(byLane, LANE_NEAR);
 }
 
 /** Computes the layout again, for another size, plan, level or colours. */
@@ -218,6 +275,8 @@ function draw(now) {
   pen.setTransform(1, 0, 0, 1, 0, 0);
   pen.drawImage(staticLayer, 0, 0);
   pen.restore();
+  drawChargers();
+  drawClosures();
   for (const door of plan?.doors ?? []) if (door.level === level) for (const posts of door.posts) drawDoor(posts, doors[door.name]);
   const onLevel = [...moving].filter(([, { robot }]) => isOnLevel(robot));
   let interpolating = false;
@@ -248,6 +307,58 @@ const radiusOf = () => Math.min(Math.max(scale * 0.45, 5), 11);
 
 const crowded = () => moving.size > TASKS;
 
+/** Draws a battery beside each charger, filled if a robot charges there, and the number of robots that wait. */
+function drawChargers() {
+  for (const [name, { charging, waiting }] of chargers) {
+    const place = places[name];
+    if (place?.level !== level) continue;
+    const [x, y] = at(place.x_m, place.y_m);
+    pen.fillStyle = charging.length ? colours.good : colours.floor;
+    pen.strokeStyle = colours.good;
+    pen.lineWidth = 2;
+    pen.beginPath();
+    pen.roundRect(x - 26, y - 7, 10, 14, 2);
+    pen.fill();
+    pen.stroke();
+    pen.fillStyle = colours.good;
+    pen.fillRect(x - 23, y - 10, 4, 2);
+    if (waiting.length === 0) continue;
+    pen.font = '600 11px system-ui, sans-serif';
+    pen.textAlign = 'right';
+    pen.fillStyle = colours.warn;
+    pen.fillText(`${waiting.length} waiting`, x - 30, y + 4);
+  }
+}
+
+/** Draws closed lanes as broken lines, closed places as signs of no entry, and what is selected. */
+function drawClosures() {
+  if (!chosenPart && closed.size === 0) return;
+  const selected = new Set(namesOf(chosenPart));
+  const shown = lanes.filter((lane) => lane.level === level);
+  pen.strokeStyle = colours.bad;
+  pen.lineWidth = 3;
+  pen.setLineDash([2, 6]);
+  for (const lane of shown) if (closed.has(lane.name) || lane.ends.some((place) => closed.has(place))) path(pen, lane.line);
+  pen.setLineDash([]);
+  pen.strokeStyle = colours.text;
+  for (const lane of shown) if (selected.has(lane.name)) path(pen, lane.line);
+  for (const place of Object.values(places)) {
+    if (place.level !== level) continue;
+    const [x, y] = at(place.x_m, place.y_m);
+    if (closed.has(place.name)) {
+      pen.fillStyle = colours.bad;
+      dot(pen, x, y, 8);
+      pen.fillStyle = colours.floor;
+      pen.fillRect(x - 5, y - 1.5, 10, 3);
+    }
+    if (!selected.has(place.name)) continue;
+    pen.lineWidth = 2;
+    pen.beginPath();
+    pen.arc(x, y, 11, 0, 7);
+    pen.stroke();
+  }
+}
+
 function drawDoor([from, to], state) {
   pen.strokeStyle = state === 'open' ? colours.good : colours.warn;
   pen.lineWidth = 4;
@@ -262,9 +373,11 @@ function drawRoute(robot, [x, y], strong) {
   pen.globalAlpha = strong ? 1 : 0.6;
   pen.lineWidth = strong ? 3 : 2;
   pen.setLineDash([6, 5]);
-  path(pen, [[x, y], ...robot.route]);
+  const route = robot.route.filter((place) => places[place]).map((place) => [places[place].x_m, places[place].y_m]);
+  const points = [[x, y], ...route];
+  path(pen, points);
   pen.setLineDash([]);
-  const [ex, ey] = at(...robot.route.at(-1));
+  const [ex, ey] = at(...points.at(-1));
   pen.beginPath();
   pen.arc(ex, ey, 5, 0, 7);
   pen.stroke();

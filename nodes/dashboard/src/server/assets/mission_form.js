@@ -6,6 +6,16 @@ import { announce } from './status.js';
 
 let named;
 
+/** Adds the place of a problem to a form, and the buttons that close and send it. */
+export function addButtons(form, send, close = 'Close') {
+  const closing = make('button', { type: 'button', id: `${form}-close`, className: 'quiet' }, close);
+  closing.onclick = () => byId(form).close();
+  byId(`${form}-form`).append(
+    make('p', { id: `${form}-problem`, className: 'problem', role: 'alert', hidden: true }),
+    make('div', { className: 'actions' }, closing, make('button', { type: 'submit', id: `${form}-send`, className: 'primary' }, send)),
+  );
+}
+
 /** Adds the fields for the priority and the deadline of a mission. */
 export function addOptions(form) {
   const number = (name, text, properties) =>

@@ -1,6 +1,6 @@
 // Missions: the list, and the selected mission with its tree, roles, steps and chart.
 
-import { byId, cells, clock, make, meter, numberCell, redraw, rows, since, span, state, readable } from './dom.js';
+import { byId, cells, clock, make, meter, note, numberCell, redraw, rows, since, span, state, readable } from './dom.js';
 import { chart } from './gantt.js';
 
 const KINDS = { completed: 'good', running: 'work', pending: 'wait', failed: 'bad', canceled: 'warn', needs_intervention: 'bad' };
@@ -67,15 +67,15 @@ function detail(article, id, mission, now, { cancel, resolve }) {
     head.append(button);
   }
   const notes = make('dl', { className: 'notes' });
-  const note = (name, value) => value && notes.append(make('div', {}, make('dt', {}, name), make('dd', {}, value)));
-  for (const [name, value] of Object.entries(mission.parameters ?? {})) note(name, value);
-  for (const [name, value] of Object.entries(mission.result ?? {})) note(`result: ${readable(name)}`, String(value));
-  if (mission.priority) note('priority', String(mission.priority));
-  note('submitted', clock(mission.submitted_ms));
-  if (mission.award_after_ms !== undefined) note('award after', `${mission.award_after_ms.toFixed(1)} ms`);
-  if (mission.deadline_ms) note('deadline', clock(mission.deadline_ms));
-  if (mission.branch === 'recovery') note('branch', 'recovery');
-  note('class of the cause', mission.cause_class);
+  const add = (name, value) => value && notes.append(note(name, value));
+  for (const [name, value] of Object.entries(mission.parameters ?? {})) add(name, value);
+  for (const [name, value] of Object.entries(mission.result ?? {})) add(`result: ${readable(name)}`, String(value));
+  if (mission.priority) add('priority', String(mission.priority));
+  add('submitted', clock(mission.submitted_ms));
+  if (mission.award_after_ms !== undefined) add('award after', `${mission.award_after_ms.toFixed(1)} ms`);
+  if (mission.deadline_ms) add('deadline', clock(mission.deadline_ms));
+  if (mission.branch === 'recovery') add('branch', 'recovery');
+  add('class of the cause', mission.cause_class);
   const problem = mission.cause ?? mission.pending_reason;
   const cause = problem && make('p', { className: `cause ${mission.state === 'failed' || mission.state === 'needs_intervention' ? 'bad' : ''}` }, problem);
   const bars = mission.bars ?? [];
@@ -131,6 +131,13 @@ function markOf(mission, index) {
   if (mission.state === 'completed' || (steps.length > 0 && steps.every((step) => step.done)) || bar?.state === 'done') return 'done';
   if (bar?.state === 'running') return 'running';
   return bar?.state === 'failed' ? 'failed' : 'open';
+}
+
+/** Returns the values of the parameters of the tasks that have not ended; those of the mission if its tasks are not known. */
+export function valuesAhead(mission) {
+  if (!mission.tasks) return Object.values(mission.parameters ?? {});
+  const ahead = mission.tasks.filter(({ body }, index) => body.Elementary && !['done', 'skipped'].includes(markOf(mission, index)));
+  return ahead.flatMap(({ body }) => Object.values(body.Elementary.parameters ?? {}));
 }
 
 function combined(marks) {

@@ -1,6 +1,6 @@
 // Tables of robots, people and doors: the map's content as text.
 
-import { byId, cells, make, meter, numberCell, percent, rows, setText, since, state, readable } from './dom.js';
+import { brief, byId, cells, hour, make, meter, numberCell, percent, rows, setText, since, state, readable } from './dom.js';
 
 export function update(model, chosen, onChoose) {
   const robots = Object.entries(model.robots ?? {});
@@ -18,8 +18,9 @@ export function update(model, chosen, onChoose) {
     to: robot.destination,
     battery: Math.round((robot.battery ?? 0) * 100) / 100,
     low: robot.battery <= (robot.useful_charge ?? 0) + 0.1,
+    forecast: robot.forecast && forecastText(robot.forecast),
     place: robot.place,
-    readings: Object.entries(robot.readings ?? {}).map(([name, value]) => `${name} ${typeof value === 'number' ? Math.round(value * 100) / 100 : value}`).join(', '),
+    readings: Object.entries(robot.readings ?? {}).map(([name, value]) => `${name} ${brief(value)}`).join(', '),
     chosen: key === chosen,
   }));
   const body = byId('robots').tBodies[0];
@@ -34,7 +35,8 @@ export function update(model, chosen, onChoose) {
     const where = make('td', { className: 'wrap' }, item.place ?? '–', item.readings ? make('span', { className: 'sub' }, item.readings) : null);
     if (item.chosen) row.setAttribute('aria-current', 'true');
     else row.removeAttribute('aria-current');
-    cells(row, choose, does, meter(item.battery, percent(item.battery), item.low ? 'bad' : 'good'), where, row.cells[4] ?? numberCell(since(0)));
+    const charge = make('td', {}, meter(item.battery, percent(item.battery), item.low ? 'bad' : 'good'), item.forecast ? make('span', { className: 'sub' }, item.forecast) : null);
+    cells(row, choose, does, charge, where, row.cells[4] ?? numberCell(since(0)));
   });
   // Ages are updated without redrawing the row.
   for (const row of body.rows) {
@@ -50,6 +52,9 @@ export function update(model, chosen, onChoose) {
   byId('doors-block').hidden = doors.length === 0;
   rows(byId('doors').tBodies[0], doors, (row, door) => cells(row, door.key, make('td', {}, state(DOORS[door.state] ?? 'wait', readable(door.state)))));
 }
+
+/** Describes when the charge of a robot reaches the next threshold. */
+export const forecastText = ({ share, at_ms: at }) => `${percent(share)} at ${hour(at)}`;
 
 const DOORS = { open: 'good', opening: 'work', closing: 'work', closed: 'wait' };
 

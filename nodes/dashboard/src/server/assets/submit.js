@@ -2,7 +2,7 @@
 
 import { confirmAndSend } from './action.js';
 import { byId, enable, make, setText } from './dom.js';
-import { addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, sendForm, showProblem } from './mission_form.js';
+import { addButtons, addOptions, chosenMission, givenMission, openForm, parameterFields, placesOf, sendForm, showProblem } from './mission_form.js';
 import { lastKnownPlace } from './missions.js';
 import { newRequest, send } from './request.js';
 import { announce } from './status.js';
@@ -15,9 +15,9 @@ let file;
 export function start(onSubmitted) {
   startResolve();
   const dialog = byId('submit');
+  addButtons('submit', 'Submit');
   addOptions('submit');
   byId('new-mission').onclick = () => openForm('submit', 'mission', parameters);
-  byId('submit-close').onclick = () => dialog.close();
   byId('submit-mission').onchange = () => {
     file = undefined;
     byId('submit-file').value = '';
@@ -73,11 +73,10 @@ export function resolve(id, mission) {
 }
 
 function startResolve() {
-  const dialog = byId('resolve');
-  byId('resolve-back').onclick = () => dialog.close();
+  addButtons('resolve', 'Resolve', 'Back');
   byId('resolve-form').onsubmit = (event) => {
     event.preventDefault();
-    const { mission } = dialog.dataset;
+    const { mission } = byId('resolve').dataset;
     sendForm('resolve', `/api/missions/${encodeURIComponent(mission)}/resolve`, { by: byId('resolve-by').value }, `${mission} is resolved`);
   };
 }
