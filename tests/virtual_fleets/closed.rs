@@ -278,6 +278,7 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
             (keys.write(&Key::Api(ApiCall::Close)), json!({ "places": ["Dock"], "reason": "stolen" })),
             (keys.write(&Key::Api(ApiCall::Open)), json!({ "places": ["Dock"] })),
             (keys.write(&Key::Api(ApiCall::Limit)), json!({ "places": ["Dock"], "action": "set", "speed_mps": 0.1 })),
+            (keys.write(&Key::Api(ApiCall::Limit)), json!({ "places": ["Dock"], "action": "clear" })),
             (keys.write(&Key::Api(ApiCall::Alarm)), json!({ "action": "raise", "alarm": "freeze" })),
             (keys.write(&Key::Api(ApiCall::Alarm)), json!({ "action": "clear" })),
             (keys.write(&Key::Api(ApiCall::Backup)), json!({})),

@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 /// Show the nodes of a fleet, the feedback and the readings of its robots, and its coordinator
 ///
 /// The data comes from the nearest node; each row has the age of its last contact. Robots that people
-/// hold or maintain are shown with these orders. Alarms, and closed places and lanes follow. The nearest node
+/// hold or maintain are shown with these orders. Alarms, closures and speed limits follow. The nearest node
 /// queries the nodes of the robots for the readings, and for the feedback of the goals in progress.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
