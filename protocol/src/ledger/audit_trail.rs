@@ -79,7 +79,8 @@ pub struct AuditEntry {
     pub by: String,
     /// Kind of change.
     pub action: AuditAction,
-    /// What was changed: a mission, a request to a person, a schedule, robots, zones, places and lanes, alarms, or the wire version.
+    /// What was changed: a mission, a request to a person, a schedule, robots, zones, places and lanes, alarms, or the wire
+    /// version.
     pub subject: String,
     /// Details, such as the reason; may be empty.
     pub details: String,

@@ -420,6 +420,25 @@ mod tests {
     }
 
     #[test]
+    fn an_alarm_closes_zones_beside_closures_and_speed_limits() {
+        let place = |name: &str| -> PlaceId { name.parse().unwrap() };
+        let order = OrderNotice { text: "closed by Nia".to_owned(), remaining_ms: None };
+        let closures = vec![ClosureNotice { part: MapPart::Place(place("Ward")), order, until_ms: None }];
+        let speed = MetresPerSecond::new(0.3).unwrap();
+        let limit = SpeedLimitNotice { part: MapPart::Place(place("Hall")), speed, remaining_ms: None };
+        let zone = Zone { name: "icu".parse().unwrap(), places: [place("A"), place("B")].into() };
+        let alarm = alarm(&["Dock"]).map(|alarm| AlarmNotice { closes: [MapPart::Zone(zone)].into(), ..alarm });
+        let mut orders = StandingOrders::default();
+        orders.receive(OrdersNotice { closures, speed_limits: vec![limit], alarm, ..notice(5, None) }, at(0));
+        let map = orders.map_orders(at(0));
+        assert_eq!(map.closed, ["Ward", "A", "B"].map(|name| (place(name), place(name))));
+        assert_eq!(map.limits.on(&place("Hall"), &place("Dock")), Some(speed), "also on the way to the assembly");
+        orders.change_cluster(at(0));
+        let map = orders.map_orders(at(10_000));
+        assert!(map.closed.is_empty() && map.limits.is_empty());
+    }
+
+    #[test]
     fn a_hold_prevails_over_assembly_until_it_ends() {
         let mut orders = StandingOrders::default();
         orders.receive(OrdersNotice { alarm: alarm(&["Dock"]), ..notice(5, order("held by Nia", Some(1_000))) }, at(0));
