@@ -16,7 +16,7 @@ use consort_bus::LinkModel;
 use consort_protocol::api::SubmitRequest;
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{MapPart, Ledger};
+use consort_protocol::ledger::{Ledger, MapPart};
 use consort_protocol::units::BatteryShare;
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::RobotBackend as _;

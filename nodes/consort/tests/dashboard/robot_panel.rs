@@ -98,7 +98,8 @@ fn the_panels_show_the_planned_starts_of_promised_roles_in_their_order() {
         apply(1, role("r1", "active"), now_ms - 60_000);
         let mut promised = role("r1", "promised");
         let before = json!([{ "mission": "rinse-1", "role": "r1" }, { "mission": "rinse-3", "role": "carrier" }]);
-        promised["promise"] = json!({ "planned_at_ms": now_ms + 90_000, "after": before });
+        promised["promise"] =
+            json!({ "planned_at_ms": now_ms + 90_000, "delayed_s": 0.0, "can_start": false, "after": before });
         apply(2, promised, now_ms);
         apply(3, role("carrier", "promised"), now_ms);
         // The rate of the world is measured: a second per second.

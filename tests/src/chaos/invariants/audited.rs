@@ -112,7 +112,7 @@ impl Invariant for Audited {
 mod tests {
     use super::*;
     use crate::slug;
-    use consort_protocol::ledger::{MapPart, ClosureChange, OrderChange, OrderRequest};
+    use consort_protocol::ledger::{ClosureChange, MapPart, OrderChange, OrderRequest};
     use std::collections::BTreeSet;
 
     fn order(by: &str, at_ms: u64, change: OrderChange) -> Command {
