@@ -12,7 +12,7 @@ use consort_protocol::timeline::Travel;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WattHours, Watts};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
 use consort_skills::domain::hospital;
-use consort_skills::environment::Routes;
+use consort_skills::environment::{Routes, SpeedLimits};
 use consort_world::map::{Map, shipped};
 use consort_world::world::PersonSetup;
 use rand::RngExt;
@@ -167,6 +167,7 @@ fn span_s(room: &PlaceId, speed: MetresPerSecond, map: &Map, estimator: &Estimat
         speed,
         discharge: SharePerSecond::new(0.0).expect("a rate"),
         closed: vec![],
+        limits: SpeedLimits::default(),
         attributes: Attributes::default(),
         readings: None,
     };

@@ -450,11 +450,11 @@ mod tests {
     fn an_unconfirmed_alarm_stops_for_a_short_time_and_moves_nothing() {
         let mut orders = StandingOrders::default();
         let unconfirmed = OrdersNotice { alarm: alarm(&["Dock"]), ..notice(u64::MAX, None) };
-        orders.receive_unconfirmed(&unconfirmed, at(0));
+        orders.receive_unconfirmed(&unconfirmed, LEASE, at(0));
         assert!(orders.is_held(at(2_999)) && !orders.is_held(at(3_000)));
         assert!(orders.assembly_places(at(0)).is_none() && orders.closed(at(0)).is_empty());
         orders.receive(OrdersNotice { alarm: alarm(&["Dock"]), ..notice(5, None) }, at(4_000));
-        orders.receive_unconfirmed(&unconfirmed, at(4_000));
+        orders.receive_unconfirmed(&unconfirmed, LEASE, at(4_000));
         assert!(orders.assembly_places(at(4_000)).is_some(), "a repetition of the confirmed alarm");
     }
 

@@ -113,7 +113,7 @@ fn a_thousand_queries_of_a_destination_search_once() {
     for _ in 0..1000 {
         routes.distance(&place("W"), &place("E")).unwrap();
     }
-    assert_eq!(routes.distances.iter().filter(|distances| distances.get().is_some()).count(), 1);
+    assert_eq!(routes.costs.iter().filter(|costs| costs.get().is_some()).count(), 1);
 }
 
 /// Bellman–Ford in its simplest form.

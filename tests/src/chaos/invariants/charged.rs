@@ -98,7 +98,7 @@ impl Invariant for Charged {
     fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if at >= self.due && fleet.chargers().next().is_some() {
             self.due = at + INTERVAL;
-            let closed: Vec<_> = self.reference.ledger.closures().map(|closure| closure.part.ends()).collect();
+            let closed: Vec<_> = self.reference.ledger.closures().flat_map(|closure| closure.part.pairs()).collect();
             self.follow(at, &robots_that_may_charge(fleet, &closed));
         }
         Ok(())

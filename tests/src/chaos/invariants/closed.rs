@@ -179,7 +179,7 @@ mod tests {
             state.active.roles.insert((slug("garnet"), "lab-samples-1".parse().unwrap(), slug("r1")));
         }
         state.active.goals.clear();
-        let drive = NavigateToPose { pose: Pose::new(0.0, 0.0, 0.0), place: Some(place(to)) };
+        let drive = NavigateToPose { pose: Pose::new(0.0, 0.0, 0.0), place: Some(place(to)), speed_max_mps: None };
         state.active.begin(&slug("garnet"), 7, &drive.into());
     }
 

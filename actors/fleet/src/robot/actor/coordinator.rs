@@ -119,7 +119,7 @@ impl RobotState {
     /// Follows a hold and closures of a node that may be the coordinator.
     fn follow_for_now(&mut self, orders: &OrdersNotice, now: NodeTime) {
         self.orders.receive_unconfirmed(orders, self.settings.lease_terms.lease, now);
-        self.driver.set_closures(self.orders.closed(now));
+        self.driver.set_map_orders(self.orders.map_orders(now));
         self.stop_if_held(now);
     }
 
