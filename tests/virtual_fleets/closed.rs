@@ -609,7 +609,7 @@ fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
         let hold = Some(OrderNotice { text: "held by dill".to_owned(), remaining_ms: None });
         let alarm = hold.clone().map(|order| AlarmNotice { order, places: BTreeSet::new(), closes: BTreeSet::new() });
         let orders = OrdersNotice { as_of: Epoch { term: u64::MAX, index: 1 }, hold, alarm, ..OrdersNotice::default() };
-        let payload = wire(&AwardNotice::Orders(orders));
+        let payload = wire(&AwardNotice::Orders(Box::new(orders)));
         for robot in ["gorse", "lab-arm"] {
             let key = fleet.keys().write(&Key::Award(robot.parse().expect("a name")));
             // A node without a record knows no certificates, so it cannot verify the refusal.

@@ -118,7 +118,7 @@ impl FalseCoordinator {
     /// Orders the robots again and again what `hold` states.
     async fn order(self: Arc<Self>, hold: Option<OrderNotice>) {
         let as_of = self.as_of;
-        let orders = wire(&AwardNotice::Orders(OrdersNotice { as_of, hold, ..OrdersNotice::default() }));
+        let orders = wire(&AwardNotice::Orders(Box::new(OrdersNotice { as_of, hold, ..OrdersNotice::default() })));
         loop {
             for robot in ROBOTS {
                 self.notify(robot, &orders).await;

@@ -183,7 +183,7 @@ pub enum AwardNotice {
         for_now: bool,
     },
     /// The orders of people to the robot.
-    Orders(OrdersNotice),
+    Orders(Box<OrdersNotice>),
 }
 
 impl AwardNotice {

@@ -35,7 +35,7 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
         award.prop_map(|award| AwardNotice::Awarded(Box::new(award))),
         (epoch(), ending()).prop_map(|(epoch, reason)| AwardNotice::Revoked { epoch, reason }),
         (epoch(), name(), any::<bool>()).prop_map(|(epoch, to, for_now)| AwardNotice::GiveWay { epoch, to, for_now }),
-        orders().prop_map(AwardNotice::Orders),
+        orders().prop_map(|orders| AwardNotice::Orders(Box::new(orders))),
     ]
 }
 

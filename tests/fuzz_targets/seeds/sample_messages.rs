@@ -253,7 +253,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),
         encoded(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),
         encoded(&AwardNotice::Revoked { epoch: EPOCH, reason: EndReason::Over }),
-        encoded(&AwardNotice::Orders(orders())),
+        encoded(&AwardNotice::Orders(Box::new(orders()))),
         encoded(&AwardReply::Acknowledged),
         encoded(&report()),
         encoded(&ReportReply::Ended { epoch: EPOCH, reason: EndReason::Replaced, current: Some(EPOCH) }),

@@ -156,7 +156,7 @@ impl SessionContext {
     /// Notifies a robot of the orders of people.
     pub(super) fn notify_orders(&mut self, robot: RobotId, notice: OrdersNotice) {
         let as_of = notice.as_of;
-        let Some(sending) = self.notice(robot.clone(), &AwardNotice::Orders(notice)) else { return };
+        let Some(sending) = self.notice(robot.clone(), &AwardNotice::Orders(Box::new(notice))) else { return };
         let mailbox = self.mailbox.clone();
         self.tasks.spawn(async move {
             if sending.await.is_some() {

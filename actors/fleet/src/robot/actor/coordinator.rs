@@ -96,7 +96,7 @@ impl RobotState {
             let standing = self.leader_check.standing_after(&poll, &author, notice.position(), now);
             match notice {
                 AwardNotice::Orders(orders) if standing != Standing::Confirmed => {
-                    self.follow_orders_of(standing, orders, now);
+                    self.follow_orders_of(standing, *orders, now);
                     self.refuse_notice(query);
                 }
                 notice if standing != Standing::Refuted => self.perform_notice(query, notice).await?,

@@ -48,7 +48,7 @@ impl RobotState {
             self.give_way(epoch, &to, for_now).await?;
         }
         if let Some(orders) = orders {
-            self.follow_orders(orders, now);
+            self.follow_orders(*orders, now);
             self.perform_actions(vec![]).await?;
         }
         match event {
