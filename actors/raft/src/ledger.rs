@@ -15,7 +15,7 @@ impl StateMachine for Ledger {
 
     fn grants_epoch(command: &Command) -> bool {
         match command {
-            Command::Award { .. } | Command::AwardPromised { .. } | Command::Reassign(_) => true,
+            Command::Award { .. } | Command::AwardPromised { .. } | Command::MovePromise(_) => true,
             Command::Submit(_)
             | Command::Defer { .. }
             | Command::Accept { .. }

@@ -8,7 +8,7 @@
 //! their size ([`HistoryLimits`]). After that, a request whose id contains an earlier time of creation
 //! is rejected, since it may be a repetition.
 
-use super::command::CommandError;
+use super::command_error::CommandError;
 use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
 use crate::ids::{MissionId, RequestId};

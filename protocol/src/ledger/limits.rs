@@ -12,7 +12,8 @@ use super::alarm::{ALARMS_BYTES_MAX, AlarmChange};
 use super::apply::Ledger;
 use super::audit_trail::AUDIT_BYTES_MAX;
 use super::closure::{CLOSURES_BYTES_MAX, ClosureChange};
-use super::command::{Command, CommandError};
+use super::command::Command;
+use super::command_error::CommandError;
 use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
 use super::order_book::ORDER_REQUESTS_BYTES_MAX;
@@ -105,7 +106,7 @@ impl Command {
             Command::AnswerPerson { answer, .. } => answer.limit(),
             Command::SetQuestion { question: asked, .. } => limit_text(&mut asked.question.message, TEXT_BYTES_MAX),
             Command::Award { auction, .. } | Command::Defer { auction, .. } => auction.limit(),
-            Command::Reassign(change) => {
+            Command::MovePromise(change) => {
                 limit_text(&mut change.cause, CAUSE_BYTES_MAX);
                 change.auction.limit();
             }

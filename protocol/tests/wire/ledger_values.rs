@@ -10,7 +10,7 @@ use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, R
 use consort_protocol::ledger::{
     AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome,
     HeldItem, HistoryLimits, MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId,
-    Priority, Reassignment, RecoveryBranch, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, Submission,
+    Priority, PromiseMove, RecoveryBranch, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -201,7 +201,7 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
         held().prop_map(|(mission, role, epoch)| Command::AwardPromised { mission, role, epoch }),
         held().prop_map(|(mission, role, epoch)| Command::Postpone { mission, role, epoch }),
         (held(), name(), text(), auction_record()).prop_map(|((mission, role, epoch), robot, cause, auction)| {
-            Command::Reassign(Box::new(Reassignment { mission, role, epoch, robot, cause, auction }))
+            Command::MovePromise(Box::new(PromiseMove { mission, role, epoch, robot, cause, auction }))
         }),
         (name(), branch(), auction_record()).prop_map(|(mission, branch, auction)| Command::Defer {
             mission,

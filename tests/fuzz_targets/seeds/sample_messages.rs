@@ -19,7 +19,7 @@ use consort_protocol::knowledge::{
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
     AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, Ledger, MapPart,
-    MissedOccurrences, OrderChange, OrderRequest, PersonAnswer, PersonQuestion, PersonRequestId, Reassignment,
+    MissedOccurrences, OrderChange, OrderRequest, PersonAnswer, PersonQuestion, PersonRequestId, PromiseMove,
     Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, TaskQuestion, Zone,
 };
 use consort_protocol::message::{
@@ -307,7 +307,7 @@ fn ledger_commands() -> Vec<Command> {
         Command::Bootstrap { cluster: ClusterId(1) },
         Command::Submit(Box::new(fleet::submission())),
         Command::Award { mission: mission(), branch: Branch::default(), holders: given, auction: record.clone() },
-        Command::Reassign(Box::new(Reassignment {
+        Command::MovePromise(Box::new(PromiseMove {
             mission: mission(),
             role: slug("r1"),
             epoch,

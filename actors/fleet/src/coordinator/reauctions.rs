@@ -13,7 +13,7 @@ use super::session_context::SessionContext;
 use consort_protocol::auction::{AuctionId, AuctionOutcome, PromiseTerms};
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Command, Ledger, Reassignment};
+use consort_protocol::ledger::{Command, Ledger, PromiseMove};
 use consort_protocol::units::{NodeTime, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -136,8 +136,8 @@ pub(super) fn conclude(
     }
     let is_promised = auction.promised.contains_key(&role);
     let to = (mission.clone(), role.clone(), robot.clone());
-    let change = Reassignment { mission, role, epoch, robot, cause, auction };
-    context.propose_award(Command::Reassign(Box::new(change)), to, is_promised);
+    let change = PromiseMove { mission, role, epoch, robot, cause, auction };
+    context.propose_award(Command::MovePromise(Box::new(change)), to, is_promised);
 }
 
 #[cfg(test)]

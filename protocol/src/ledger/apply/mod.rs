@@ -2,7 +2,8 @@
 
 use super::audit_trail::AuditTrail;
 use super::branch::Branch;
-use super::command::{Command, CommandError, CommandOutcome, ReleaseCause};
+use super::command::{Command, CommandOutcome, ReleaseCause};
+use super::command_error::CommandError;
 use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, later_ms};
 use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::history_limits::HistoryLimits;
@@ -46,7 +47,7 @@ impl Ledger {
             Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
             Command::AwardPromised { mission, role, epoch } => self.award_promised(&mission, &role, epoch, at),
             Command::Postpone { mission, role, epoch } => self.postpone(&mission, &role, epoch),
-            Command::Reassign(change) => self.reassign(*change, at),
+            Command::MovePromise(change) => self.move_promise(*change, at),
             Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
             Command::Accept { mission, role, epoch, incarnation, from_checkpoint } => {
                 self.accept(&mission, &role, epoch, incarnation, from_checkpoint)

@@ -208,7 +208,7 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         | Command::Award { .. }
         | Command::AwardPromised { .. }
         | Command::Postpone { .. }
-        | Command::Reassign(_)
+        | Command::MovePromise(_)
         | Command::Defer { .. }
         | Command::Accept { .. }
         | Command::Progress { .. }

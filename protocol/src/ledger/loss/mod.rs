@@ -14,7 +14,8 @@
 //! ```
 
 use super::apply::Ledger;
-use super::command::{CommandError, CommandOutcome, ReleaseCause};
+use super::command::{CommandOutcome, ReleaseCause};
+use super::command_error::CommandError;
 use super::entry::{HeldItem, MissionEntry, MissionState, RoleEntry, RolePhase, RoleRelease};
 use super::limits::CAUSE_BYTES_MAX;
 use crate::bounds::limit_text;

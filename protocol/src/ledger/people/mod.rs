@@ -2,7 +2,8 @@
 
 use super::apply::Ledger;
 use super::branch::Branch;
-use super::command::{CommandError, CommandOutcome};
+use super::command::CommandOutcome;
+use super::command_error::CommandError;
 use super::entry::{MissionEntry, MissionState, RolePhase};
 use super::person_request::{
     AnswerContent, FinalAnswer, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId, PersonRequestPhase,

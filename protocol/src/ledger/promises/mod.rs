@@ -8,7 +8,7 @@
 //! insert a promise before others, as long as it delays none of them beyond a bound. The order says which of the roles that
 //! can start comes first: a robot does not wait for a role that cannot.
 //!
-//! A promise may pass to another robot (it is *reassigned*), unless others have acted on it. The other robots of the mission
+//! A promise may move to another robot after an auction, unless others have acted on it. The other robots of the mission
 //! learn the new robot as they learn the holders of all roles.
 //!
 //! A robot that only waits in a role returns it for a promised role that can start, and the returned role
@@ -19,7 +19,8 @@
 //! nobody, and a free robot always has a promise that can be awarded to it, so missions cannot block each other.
 
 use super::apply::Ledger;
-use super::command::{CommandError, CommandOutcome, Reassignment};
+use super::command::{CommandOutcome, PromiseMove};
+use super::command_error::CommandError;
 use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase, RoleRelease, later_ms};
 use crate::auction::{CallForBids, PlannedRole, PromisedRole, RoleOfMission};
 use crate::codec;
@@ -322,9 +323,9 @@ impl Ledger {
         }
     }
 
-    /// Passes a promised role to another robot. Its former robot keeps the delays of its other promises.
-    pub(super) fn reassign(&mut self, change: Reassignment, at: Epoch) -> Result<CommandOutcome, CommandError> {
-        let Reassignment { mission, role, epoch, robot, cause, auction } = change;
+    /// Moves a promise to another robot. Its former robot keeps the delays of its other promises.
+    pub(super) fn move_promise(&mut self, change: PromiseMove, at: Epoch) -> Result<CommandOutcome, CommandError> {
+        let PromiseMove { mission, role, epoch, robot, cause, auction } = change;
         let (entry, former) = self.promise(&mission, &role, epoch)?;
         if entry.has_signalled(&role) {
             return Err(CommandError::ActedOn { mission, role });

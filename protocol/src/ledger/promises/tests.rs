@@ -85,13 +85,13 @@ impl Log {
         self.0.promised_roles(&call, Seconds::new(60.0).unwrap(), &invited)
     }
 
-    /// Passes the arm of a mission to another robot. It is promised to the robot with `is_promised`.
-    fn reassign(&mut self, mission: &MissionId, robot: &str, is_promised: bool) -> CommandOutcome {
+    /// Moves the promise of the arm to another robot. It is promised to the robot with `is_promised`.
+    fn move_promise(&mut self, mission: &MissionId, robot: &str, is_promised: bool) -> CommandOutcome {
         let (epoch, cause) = (self.epoch(mission, "arm"), "late".to_owned());
         let promised = is_promised.then(|| (role("arm"), Seconds::new(30.0).unwrap())).into_iter().collect();
         let auction = AuctionRecord { promised, at_ms: 1_000, ..record(mission, &[("arm", robot)]) };
         let (mission, role, robot) = (mission.clone(), role("arm"), self::robot(robot));
-        self.apply(Command::Reassign(Box::new(Reassignment { mission, role, epoch, robot, cause, auction })))
+        self.apply(Command::MovePromise(Box::new(PromiseMove { mission, role, epoch, robot, cause, auction })))
     }
 
     /// Returns the missions of the promises of a robot in their order, with the delay of each.
@@ -266,10 +266,10 @@ fn a_promise_passes_to_another_robot() {
 
     let promised = log.epoch(second, "arm");
     for robot in ["arm-1", second.as_str()] {
-        let own = log.reassign(second, robot, true);
+        let own = log.move_promise(second, robot, true);
         assert!(matches!(own, CommandOutcome::Refused(CommandError::TwoRoles { .. })), "{own:?}");
     }
-    assert!(matches!(log.reassign(second, "arm-2", true), CommandOutcome::Awarded { .. }));
+    assert!(matches!(log.move_promise(second, "arm-2", true), CommandOutcome::Awarded { .. }));
     let entry = log.0.mission(second).unwrap();
     let (_, promise) = entry.promised_roles().next().unwrap();
     assert_eq!((promise.robot.as_str(), promise.planned_ms), ("arm-2", 31_000));
@@ -280,11 +280,11 @@ fn a_promise_passes_to_another_robot() {
     assert_eq!(log.promises_of("arm-1").len(), 1);
 
     // A free robot gets the role at once.
-    assert!(matches!(log.reassign(second, "arm-3", false), CommandOutcome::Awarded { .. }));
+    assert!(matches!(log.move_promise(second, "arm-3", false), CommandOutcome::Awarded { .. }));
     assert_eq!(log.phase(second, "arm"), RolePhase::Awarded);
-    let held = log.reassign(second, "arm-4", true);
+    let held = log.move_promise(second, "arm-4", true);
     assert!(matches!(held, CommandOutcome::Refused(CommandError::NotPromised { .. })), "{held:?}");
-    let busy = log.reassign(first, "arm-3", false);
+    let busy = log.move_promise(first, "arm-3", false);
     assert!(matches!(busy, CommandOutcome::Refused(CommandError::TwoRoles { .. })), "{busy:?}");
 }
 
@@ -344,7 +344,7 @@ enum Move {
     End { mission: usize, of_arm: bool },
     Release { mission: usize, of_arm: bool },
     Postpone { mission: usize, of_arm: bool },
-    Reassign { mission: usize, arm: usize, is_promised: bool },
+    PassPromise { mission: usize, arm: usize, is_promised: bool },
 }
 
 const ROBOTS: [&str; 4] = ["ada", "bob", "cyd", "dan"];
@@ -360,7 +360,7 @@ fn moves() -> impl Strategy<Value = Move> {
         1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::Release { mission, of_arm }),
         1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::Postpone { mission, of_arm }),
         1 => (mission(), robot(), any::<bool>())
-            .prop_map(|(mission, arm, is_promised)| Move::Reassign { mission, arm, is_promised }),
+            .prop_map(|(mission, arm, is_promised)| Move::PassPromise { mission, arm, is_promised }),
     ]
 }
 
@@ -392,14 +392,14 @@ fn perform(log: &mut Log, missions: &[MissionId], next: &Move) {
             let (mission, role, epoch) = (missions[mission].clone(), role(id), log.epoch(&missions[mission], id));
             log.apply(Command::Postpone { mission, role, epoch });
         }
-        Move::Reassign { mission, arm, is_promised } if has(log, &missions[mission], "arm") => {
-            log.reassign(&missions[mission], ROBOTS[arm], is_promised);
+        Move::PassPromise { mission, arm, is_promised } if has(log, &missions[mission], "arm") => {
+            log.move_promise(&missions[mission], ROBOTS[arm], is_promised);
         }
         Move::AwardPromised { .. }
         | Move::End { .. }
         | Move::Release { .. }
         | Move::Postpone { .. }
-        | Move::Reassign { .. } => {}
+        | Move::PassPromise { .. } => {}
     }
 }
 

@@ -10,7 +10,8 @@
 use super::alarm::{Alarm, AlarmChange, alarm_size_problem};
 use super::apply::Ledger;
 use super::closure::{CLOSURES_BYTES_MAX, Closure, ClosureChange};
-use super::command::{CommandError, CommandOutcome};
+use super::command::CommandOutcome;
+use super::command_error::CommandError;
 use super::history::HISTORY_SINCE;
 use super::map_part::MapPart;
 use super::order_book::{ORDER_REQUESTS_MAX, Orders};

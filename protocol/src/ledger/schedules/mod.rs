@@ -6,7 +6,8 @@
 //! same command, so an occurrence is submitted once, whichever coordinators propose it.
 
 use super::apply::Ledger;
-use super::command::{CommandError, CommandOutcome};
+use super::command::CommandOutcome;
+use super::command_error::CommandError;
 use super::history::HISTORY_SINCE;
 use super::schedule::{Occurrence, Schedule, ScheduleEntry, SchedulePause};
 use crate::codec;

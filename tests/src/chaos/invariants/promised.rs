@@ -94,7 +94,7 @@ impl Promised {
                     false => Err(format!("{of_role} was not kept: another robot got the role").into()),
                 }
             }
-            Command::Reassign(change) if (&change.mission, &change.role) == (mission, role) => Ok(()),
+            Command::MovePromise(change) if (&change.mission, &change.role) == (mission, role) => Ok(()),
             Command::Release { mission: of, role: released, epoch: under, cause, .. }
                 if (of, released, under) == (mission, role, epoch) =>
             {
