@@ -5,7 +5,7 @@ use crate::auction::{AuctionRecord, Bid};
 use crate::cause::CauseClass;
 use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::lease::{EndReason, Epoch};
-use crate::ledger::{Alarm, MapPart, MissionState, RobotOrder, RobotOrders};
+use crate::ledger::{Alarm, MapPart, MissionState, Priority, RobotOrder, RobotOrders};
 use crate::message::FailureKind;
 use crate::plan::Signal;
 use schemars::JsonSchema;
@@ -90,6 +90,22 @@ pub enum EventKind {
         change: ScheduleChange,
         /// The responsible person; in a closed fleet with the signer.
         by: String,
+    },
+    /// A person changed the priority of a mission.
+    PriorityChanged {
+        /// The mission.
+        mission: MissionId,
+        /// Its priority from now on.
+        priority: Priority,
+    },
+    /// The order of a person about a role has changed: it was given, followed or ended.
+    RoleOrdered {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The order as text, such as `pinned to amber`; null if it has ended.
+        order: Option<String>,
     },
     /// The orders of people to a robot have changed: a person gave or ended an order, or its time has passed.
     RobotOrders {
@@ -422,6 +438,8 @@ impl EventKind {
             EventKind::Left { .. } => "left",
             EventKind::Submitted { .. } => "submitted",
             EventKind::ScheduleChanged { .. } => "schedule_changed",
+            EventKind::PriorityChanged { .. } => "priority_changed",
+            EventKind::RoleOrdered { .. } => "role_ordered",
             EventKind::RobotOrders { .. } => "robot_orders",
             EventKind::AlarmChanged { .. } => "alarm_changed",
             EventKind::ClosureChanged { .. } => "closure_changed",
@@ -459,6 +477,8 @@ impl EventKind {
     pub fn mission(&self) -> Option<&MissionId> {
         match self {
             EventKind::Submitted { mission, .. }
+            | EventKind::PriorityChanged { mission, .. }
+            | EventKind::RoleOrdered { mission, .. }
             | EventKind::OccurrenceSubmitted { mission, .. }
             | EventKind::BidsRequested { mission, .. }
             | EventKind::Bid { mission, .. }
@@ -518,6 +538,8 @@ mod tests {
             EventKind::RobotOrders { robot: "ada".parse().unwrap(), orders: RobotOrders::default() },
             EventKind::AlarmChanged { alarm: "fire".parse().unwrap(), raised: None },
             EventKind::ClosureChanged { part: MapPart::Place("Ward".parse().unwrap()), order: None },
+            EventKind::PriorityChanged { mission: mission.clone(), priority: Priority::default() },
+            EventKind::RoleOrdered { mission: mission.clone(), role: role.clone(), order: None },
             EventKind::LowCharge { mission, role, cause: String::new() },
         ];
         for kind in kinds {

@@ -73,7 +73,7 @@ fn the_first_answer_counts_although_the_coordinator_dies() {
         let (mut fleet, id, request) = asked(seed, 3600).await;
         assert_eq!((&request["mission"], &request["role"]), (&json!(id), &json!("doctor")), "seed {seed}: {request}");
         let first = measured(&request, "Nia", 60);
-        if kill_coordinator_during(&mut fleet, &first).await.as_str() == "amber" {
+        if kill_coordinator_during(&mut fleet, ApiCall::Answer, &first).await.as_str() == "amber" {
             fleet.start_robot("amber").await;
         }
         let reply = answer(&fleet, &first).await;

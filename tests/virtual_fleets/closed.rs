@@ -267,6 +267,10 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
         let attacks = [
             (keys.write(&Key::Api(ApiCall::Submit)), order),
             (keys.write(&Key::Api(ApiCall::Cancel)), cancel.clone()),
+            (keys.write(&Key::Api(ApiCall::CancelMissions)), json!({ "missions": [mission] })),
+            (keys.write(&Key::Api(ApiCall::CancelMissions)), json!({ "missions": { "where": "true" } })),
+            (keys.write(&Key::Api(ApiCall::Priority)), json!({ "mission": mission, "priority": 1 })),
+            (keys.write(&Key::Api(ApiCall::Reassign)), json!({ "mission": mission, "role": "r1" })),
             (keys.write(&Key::Api(ApiCall::Resolve)), cancel),
             (keys.write(&Key::Api(ApiCall::Answer)), json!({ "request": format!("{mission}.1"), "answer": "done" })),
             (keys.write(&Key::Api(ApiCall::Hold)), json!({ "robots": "all" })),
@@ -307,6 +311,30 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
         assert_eq!(submitted, 1, "seed {seed}\n{}", fleet.event_log_text());
         let left = fleet.event_log.count(|what| matches!(what, EventKind::Left { .. }));
         assert_eq!(left, 0, "seed {seed}: a node left\n{}", fleet.event_log_text());
+    });
+}
+
+/// The next coordinator has not seen the request before, but the ledger has.
+#[test]
+fn a_copy_of_a_cancelation_cancels_nothing_at_the_next_coordinator() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        fleet.wait_for_audit_trail().await;
+        let StolenKey { signing: _signing, plain } = stolen(&fleet, "fern", NodeRole::Robot).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let mut relayed = plain.serve("consort/ward/api/cancel_missions").await.expect("a network");
+        let cancel = json!({ "missions": { "where": "true" }, "by": "Nia" });
+        let reply = fleet.request_answered(ApiCall::CancelMissions, &cancel).await;
+        let by_signer = json!({ "canceled": { "by": "Nia, according to client" } });
+        assert_eq!(reply["missions"], json!({ mission.as_str(): by_signer }), "seed {seed}: {reply}");
+        let signed = relayed.recv().await.expect("a request");
+        fleet.kill_coordinator().await;
+        fleet.wait_for_coordinator().await;
+        let later = fleet.submit("b", ROOM).await;
+        for reply in replies(&plain, &signed.key, signed.payload.clone(), signed.attachment.clone()).await {
+            assert!(!reply.contains("canceled"), "seed {seed}: {reply}");
+        }
+        fleet.assert_completes(&later).await;
     });
 }
 

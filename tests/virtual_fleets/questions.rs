@@ -98,7 +98,7 @@ fn the_answer_reaches_the_robot_although_the_coordinator_and_the_node_of_the_rob
         assert_eq!(shown, (&json!("ask_person"), &json!("nurse"), &json!("Dock"), &json!("amber")), "seed {seed}");
         assert_eq!(asked["form"], json!({ "answer": "text" }), "seed {seed}");
         let first = done(&asked, "yes");
-        if kill_coordinator_during(&mut fleet, &first).await.as_str() == "amber" {
+        if kill_coordinator_during(&mut fleet, ApiCall::Answer, &first).await.as_str() == "amber" {
             fleet.restart("amber").await;
         }
         let reply = answer(&fleet, &first).await;

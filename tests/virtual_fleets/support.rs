@@ -75,11 +75,17 @@ pub(crate) async fn assert_completes_by(fleet: &mut Fleet, mission: &MissionId, 
     assert_eq!(fleet.event_log.count(released), 0, "seed {}\n{}", fleet.seed, fleet.event_log_text());
 }
 
-/// Returns the entries of the audit trail, each as person, action and subject, without the answers of simulated people.
-pub(crate) async fn audited_changes(fleet: &Fleet) -> Vec<[Value; 3]> {
+/// Returns the entries of the audit trail, without the answers of simulated people.
+pub(crate) async fn audit_entries(fleet: &Fleet) -> Vec<Value> {
     let trail = request(fleet, ApiCall::Audit, &json!({ "linearizable": true })).await;
     let entries = trail["entries"].as_array().expect("entries").iter().filter(|entry| entry["action"] != "answer");
-    entries.map(|entry| [&entry["by"], &entry["action"], &entry["subject"]].map(Value::clone)).collect()
+    entries.cloned().collect()
+}
+
+/// Returns the entries of the audit trail, each as person, action and subject, without the answers of simulated people.
+pub(crate) async fn audited_changes(fleet: &Fleet) -> Vec<[Value; 3]> {
+    let fields = |entry: &Value| ["by", "action", "subject"].map(|field| entry[field].clone());
+    audit_entries(fleet).await.iter().map(fields).collect()
 }
 
 /// Matches the start of a task.
@@ -162,12 +168,12 @@ pub(crate) async fn answer(fleet: &Fleet, payload: &Value) -> Value {
     fleet.poll_until("a reply", Duration::from_secs(60), executed).await
 }
 
-/// Kills the coordinator while an answer is on its way or is being executed: the seed decides how far it
+/// Kills the coordinator while a request is on its way or is being executed: the seed decides how far it
 /// gets.
-pub(crate) async fn kill_coordinator_during(fleet: &mut Fleet, payload: &Value) -> NodeId {
+pub(crate) async fn kill_coordinator_during(fleet: &mut Fleet, call: ApiCall, payload: &Value) -> NodeId {
     let limit = Duration::from_millis(fleet.seed % 3 * 4);
-    // Without a reply in time the answer may still be executed.
-    let _ = tokio::time::timeout(limit, fleet.request(ApiCall::Answer, payload)).await; // virtual time
+    // Without a reply in time the request may still be executed.
+    let _ = tokio::time::timeout(limit, fleet.request(call, payload)).await; // virtual time
     fleet.kill_coordinator().await
 }
 

@@ -499,6 +499,9 @@ fn every_call_documents_its_payload() {
             [
                 "submit",
                 "cancel",
+                "cancel_missions",
+                "priority",
+                "reassign",
                 "resolve",
                 "answer",
                 "schedule",

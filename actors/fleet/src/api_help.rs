@@ -1,8 +1,9 @@
 //! Descriptions of all calls on `api/**`, for clients.
 
 use consort_protocol::api::{
-    AlarmsReply, AnswerReply, CallHelp, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply,
-    MissionChangeReply, OrdersReply, ScheduleReply, SubmitReply, UpgradeReply, example, payload_schema,
+    AlarmsReply, AnswerReply, CallHelp, CancelMissionsReply, ClosuresReply, ErrorReply, ExplainReply, HelpReply,
+    LimitsReply, MissionChangeReply, OrdersReply, PriorityReply, ReassignReply, ScheduleReply, SubmitReply,
+    UpgradeReply, example, payload_schema,
 };
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::view::{
@@ -35,6 +36,9 @@ fn reply_schema(call: ApiCall) -> Schema {
     match call {
         ApiCall::Submit => schema_of::<SubmitReply>(),
         ApiCall::Cancel | ApiCall::Resolve => schema_of::<MissionChangeReply>(),
+        ApiCall::CancelMissions => schema_of::<CancelMissionsReply>(),
+        ApiCall::Priority => schema_of::<PriorityReply>(),
+        ApiCall::Reassign => schema_of::<ReassignReply>(),
         ApiCall::Answer => schema_of::<AnswerReply>(),
         ApiCall::Schedule => schema_of::<ScheduleReply>(),
         ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance => schema_of::<OrdersReply>(),

@@ -5,9 +5,9 @@
 
 use crate::coordinator::submission::{SubmitError, document};
 use consort_protocol::api::{
-    AlarmRequest, AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest,
-    MissionQuery, OpenRequest, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest, parse_read_options,
-    parse_request,
+    AlarmRequest, AnswerRequest, CancelMissionsRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest,
+    MissionChangeRequest, MissionQuery, OpenRequest, PriorityRequest, ReassignRequest, ReleaseRequest, ScheduleRequest,
+    SubmitRequest, UpgradeRequest, parse_read_options, parse_request,
 };
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -68,6 +68,9 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<ApiRequest, impl std::er
             return Ok::<_, SubmitError>(ApiRequest::Submit(Box::new(document(&request, &NamedMissions::default())?)));
         }
         ApiCall::Cancel | ApiCall::Resolve => drop(parse_request::<MissionChangeRequest>(call, payload)?),
+        ApiCall::CancelMissions => drop(parse_request::<CancelMissionsRequest>(call, payload)?),
+        ApiCall::Priority => drop(parse_request::<PriorityRequest>(call, payload)?),
+        ApiCall::Reassign => drop(parse_request::<ReassignRequest>(call, payload)?),
         ApiCall::Get | ApiCall::Explain => drop(parse_request::<MissionQuery>(call, payload)?),
         ApiCall::Upgrade => drop(parse_request::<UpgradeRequest>(call, payload)?),
         ApiCall::Answer => drop(parse_request::<AnswerRequest>(call, payload)?),

@@ -39,6 +39,8 @@ impl StateMachine for Ledger {
             | Command::OrderRobots { .. }
             | Command::ExpireOrders { .. }
             | Command::EndOrders { .. }
+            | Command::CancelMissions { .. }
+            | Command::ChangeMission { .. }
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
             | Command::ChangeAlarms { .. }

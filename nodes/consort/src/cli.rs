@@ -2,8 +2,8 @@
 
 use crate::command::{
     alarm, answer, audit, backup, cancel, cert, check, close, completions, doctor, domain, driver, dry_run, explain,
-    fleet, hold, keys, lab, leave, limit, maintenance, map, missions, record, recover, replay, requests, resolve,
-    restore, robot, schedule, schema, station, submit, token, upgrade, watch, world,
+    fleet, hold, keys, lab, leave, limit, maintenance, map, missions, priority, reassign, record, recover, replay,
+    requests, resolve, restore, robot, schedule, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -67,6 +67,8 @@ enum Command {
     Missions(missions::Args),
     Explain(explain::Args),
     Cancel(cancel::Args),
+    Priority(priority::Args),
+    Reassign(reassign::Args),
     Resolve(resolve::Args),
     Schedule(schedule::Args),
     Hold(hold::HoldArgs),
@@ -126,6 +128,8 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Missions(args) => missions::run(args),
             Command::Explain(args) => explain::run(args),
             Command::Cancel(args) => cancel::run(args),
+            Command::Priority(args) => priority::run(args),
+            Command::Reassign(args) => reassign::run(args),
             Command::Resolve(args) => resolve::run(args),
             Command::Schedule(args) => schedule::run(args),
             Command::Hold(args) => hold::run(args),

@@ -137,6 +137,24 @@ impl QueryFlags {
         let answer = self.client.with_client(query)?;
         if self.json { output::line(answer) } else { output::line(words(&read_answer(&answer)?)) }
     }
+
+    /// Same as [`print`](Self::print), and returns the answer. An empty text is not printed.
+    ///
+    /// # Errors
+    /// See [`print`](Self::print).
+    pub(crate) fn print_and_read<T: for<'de> Deserialize<'de>>(
+        &self,
+        query: impl AsyncFnOnce(&mut Client) -> Result<Value, Failure>,
+        words: impl FnOnce(&T) -> String,
+    ) -> Result<T, Failure> {
+        let answer = self.client.with_client(query)?;
+        let read = read_answer(&answer)?;
+        let text = if self.json { answer.to_string() } else { words(&read) };
+        if !text.is_empty() {
+            output::line(text)?;
+        }
+        Ok(read)
+    }
 }
 
 /// Reads a view or a reply.

@@ -51,6 +51,13 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::ScheduleChanged { schedule, change, by } => {
             normal("schedule", format!("{schedule} {} by {by}", change.as_str()))
         }
+        EventKind::PriorityChanged { mission, priority } => {
+            normal("priority", format!("{mission} has priority {}", priority.get()))
+        }
+        EventKind::RoleOrdered { mission, role, order } => {
+            let order = order.as_deref().unwrap_or("without an order");
+            normal("role", format!("{role} of {mission} is {order}"))
+        }
         EventKind::RobotOrders { robot, orders } => normal("orders", format!("{robot} is {}", orders.state_text())),
         EventKind::AlarmChanged { raised: Some(raised), .. } => {
             alarm("alarm", format!("the fleet is {}; {}", raised.text(), raised.plan_text()))

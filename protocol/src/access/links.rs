@@ -127,6 +127,9 @@ pub fn required_scope(call: ApiCall) -> AccessScope {
         _ if call.is_read_only() => AccessScope::Read,
         ApiCall::Submit
         | ApiCall::Cancel
+        | ApiCall::CancelMissions
+        | ApiCall::Priority
+        | ApiCall::Reassign
         | ApiCall::Answer
         | ApiCall::Schedule
         | ApiCall::Hold

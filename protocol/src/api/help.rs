@@ -1,8 +1,9 @@
 //! Descriptions of the calls, for clients.
 
 use super::request::{
-    AlarmRequest, AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest,
-    MissionQuery, OpenRequest, ReadOptions, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
+    AlarmRequest, AnswerRequest, CancelMissionsRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest,
+    MissionChangeRequest, MissionQuery, OpenRequest, PriorityRequest, ReadOptions, ReassignRequest, ReleaseRequest,
+    ScheduleRequest, SubmitRequest, UpgradeRequest,
 };
 use crate::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
@@ -45,6 +46,11 @@ pub fn example(call: ApiCall) -> Option<Value> {
             Some(json!({ "mission": "vital-signs", "parameters": { "room_a": "IC Room 6" }, "request": "my-7" }))
         }
         ApiCall::Cancel => Some(json!({ "mission": "vital-signs-1", "by": "a clerk" })),
+        ApiCall::CancelMissions => Some(json!({
+            "missions": { "where": "mission.name == \"vital-signs\" && mission.age_s > 3600" }, "dry_run": true, "by": "Nia",
+        })),
+        ApiCall::Priority => Some(json!({ "mission": "vital-signs-1", "priority": 10, "by": "Nia" })),
+        ApiCall::Reassign => Some(json!({ "mission": "vital-signs-1", "role": "r1", "to": "birch", "by": "Nia" })),
         ApiCall::Resolve => Some(json!({ "mission": "vital-signs-1", "by": "Nia" })),
         ApiCall::Get | ApiCall::Explain => Some(json!({ "mission": "vital-signs-1" })),
         ApiCall::Answer => {
@@ -81,6 +87,9 @@ pub fn payload_schema(call: ApiCall) -> Option<Schema> {
     match call {
         ApiCall::Submit => Some(schema_for!(SubmitRequest)),
         ApiCall::Cancel | ApiCall::Resolve => Some(schema_for!(MissionChangeRequest)),
+        ApiCall::CancelMissions => Some(schema_for!(CancelMissionsRequest)),
+        ApiCall::Priority => Some(schema_for!(PriorityRequest)),
+        ApiCall::Reassign => Some(schema_for!(ReassignRequest)),
         ApiCall::Get | ApiCall::Explain => Some(schema_for!(MissionQuery)),
         ApiCall::Answer => Some(schema_for!(AnswerRequest)),
         ApiCall::Schedule => Some(schema_for!(ScheduleRequest)),

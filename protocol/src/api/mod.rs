@@ -4,6 +4,9 @@
 //! |---|---|---|
 //! | `submit` | `{"mission": "vital-signs", "parameters": {"room_a": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; optional: `request`, `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be completed) | `{"mission": "vital-signs-1", "again": false}` |
 //! | `cancel` | `{"mission": "vital-signs-1", "by": "a clerk"}` | `{"mission": …, "state": …}` |
+//! | `cancel_missions` | `{"missions": ["vital-signs-1", "vital-signs-2"], "by": "Nia"}`; `missions` may also be `{"where": "mission.name == \"vital-signs\" && mission.age_s > 3600"}`; optional: `dry_run` (the missions are only listed) | `{"missions": {"vital-signs-1": {"canceled": …}}, "refused": {}, "again": false}` |
+//! | `priority` | `{"mission": "vital-signs-1", "priority": 10, "by": "Nia"}`; `priority` is -100 to 100 | `{"mission": …, "priority": 10}` |
+//! | `reassign` | `{"mission": "vital-signs-1", "role": "r1", "to": "birch", "by": "Nia"}`; optional: `to`, or instead `pin` (the role gets no other robot) or `unpin`; `repeat` (tasks that have ended may be repeated) | `{"mission": …, "role": …, "phase": …, "robot": …, "order": …}` |
 //! | `resolve` | `{"mission": "vital-signs-1", "by": "Nia"}`: the items that the mission left with robots have been taken care of | `{"mission": …, "state": …}` |
 //! | `answer` | `{"request": "vital-signs-1.1", "answer": "done", "results": {"dust_g": 3}, "by": "Nia"}`; `answer` may also be `declined`, `cannot` or `later` (with `minutes`); optional: `note` | `{"request": …, "phase": …}` |
 //! | `hold` | `{"robots": ["ada"], "for_s": 600, "reason": "a spill", "by": "Nia"}`; `robots` may also be `"all"`, `{"where": "robot.attributes.section == \"icu\""}` or `{"zone": "icu"}`; optional: `for_s` (600), `reason` | `{"robots": {"ada": {"hold": {…}, "maintenance": null}}}` |
@@ -51,13 +54,14 @@ mod request;
 pub use help::{CallHelp, HelpReply, example, payload_schema};
 pub use parse::{RequestError, parse_read_options, parse_request};
 pub use reply::{
-    AlarmsReply, AnswerReply, ClosuresReply, ErrorReply, ExplainReply, LimitsReply, MissionChangeReply, NodeVersions,
-    OrdersReply, ScheduleReply, SubmitReply, UninvitedRobot, UpgradeReply,
+    AlarmsReply, AnswerReply, CancelMissionsReply, ClosuresReply, ErrorReply, ExplainReply, LimitsReply,
+    MissionChangeReply, NodeVersions, OrdersReply, PriorityReply, ReassignReply, ScheduleReply, SubmitReply,
+    UninvitedRobot, UpgradeReply,
 };
 pub use request::{
-    AlarmAction, AlarmRequest, AllRobots, AnswerRequest, AnswerWord, CLOSE_S_MAX, CloseRequest, HOLD_S, HOLD_S_MAX,
-    HoldRequest, LATER_MINUTES_MAX, LimitAction, LimitRequest, MaintenanceAction, MaintenanceRequest,
-    MissionChangeRequest, MissionQuery, MissionSource, OpenRequest, ReadOptions, ReleaseRequest, RobotCondition,
-    RobotSelection, RobotZone, SPEED_LIMIT_MIN_MPS, ScheduleAction, ScheduleRequest, StartTime, SubmitRequest,
-    UpgradeRequest,
+    AlarmAction, AlarmRequest, AllRobots, AnswerRequest, AnswerWord, CLOSE_S_MAX, CancelMissionsRequest, CloseRequest,
+    HOLD_S, HOLD_S_MAX, HoldRequest, LATER_MINUTES_MAX, LimitAction, LimitRequest, MaintenanceAction,
+    MaintenanceRequest, MissionChangeRequest, MissionQuery, MissionSelection, MissionSource, OpenRequest,
+    PriorityRequest, ReadOptions, ReassignRequest, ReleaseRequest, RobotSelection, RobotZone, SPEED_LIMIT_MIN_MPS,
+    ScheduleAction, ScheduleRequest, SelectionCondition, StartTime, SubmitRequest, UpgradeRequest,
 };

@@ -107,8 +107,9 @@ fn kind(value: &Value) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::request::{
-        AlarmRequest, AnswerRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, MissionChangeRequest,
-        MissionQuery, OpenRequest, ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
+        AlarmRequest, AnswerRequest, CancelMissionsRequest, CloseRequest, HoldRequest, LimitRequest,
+        MaintenanceRequest, MissionChangeRequest, MissionQuery, OpenRequest, PriorityRequest, ReassignRequest,
+        ReleaseRequest, ScheduleRequest, SubmitRequest, UpgradeRequest,
     };
     use super::*;
 
@@ -122,6 +123,9 @@ mod tests {
                 ApiCall::Cancel | ApiCall::Resolve => {
                     parse_request::<MissionChangeRequest>(*call, bytes.as_bytes()).map(drop)
                 }
+                ApiCall::CancelMissions => parse_request::<CancelMissionsRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Priority => parse_request::<PriorityRequest>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Reassign => parse_request::<ReassignRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Get | ApiCall::Explain => parse_request::<MissionQuery>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Upgrade => parse_request::<UpgradeRequest>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Answer => parse_request::<AnswerRequest>(*call, bytes.as_bytes()).map(drop),

@@ -1,9 +1,10 @@
 //! Replies to requests.
 
 use crate::auction::Explanation;
-use crate::ids::{MissionId, NodeId, RobotId};
+use crate::ids::{MissionId, NodeId, RobotId, RoleId};
 use crate::ledger::{
-    Alarm, Closure, MissionState, PersonRequestId, PersonRequestPhase, RobotOrders, RoleRelease, SpeedLimit,
+    Alarm, Closure, MissionState, PersonRequestId, PersonRequestPhase, Priority, RobotOrders, RolePhase, RoleRelease,
+    SpeedLimit,
 };
 use crate::view::{MissionStateName, ScheduleView};
 use schemars::JsonSchema;
@@ -31,6 +32,42 @@ pub struct MissionChangeReply {
     /// Its state: a word, or an object with a single key and its details. Null if the ledger no
     /// longer contains the mission.
     pub state: Option<MissionState>,
+}
+
+/// Missions after their cancelation.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct CancelMissionsReply {
+    /// The missions that were canceled, or would be, with their states now. A state is null if the ledger no longer
+    /// contains the mission.
+    pub missions: BTreeMap<MissionId, Option<MissionState>>,
+    /// Selected missions that were left out, each with the reason.
+    pub refused: BTreeMap<MissionId, String>,
+    /// The request had been executed before, and changed nothing now; the audit trail lists its missions.
+    pub again: bool,
+}
+
+/// Priority of a mission after a change.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct PriorityReply {
+    /// The mission.
+    pub mission: MissionId,
+    /// Its priority; null if the ledger no longer contains the mission.
+    pub priority: Option<Priority>,
+}
+
+/// A role after a reassignment or a pin. The robot of a reassigned role returns it later.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ReassignReply {
+    /// The mission.
+    pub mission: MissionId,
+    /// The role.
+    pub role: RoleId,
+    /// Its phase; null if the ledger no longer contains the mission.
+    pub phase: Option<RolePhase>,
+    /// Its robot; null for none.
+    pub robot: Option<RobotId>,
+    /// The order about the role, as text; null for none.
+    pub order: Option<String>,
 }
 
 /// A request to a person after an answer.

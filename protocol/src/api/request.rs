@@ -131,6 +131,30 @@ pub struct MissionChangeRequest {
     pub by: Option<String>,
 }
 
+/// The missions of a request.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "missions must be a list of names, or an object with a condition as `where`")]
+pub enum MissionSelection {
+    /// Missions by their ids.
+    Named(BTreeSet<MissionId>),
+    /// The active missions for which a condition holds: `mission.name == "vital-signs"`.
+    Where(SelectionCondition),
+}
+
+impl JsonSchema for MissionSelection {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "MissionSelection".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": ["array", "object"], "items": { "type": "string" } })
+    }
+}
+
 /// Answers a request to a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -228,6 +252,49 @@ macro_rules! order_requests {
 }
 
 order_requests! {
+    /// Cancels missions, all at once. Missions that have ended, or that the person may not cancel, are left out.
+    CancelMissionsRequest {
+        /// The missions.
+        missions: MissionSelection,
+        /// Only list the missions that the request would cancel.
+        #[serde(default)]
+        dry_run: bool,
+    }
+
+    /// Changes the priority of a mission that waits or runs.
+    PriorityRequest {
+        /// The mission.
+        #[schemars(with = "String")]
+        mission: MissionId,
+        /// Order in which missions are served from now on: higher priorities first.
+        #[schemars(range(min = -100, max = 100))]
+        priority: i64,
+    }
+
+    /// Gives a role to another robot, or restricts it to a robot.
+    ReassignRequest {
+        /// The mission.
+        #[schemars(with = "String")]
+        mission: MissionId,
+        /// The role.
+        #[schemars(with = "String")]
+        role: RoleId,
+        /// The robot that gets the role. Default: any but the present one.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(with = "Option<String>")]
+        to: Option<RobotId>,
+        /// Instead of `to`, for a role that waits: the only robot that may get it, from now on.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        #[schemars(with = "Option<String>")]
+        pin: Option<RobotId>,
+        /// Instead of `to`: end the order about the role. Any robot may get it.
+        #[serde(default)]
+        unpin: bool,
+        /// The other robot may repeat tasks of the role that have ended.
+        #[serde(default)]
+        repeat: bool,
+    }
+
     /// Holds robots: they stand still at once, and keep their roles.
     HoldRequest {
         /// The robots.
@@ -386,17 +453,17 @@ pub enum RobotSelection {
     /// Robots by name.
     Named(BTreeSet<RobotId>),
     /// The robots for which a condition holds, as that of a role: `robot.attributes.section == "icu"`.
-    Where(RobotCondition),
+    Where(SelectionCondition),
     /// The robots that are in a zone now.
     Zone(RobotZone),
     /// All robots with a known record.
     All(AllRobots),
 }
 
-/// Condition on the robots of a request.
+/// Condition on the robots or missions of a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RobotCondition {
+pub struct SelectionCondition {
     /// The condition, in CEL.
     #[serde(rename = "where")]
     pub condition: String,

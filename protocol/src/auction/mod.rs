@@ -17,6 +17,7 @@ mod insertion;
 mod invitation;
 mod promise;
 mod record;
+mod restriction;
 mod together;
 
 pub use allocator::{Allocator, AllocatorInput, OptimalAssignment};
@@ -35,4 +36,5 @@ pub use insertion::{
 pub use invitation::Invitation;
 pub use promise::{PromiseContext, PromiseTerms, RobotQueue};
 pub use record::{AuctionEntry, AuctionRecord, BidVerdict};
+pub use restriction::{RobotRestriction, restrict_replies};
 pub use together::{OpenAuction, allocate_together};

@@ -1,4 +1,4 @@
-//! Conditions of ensembles and of roles: compilation and evaluation.
+//! Conditions of ensembles and of roles, and on missions: compilation and evaluation.
 
 use crate::expression::{self, fields_used};
 use crate::ids::EnsembleId;
@@ -22,10 +22,10 @@ pub struct ConditionError {
 }
 
 /// Variables of a condition, with their values.
-pub(super) type Variables = Vec<(&'static str, Value)>;
+pub(crate) type Variables = Vec<(&'static str, Value)>;
 
 /// Returns the variables for evaluations.
-pub(super) fn context_of(variables: Variables) -> Context<'static, 'static> {
+pub(crate) fn context_of(variables: Variables) -> Context<'static, 'static> {
     let mut context = expression::variables();
     for (name, value) in variables {
         context.add_variable_from_value(name, value);
@@ -34,11 +34,14 @@ pub(super) fn context_of(variables: Variables) -> Context<'static, 'static> {
 }
 
 /// Field of a node that contains its attributes, which are not known beforehand.
-pub(super) const ATTRIBUTES: &str = "attributes";
+const ATTRIBUTES: &str = "attributes";
+
+/// Fields whose content is not known beforehand: the attributes of a node, and the parameters of a mission.
+const OPEN_FIELDS: [&str; 2] = [ATTRIBUTES, "parameters"];
 
 /// Compiled condition.
 #[derive(Debug)]
-pub(super) struct Condition {
+pub(crate) struct Condition {
     pub(super) text: String,
     program: Program,
     /// Fields that it uses, each with its variable.
@@ -47,7 +50,7 @@ pub(super) struct Condition {
 
 /// Error: a condition has no result for a node.
 #[derive(Debug, Clone, thiserror::Error)]
-pub(super) enum EvaluationError {
+pub(crate) enum EvaluationError {
     /// The value is not a boolean.
     #[error("evaluates to {value}; it must be true or false")]
     NotBoolean {
@@ -60,10 +63,11 @@ pub(super) enum EvaluationError {
         /// The variable.
         name: String,
     },
-    /// The robot lacks an attribute; all other fields are checked when the condition is compiled.
+    /// The robot lacks an attribute, or the mission a parameter; all other fields are checked when the condition is
+    /// compiled.
     #[error("there is no attribute `{name}`")]
     NoAttribute {
-        /// The attribute.
+        /// The attribute or parameter.
         name: String,
     },
     /// The evaluation failed.
@@ -76,11 +80,11 @@ pub(super) enum EvaluationError {
 
 impl Condition {
     /// Compiles a condition. `example` has values for all variables and fields: a wrong name or type is
-    /// found now and not at run time, except for attributes, which differ between robots.
+    /// found now and not at run time, except for attributes and parameters, which differ between robots and missions.
     ///
     /// # Errors
     /// Description of the problem.
-    pub(super) fn compile(text: &str, example: &Variables) -> Result<Condition, String> {
+    pub(crate) fn compile(text: &str, example: &Variables) -> Result<Condition, String> {
         let program = expression::compile(text)?;
         let fields = fields_used(program.expression());
         for (name, field) in &fields {
@@ -98,7 +102,7 @@ impl Condition {
                 let names = example.iter().map(|(name, _)| format!("`{name}`")).collect::<Vec<_>>().join(", ");
                 Err(format!("{problem}; allowed: {names}"))
             }
-            Err(problem) if !condition.uses(|field| field == ATTRIBUTES) => Err(problem.to_string()),
+            Err(problem) if !condition.uses(|field| OPEN_FIELDS.contains(&field)) => Err(problem.to_string()),
             Ok(_) | Err(_) => Ok(condition),
         }
     }
@@ -115,7 +119,7 @@ impl Condition {
     }
 
     /// Evaluates the condition.
-    pub(super) fn holds(&self, variables: &Context<'static, 'static>) -> Result<bool, EvaluationError> {
+    pub(crate) fn holds(&self, variables: &Context<'static, 'static>) -> Result<bool, EvaluationError> {
         match self.program.execute(variables) {
             Ok(Value::Bool(holds)) => Ok(holds),
             Ok(other) => Err(EvaluationError::NotBoolean { value: format!("{other:?}") }),

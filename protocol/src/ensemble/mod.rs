@@ -27,6 +27,7 @@ mod private_attributes;
 mod spec;
 
 pub use condition::ConditionError;
+pub(crate) use condition::{Condition, Variables, context_of};
 pub use eligibility::{Eligibility, Ineligibility};
 pub use ensembles::Ensembles;
 pub use exchange::{
@@ -35,7 +36,7 @@ pub use exchange::{
 pub use private_attributes::private_attribute_problems;
 pub use spec::EnsembleSpec;
 
-use self::condition::{Condition, EvaluationError, Variables, context_of};
+use self::condition::EvaluationError;
 use self::facts::{example_knowledge, node_facts};
 use crate::ids::{NodeId, TaskType};
 use crate::knowledge::{Knowledge, KnowledgeBase};

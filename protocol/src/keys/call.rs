@@ -38,6 +38,12 @@ words! {
         Submit = "submit",
         /// Cancel a mission.
         Cancel = "cancel",
+        /// Cancel several missions, by name or by a condition.
+        CancelMissions = "cancel_missions",
+        /// Change the priority of a mission.
+        Priority = "priority",
+        /// Give a role to another robot, or pin it to a robot.
+        Reassign = "reassign",
         /// Resolve an intervention: a person has taken care of the items that robots had.
         Resolve = "resolve",
         /// Answer a request to a person.
@@ -122,6 +128,9 @@ impl ApiCall {
         match self {
             ApiCall::Submit
             | ApiCall::Cancel
+            | ApiCall::CancelMissions
+            | ApiCall::Priority
+            | ApiCall::Reassign
             | ApiCall::Resolve
             | ApiCall::Answer
             | ApiCall::Schedule

@@ -86,6 +86,9 @@ table! {
     Key::Seen(..) => "seen/{node}/{view}", "the node" Answers JSON, "the same views, from this node alone";
     Key::Api(ApiCall::Submit) => "api/submit", "the coordinator" Answers JSON, "submits a mission; the reply follows the commit";
     Key::Api(ApiCall::Cancel) => "api/cancel", "the coordinator" Answers JSON, "cancels a mission";
+    Key::Api(ApiCall::CancelMissions) => "api/cancel_missions", "the coordinator" Answers JSON, "cancels several missions, by name or by a condition; or lists them";
+    Key::Api(ApiCall::Priority) => "api/priority", "the coordinator" Answers JSON, "changes the priority of a mission that waits or runs";
+    Key::Api(ApiCall::Reassign) => "api/reassign", "the coordinator" Answers JSON, "gives a role to another robot, or pins it to a robot";
     Key::Api(ApiCall::Resolve) => "api/resolve", "the coordinator" Answers JSON, "resolves an intervention: a person has taken care of the items of a mission";
     Key::Api(ApiCall::Answer) => "api/answer", "the coordinator" Answers JSON, "answers a request to a person; the first answer counts";
     Key::Api(ApiCall::Backup) => "api/backup", "the coordinator" Answers JSON, "a backup of the ledger, with all acknowledged entries, for `consort restore`";

@@ -59,6 +59,14 @@ pub enum AuditAction {
     RaiseAlarm,
     /// Alarms were cleared.
     ClearAlarm,
+    /// The priority of a mission was changed.
+    SetPriority,
+    /// A role was reassigned.
+    Reassign,
+    /// A role was pinned to a robot.
+    Pin,
+    /// The order about a role was ended.
+    Unpin,
 }
 
 impl fmt::Display for AuditAction {

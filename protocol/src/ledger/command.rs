@@ -6,6 +6,7 @@ use super::closure::ClosureChange;
 use super::command_error::CommandError;
 use super::history_limits::HistoryLimits;
 use super::map_part::MapPart;
+use super::mission_order::{MissionCancelation, MissionChange};
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
 use super::robot_order::OrderRequest;
 use super::schedule::{Schedule, SchedulePause};
@@ -306,6 +307,18 @@ pub enum Command {
         /// The change of the alarms, with the person who requests it.
         order: OrderRequest<AlarmChange>,
     },
+    /// Cancels missions at the request of a person, all in one entry of the log.
+    CancelMissions {
+        /// The missions, with the person who requests it.
+        order: OrderRequest<MissionCancelation>,
+    },
+    /// Changes a mission at the request of a person.
+    ChangeMission {
+        /// The mission.
+        mission: MissionId,
+        /// The change, with the person who requests it.
+        order: OrderRequest<MissionChange>,
+    },
 }
 
 /// Move of a promise to another robot, after an auction.
@@ -342,6 +355,7 @@ impl Command {
             | Command::Fail { mission, .. }
             | Command::Cancel { mission, .. }
             | Command::Resolve { mission, .. }
+            | Command::ChangeMission { mission, .. }
             | Command::AskPerson { mission, .. }
             | Command::SetQuestion { mission, .. }
             | Command::AwardPromised { mission, .. }
@@ -361,6 +375,7 @@ impl Command {
             | Command::OrderRobots { .. }
             | Command::ExpireOrders { .. }
             | Command::EndOrders { .. }
+            | Command::CancelMissions { .. }
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
             | Command::ChangeAlarms { .. }

@@ -3,10 +3,12 @@
 use super::branch::Branch;
 use super::closure::CLOSURES_BYTES_MAX;
 use super::entry::MissionState;
+use super::mission_order::ReassignProblem;
 use super::person_request::PersonRequestId;
 use super::robot_order::ORDERS_BYTES_MAX;
-use super::speed_limit::SPEED_LIMITS_BYTES_MAX;
 use super::schedule::Schedule;
+use super::speed_limit::SPEED_LIMITS_BYTES_MAX;
+use crate::auction::RobotRestriction;
 use crate::ids::{ItemId, MissionId, RequestId, RobotId, RoleId, ScheduleId};
 use crate::lease::Epoch;
 use serde::{Deserialize, Serialize};
@@ -168,9 +170,7 @@ pub enum CommandError {
         handled_ms: u64,
     },
     /// The fleet writes a wire version without orders of people.
-    #[error(
-        "holds, maintenance, closures, speed limits and alarms need wire version {since}; consort upgrade shows how far the fleet is"
-    )]
+    #[error("orders of people need wire version {since}; consort upgrade shows how far the fleet is")]
     NoOrdersYet {
         /// Wire version since which there are orders.
         since: u8,
@@ -248,5 +248,27 @@ pub enum CommandError {
     AlarmsFull {
         /// The exceeded limit, as text.
         problem: String,
+    },
+    /// The role is not reassigned or pinned.
+    #[error("{role} of {mission} {problem}")]
+    CannotReassign {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The reason.
+        problem: ReassignProblem,
+    },
+    /// A person has restricted the role to other robots.
+    #[error("{robot} may not get {role} of {mission}, which is {restriction}")]
+    NotPermitted {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The robot.
+        robot: RobotId,
+        /// The restriction.
+        restriction: RobotRestriction,
     },
 }

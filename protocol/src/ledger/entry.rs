@@ -1,6 +1,7 @@
 //! Ledger entry of a mission.
 
 use super::branch::Branch;
+use super::mission_order::RoleOrder;
 use super::person_request::PersonRequestEntry;
 use super::submission::{Priority, Submission};
 use crate::auction::{AuctionId, AuctionRecord, CallForBids, EnergyBudget, RoleSpan, Timelines};
@@ -65,6 +66,8 @@ pub struct MissionEntry {
     pub outcomes: TaskOutcomes,
     /// Open requests to people and some closed requests, oldest first.
     pub(super) person_requests: Vec<PersonRequestEntry>,
+    /// Orders of people about roles.
+    pub(super) role_orders: BTreeMap<RoleId, RoleOrder>,
 }
 
 /// Maximum number of releases kept for display.
@@ -470,6 +473,8 @@ impl MissionEntry {
         self.branch = Branch::Recovery;
         self.items_at_recovery = held;
         self.auction = None;
+        // A role of this branch may have the same name.
+        self.role_orders.clear();
         self.state = MissionState::Pending;
         true
     }

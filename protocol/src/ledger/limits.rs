@@ -5,7 +5,7 @@
 //! |---|---|
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
-//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one of 1 KiB and an open question of 1 KiB for each role, and 16 closed ones of 1 KiB |
+//! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one of 1 KiB and an open question of 1 KiB for each role, and 16 closed ones of 1 KiB; orders of people about roles, at most 0.5 KiB for each role |
 //! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], orders to robots, closures, speed limits and alarms ([`ORDERS_BYTES_MAX`], [`CLOSURES_BYTES_MAX`], [`SPEED_LIMITS_BYTES_MAX`], [`ALARMS_BYTES_MAX`], [`ORDER_REQUESTS_BYTES_MAX`]), and the audit trail ([`AUDIT_BYTES_MAX`]) |
 
 use super::alarm::{ALARMS_BYTES_MAX, AlarmChange};
@@ -103,6 +103,8 @@ impl Command {
                     limit_text(reason, PERSON_BYTES_MAX);
                 }
             }
+            Command::ChangeMission { order, .. } => limit_text(&mut order.by, PERSON_BYTES_MAX),
+            Command::CancelMissions { order } => limit_text(&mut order.by, PERSON_BYTES_MAX),
             Command::AnswerPerson { answer, .. } => answer.limit(),
             Command::SetQuestion { question: asked, .. } => limit_text(&mut asked.question.message, TEXT_BYTES_MAX),
             Command::Award { auction, .. } | Command::Defer { auction, .. } => auction.limit(),

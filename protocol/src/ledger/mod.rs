@@ -27,6 +27,10 @@
 //! People hold robots, take them out of service for maintenance, close places and lanes, and raise alarms (the
 //! module `robot_orders`).
 //!
+//! People cancel several missions at once, and change the priority of missions (the module `mission_orders`).
+//!
+//! People reassign and pin roles (the module `role_orders`).
+//!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
 //!
@@ -50,12 +54,16 @@ mod layout;
 mod limits;
 mod loss;
 mod map_part;
+mod mission_filter;
+mod mission_order;
+mod mission_orders;
 mod order_book;
 mod people;
 mod person_request;
 mod promises;
 mod robot_order;
 mod robot_orders;
+mod role_orders;
 mod schedule;
 mod schedules;
 mod speed_limit;
@@ -75,6 +83,8 @@ pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry,
 pub use history::Tombstone;
 pub use history_limits::HistoryLimits;
 pub use map_part::{MapPart, Zone};
+pub use mission_filter::MissionFilter;
+pub use mission_order::{MissionCancelation, MissionChange, ReassignProblem, RoleOrder, RoleReturn};
 pub use person_request::{
     AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
     PersonRequestIdError, PersonRequestPhase, Postponement, RequestEscalation, RequestSubject, TaskQuestion,

@@ -38,8 +38,8 @@ pub struct Submission {
     /// 1970 on the accepting coordinator's wall clock. Deadlines rely on the wall clocks of coordinators;
     /// leases never do.
     pub deadline_ms: Option<u64>,
-    /// Time of submission: milliseconds on the accepting coordinator's wall clock. For display; it
-    /// affects no decision.
+    /// Time of submission: milliseconds on the accepting coordinator's wall clock. For display, and for
+    /// conditions of people; it affects no other decision.
     pub at_ms: u64,
 }
 

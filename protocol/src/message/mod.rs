@@ -184,6 +184,17 @@ pub enum AwardNotice {
     },
     /// The orders of people to the robot.
     Orders(Box<OrdersNotice>),
+    /// A person reassigns the role: the robot returns it once its body is at rest, unless it may have an item, has
+    /// signalled another role, or has ended a task that may not be repeated.
+    Return {
+        /// Epoch of the award.
+        epoch: Epoch,
+        /// The next robot may repeat tasks that have ended.
+        repeat: bool,
+        /// Cause, as text.
+        #[serde(deserialize_with = "bounds::text")]
+        cause: String,
+    },
 }
 
 impl AwardNotice {
@@ -191,7 +202,9 @@ impl AwardNotice {
     pub fn position(&self) -> Epoch {
         match self {
             AwardNotice::Awarded(award) => award.epoch,
-            AwardNotice::Revoked { epoch, .. } | AwardNotice::GiveWay { epoch, .. } => *epoch,
+            AwardNotice::Revoked { epoch, .. }
+            | AwardNotice::GiveWay { epoch, .. }
+            | AwardNotice::Return { epoch, .. } => *epoch,
             AwardNotice::Orders(orders) => orders.as_of,
         }
     }
@@ -439,6 +452,8 @@ pub enum FailureKind {
     UnknownResult,
     /// Another mission needs the robot now, which has not acted in the role. The robot gets it again.
     Postponed,
+    /// A person has reassigned the role.
+    Reassigned,
 }
 
 /// Reply of the coordinator to a report. The content of the report is in the ledger before any

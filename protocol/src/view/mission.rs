@@ -135,6 +135,8 @@ pub struct MissionProgress {
     pub holders: BTreeMap<RoleId, RobotId>,
     /// Robots that get a role later.
     pub promised: BTreeMap<RoleId, RobotId>,
+    /// Orders of people about roles, as text: `pinned to amber`.
+    pub orders: BTreeMap<RoleId, String>,
     /// Items that robots have, or that need intervention by a person.
     #[serde(deserialize_with = "readable")]
     pub items: Vec<HeldItem>,

@@ -9,8 +9,9 @@ use consort_protocol::auction::{
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
     AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome,
-    HeldItem, HistoryLimits, MissedOccurrences, MissionState, OrderChange, OrderRequest, PersonAnswer, PersonRequestId,
-    Priority, PromiseMove, RecoveryBranch, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, Submission,
+    HeldItem, HistoryLimits, MissedOccurrences, MissionCancelation, MissionChange, MissionState, OrderChange,
+    OrderRequest, PersonAnswer, PersonRequestId, Priority, PromiseMove, RecoveryBranch, Schedule, SchedulePause,
+    ScheduleRule, SpeedLimitChange, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -284,6 +285,10 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(robots, order)| Command::OrderRobots { robots, order }),
         any::<u64>().prop_map(|now_ms| Command::ExpireOrders { now_ms }),
         btree_set(name(), 0..3).prop_map(|robots| Command::EndOrders { robots }),
+        order_request(btree_map(name(), places(), 0..3).prop_map(|missions| MissionCancelation { missions }))
+            .prop_map(|order| Command::CancelMissions { order }),
+        (name(), order_request(mission_change()))
+            .prop_map(|(mission, order)| Command::ChangeMission { mission, order }),
         (btree_set(map_part(), 0..3), order_request(closure_change()))
             .prop_map(|(parts, order)| Command::ChangeClosures { parts, order }),
         (btree_set(map_part(), 0..3), order_request(speed_limit_change()))
@@ -303,6 +308,18 @@ fn order_request<Change: Debug>(change: impl Strategy<Value = Change>) -> impl S
         at_ms,
         request,
     })
+}
+
+fn mission_change() -> impl Strategy<Value = MissionChange> {
+    prop_oneof![
+        (-100i64..=100).prop_map(|number| MissionChange::SetPriority(Priority::new(number).unwrap())),
+        (name(), option::of(name()), any::<bool>()).prop_map(|(role, to, repeat)| MissionChange::Reassign {
+            role,
+            to,
+            repeat
+        }),
+        (name(), option::of(name())).prop_map(|(role, robot)| MissionChange::Pin { role, robot }),
+    ]
 }
 
 fn closure_change() -> impl Strategy<Value = ClosureChange> {

@@ -36,6 +36,11 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
         (epoch(), ending()).prop_map(|(epoch, reason)| AwardNotice::Revoked { epoch, reason }),
         (epoch(), name(), any::<bool>()).prop_map(|(epoch, to, for_now)| AwardNotice::GiveWay { epoch, to, for_now }),
         orders().prop_map(|orders| AwardNotice::Orders(Box::new(orders))),
+        (epoch(), any::<bool>(), text()).prop_map(|(epoch, repeat, cause)| AwardNotice::Return {
+            epoch,
+            repeat,
+            cause
+        }),
     ]
 }
 
@@ -87,6 +92,7 @@ pub(crate) fn report() -> impl Strategy<Value = Report> {
         Just(FailureKind::GaveWay),
         Just(FailureKind::UnknownResult),
         Just(FailureKind::Postponed),
+        Just(FailureKind::Reassigned),
     ];
     let failure = (option::of(name()), text(), kind, cause_class(), any::<bool>())
         .prop_map(|(task, cause, kind, class, moved_nothing)| TaskFailure { task, cause, kind, class, moved_nothing });

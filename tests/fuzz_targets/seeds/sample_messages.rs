@@ -19,8 +19,9 @@ use consort_protocol::knowledge::{
 use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
     AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, Ledger, MapPart,
-    MissedOccurrences, OrderChange, OrderRequest, PersonAnswer, PersonQuestion, PersonRequestId, PromiseMove,
-    Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, TaskQuestion, Zone,
+    MissedOccurrences, MissionCancelation, MissionChange, OrderChange, OrderRequest, PersonAnswer, PersonQuestion,
+    PersonRequestId, Priority, PromiseMove, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, TaskQuestion,
+    Zone,
 };
 use consort_protocol::message::{
     AlarmNotice, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope,
@@ -254,6 +255,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),
         encoded(&AwardNotice::Revoked { epoch: EPOCH, reason: EndReason::Over }),
         encoded(&AwardNotice::Orders(Box::new(orders()))),
+        encoded(&AwardNotice::Return { epoch: EPOCH, repeat: true, cause: "reassigned by Nia".to_owned() }),
         encoded(&AwardReply::Acknowledged),
         encoded(&report()),
         encoded(&ReportReply::Ended { epoch: EPOCH, reason: EndReason::Replaced, current: Some(EPOCH) }),
@@ -356,6 +358,34 @@ fn ledger_commands() -> Vec<Command> {
         },
         Command::ExpireOrders { now_ms: 9 },
         Command::EndOrders { robots: [slug("ada")].into() },
+        Command::CancelMissions {
+            order: OrderRequest {
+                change: MissionCancelation {
+                    missions: BTreeMap::from([(mission(), BTreeMap::from([(slug("ada"), slug("Dock"))]))]),
+                },
+                by: "Nia".to_owned(),
+                at_ms: 9,
+                request: Some(slug("kim-9")),
+            },
+        },
+        Command::ChangeMission {
+            mission: mission(),
+            order: OrderRequest {
+                change: MissionChange::SetPriority(Priority::new(7).expect("a priority")),
+                by: "Nia".to_owned(),
+                at_ms: 9,
+                request: Some(slug("kim-10")),
+            },
+        },
+        Command::ChangeMission {
+            mission: mission(),
+            order: OrderRequest {
+                change: MissionChange::Reassign { role: slug("r1"), to: Some(slug("bob")), repeat: true },
+                by: "Nia".to_owned(),
+                at_ms: 9,
+                request: None,
+            },
+        },
         Command::ChangeClosures {
             parts: BTreeSet::from([MapPart::Place("IC Room 6".parse().expect("a place"))]),
             order: OrderRequest {

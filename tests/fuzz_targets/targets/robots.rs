@@ -24,7 +24,9 @@ pub(super) fn award(bytes: &[u8]) -> bool {
                     Event::AwardReceived(Box::new(Award { robot: ada.clone(), ..*award }))
                 }
                 Ok(AwardNotice::Revoked { epoch, reason }) => Event::Revoked { epoch, reason },
-                Ok(AwardNotice::GiveWay { .. } | AwardNotice::Orders(_)) | Err(_) => continue,
+                Ok(AwardNotice::GiveWay { .. } | AwardNotice::Orders(_) | AwardNotice::Return { .. }) | Err(_) => {
+                    continue;
+                }
             },
             1 => match codec::decode::<ReportReply>(piece) {
                 Ok(ReportReply::Renewed { epoch, ended, .. }) => Event::Renewed { epoch, sent: now, ended },

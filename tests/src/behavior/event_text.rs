@@ -27,6 +27,10 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::ScheduleChanged { schedule, change, by } => {
             format!("schedule {schedule} is {} by {by}", change.as_str())
         }
+        EventKind::PriorityChanged { mission, priority } => format!("{mission} has priority {}", priority.get()),
+        EventKind::RoleOrdered { mission, role, order } => {
+            format!("{role} of {mission} is {}", order.as_deref().unwrap_or("without an order"))
+        }
         EventKind::RobotOrders { robot, orders } => format!("{robot} is {}", orders.state_text()),
         EventKind::AlarmChanged { raised: Some(raised), .. } => format!("the fleet is {}", raised.text()),
         EventKind::AlarmChanged { alarm, raised: None } => format!("alarm {alarm} is cleared"),

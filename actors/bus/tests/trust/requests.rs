@@ -53,9 +53,9 @@ async fn a_request_needs_a_person_with_its_scope() {
     let kim_bus = ada.fixture.node("kim", "consort://ward/person/kim?scope=submit").await;
     assert_eq!(ada.author(&kim_bus, ApiCall::Submit, b"").await, kim(None));
     let orders = [ApiCall::Hold, ApiCall::Release, ApiCall::Maintenance];
-    for call in
-        [ApiCall::Cancel, ApiCall::Close, ApiCall::Open, ApiCall::Limit, ApiCall::Alarm].into_iter().chain(orders)
-    {
+    let of_missions = [ApiCall::Cancel, ApiCall::CancelMissions, ApiCall::Priority, ApiCall::Reassign];
+    let of_map = [ApiCall::Close, ApiCall::Open, ApiCall::Limit, ApiCall::Alarm];
+    for call in of_missions.into_iter().chain(of_map).chain(orders) {
         assert_eq!(ada.author(&kim_bus, call, b"").await, kim(None));
     }
     let scope = "the certificate of kim has scope submit; this request needs scope operate";

@@ -4,7 +4,7 @@ use super::message::{AwardedRole, CollectedBids, Reauction};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
-use consort_protocol::ledger::Branch;
+use consort_protocol::ledger::{Branch, RoleReturn};
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -90,6 +90,8 @@ pub(super) enum CoordinatorAction {
         /// The robot gets the role again.
         for_now: bool,
     },
+    /// Ask a robot to return a role that a person has reassigned.
+    AskToReturn { awarded: AwardedRole, order: RoleReturn },
     /// Fail a mission.
     FailMission { mission: MissionId, cause: String, class: CauseClass },
 }

@@ -112,6 +112,9 @@ impl ApiHandler {
         let reply = match call {
             ApiCall::Submit => self.submit(payload).await.map(json),
             ApiCall::Cancel => self.cancel(payload).await.map(json),
+            ApiCall::CancelMissions => self.cancel_missions(payload).await.map(json),
+            ApiCall::Priority => self.set_priority(payload).await.map(json),
+            ApiCall::Reassign => self.reassign(payload).await.map(json),
             ApiCall::Resolve => self.resolve(payload).await.map(json),
             ApiCall::Answer => self.answer(payload).await.map(json),
             ApiCall::Schedule => self.schedule(payload).await.map(json),
@@ -199,7 +202,7 @@ impl ApiHandler {
 
     /// Returns the time of day for the audit trail; 0, the time of its latest entry, if it is unknown. Nobody waits
     /// for a clock to cancel a mission.
-    fn audit_ms(&self) -> u64 {
+    pub(super) fn audit_ms(&self) -> u64 {
         self.time_ms.unwrap_or_default()
     }
 
@@ -216,7 +219,11 @@ impl ApiHandler {
     async fn cancel(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Cancel, payload)?;
         let by = self.responsible(by);
-        let places = self.replica.read(|ledger| last_known_places(&self.knowledge, ledger.mission(&mission)));
+        let places = self.replica.read(|ledger| {
+            let entry = ledger.mission(&mission);
+            entry.map_or(Ok(()), |entry| self.check_change_right(entry))?;
+            Ok::<_, String>(last_known_places(&self.knowledge, entry))
+        })?;
         self.change(mission.clone(), Command::Cancel { mission, by, places, at_ms: self.audit_ms() }).await
     }
 

@@ -142,9 +142,11 @@ impl Auctions {
                     }
                     let reserved = robots_of_others(&allocated, mission);
                     let is_joint = !reserved.is_empty();
-                    let mut inputs = AuctionInputs::read(&closed.bids, &self.rounds, context);
-                    inputs.reserve(reserved);
-                    let outcome = inputs.clear(&closed.bids, context);
+                    let outcome = {
+                        let mut inputs = AuctionInputs::read(&closed.bids, &self.rounds, context);
+                        inputs.reserve(reserved);
+                        inputs.clear(&closed.bids, context)
+                    };
                     if (outcome.holders.is_some() || is_joint) && may_wait {
                         let (due, others): (Vec<_>, Vec<_>) =
                             waiting.into_iter().partition(|(_, since)| *since < called);

@@ -6,11 +6,11 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId, ScheduleId};
 use consort_protocol::lease::{EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    Branch, Ledger, MissionEntry, MissionState, Occurrence, RoleEntry, RolePhase, RoleRelease,
+    Branch, Ledger, MissionEntry, MissionState, Occurrence, Priority, RoleEntry, RoleOrder, RolePhase, RoleRelease,
 };
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// State of a mission when it was last compared.
@@ -22,6 +22,9 @@ struct MissionSnapshot {
     holders: BTreeMap<RoleId, RoleHolder>,
     /// Number of times a role was released.
     released: u32,
+    priority: Priority,
+    /// Orders of people about roles.
+    role_orders: BTreeMap<RoleId, RoleOrder>,
     /// Time at which this coordinator first found the mission.
     since: NodeTime,
 }
@@ -37,6 +40,8 @@ impl MissionSnapshot {
             done: entry.progress().0,
             holders: held.collect(),
             released: entry.release_count,
+            priority: entry.submission.priority,
+            role_orders: entry.role_orders().clone(),
             since,
         }
     }
@@ -87,6 +92,15 @@ impl ChangeFeed {
                     let (done, steps) = entry.progress();
                     context.publish_event(EventKind::Progress { mission: mission.clone(), done, steps });
                 }
+                if previous.is_some_and(|previous| previous.priority != snapshot.priority) {
+                    let (mission, priority) = (mission.clone(), snapshot.priority);
+                    context.publish_event(EventKind::PriorityChanged { mission, priority });
+                }
+                let former_orders = previous.map(|previous| &previous.role_orders);
+                for role in changed_orders(former_orders, &snapshot.role_orders) {
+                    let order = snapshot.role_orders.get(&role).map(ToString::to_string);
+                    context.publish_event(EventKind::RoleOrdered { mission: mission.clone(), role, order });
+                }
                 let new_releases =
                     previous.map_or(0, |previous| snapshot.released.saturating_sub(previous.released)) as usize;
                 for RoleRelease { role, cause, .. } in entry.releases.iter().rev().take(new_releases).rev() {
@@ -128,6 +142,16 @@ impl ChangeFeed {
     pub(super) fn time_known(&self, mission: &MissionId, now: NodeTime) -> Option<Duration> {
         self.snapshots.get(mission).map(|snapshot| now.since(snapshot.since))
     }
+}
+
+/// Returns the roles whose orders have changed.
+fn changed_orders(
+    former: Option<&BTreeMap<RoleId, RoleOrder>>,
+    orders: &BTreeMap<RoleId, RoleOrder>,
+) -> BTreeSet<RoleId> {
+    let all = former.into_iter().chain([orders]).flat_map(BTreeMap::keys);
+    let changed = all.filter(|role| former.and_then(|former| former.get(*role)) != orders.get(*role));
+    changed.cloned().collect()
 }
 
 /// Returns the time of the last submitted occurrence of each schedule that has any.

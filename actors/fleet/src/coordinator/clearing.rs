@@ -5,16 +5,19 @@ use super::message::CollectedBids;
 use super::queues::{reserve, robot_queues, unavailable_robots, unpromisable_robots};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
-    AuctionContext, AuctionOutcome, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms, RefusalReason, RobotQueue,
-    allocate_together, clear_auction_with,
+    AuctionContext, AuctionOutcome, BidResponse, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms,
+    RefusalReason, RobotQueue, allocate_together, clear_auction_with, restrict_replies,
 };
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::MissionEntry;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// Inputs of the clearing of an auction, from the ledger and the other auctions.
-pub(super) struct AuctionInputs {
+pub(super) struct AuctionInputs<'a> {
+    /// Replies of the robots, with refusals of those that the orders of people keep from a role.
+    pub(super) responses: Cow<'a, [BidResponse]>,
     /// Robots that can get no role now.
     unavailable: BTreeMap<RobotId, RefusalReason>,
     /// Robots that can be promised no role.
@@ -31,14 +34,14 @@ pub(super) struct AuctionInputs {
     energy: Option<EnergyBudget>,
 }
 
-impl AuctionInputs {
+impl<'a> AuctionInputs<'a> {
     /// Reads the inputs from the ledger and the auctions of the session.
     pub(super) fn read(
-        bids: &CollectedBids,
+        bids: &'a CollectedBids,
         rounds: &BTreeMap<MissionId, AuctionRound>,
         context: &SessionContext,
-    ) -> AuctionInputs {
-        let CollectedBids { call, again, .. } = bids;
+    ) -> AuctionInputs<'a> {
+        let CollectedBids { call, responses, again, .. } = bids;
         let mission = &call.auction.mission;
         // A mission that has waited for as long as a promise may be delayed and late might never start in a busy fleet.
         let PromiseTerms { delay_max, late_max, .. } = context.settings.auctions.promises;
@@ -52,7 +55,9 @@ impl AuctionInputs {
             };
             let queues = robot_queues(ledger, rounds, mission, again.as_ref().map(|again| &again.promised));
             let can_proceed = |role: &&RoleId| entry.is_none_or(|entry| entry.can_proceed(role));
+            let restrictions = entry.map(MissionEntry::restrictions).unwrap_or_default();
             AuctionInputs {
+                responses: restrict_replies(responses, &restrictions),
                 unavailable: unavailable_robots(ledger, &queues, mission),
                 unpromisable: unpromisable_robots(ledger, mission),
                 queues,
@@ -89,12 +94,12 @@ impl AuctionInputs {
         self.released == self.failed
     }
 
-    fn without_promises<'a>(
-        &'a self,
-        bids: &'a CollectedBids,
-        excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
-        context: &'a SessionContext,
-    ) -> AuctionContext<'a> {
+    fn without_promises<'c>(
+        &'c self,
+        bids: &'c CollectedBids,
+        excluded: &'c BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+        context: &'c SessionContext,
+    ) -> AuctionContext<'c> {
         let settings = &context.settings.auctions;
         AuctionContext {
             invitation: &bids.invitation,
@@ -112,8 +117,8 @@ impl AuctionInputs {
     /// the mission cannot be awarded otherwise: a robot that bids and then does not act delays the mission
     /// once, and not for ever.
     pub(super) fn clear(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
-        let CollectedBids { call, responses, .. } = bids;
-        let AuctionInputs { failed, released, .. } = self;
+        let CollectedBids { call, .. } = bids;
+        let AuctionInputs { responses, failed, released, .. } = self;
         let settings = &context.settings.auctions;
         let clear_with = |excluded, may_promise: bool| {
             let promises = may_promise.then(|| self.promises(settings.promises));
@@ -150,7 +155,7 @@ pub(super) fn allocate_missions<'a>(
     let mut open = vec![];
     for (_, bids, inputs) in &first {
         let context = inputs.without_promises(bids, &inputs.failed, context);
-        open.push(OpenAuction { call: &bids.call, responses: &bids.responses, context });
+        open.push(OpenAuction { call: &bids.call, responses: &inputs.responses, context });
     }
     let allocation = allocate_together(&open);
     first.iter().map(|(mission, ..)| *mission).zip(allocation).collect()

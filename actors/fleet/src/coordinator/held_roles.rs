@@ -6,7 +6,7 @@ use super::stall_detector::{StallDetector, StalledRole};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::{Award, Epoch, LeaseMonitor};
-use consort_protocol::ledger::{Command, Ledger};
+use consort_protocol::ledger::{Command, Ledger, RoleReturn};
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
@@ -90,6 +90,20 @@ impl HeldRoles {
         let AwardedRole { role, robot, epoch, .. } = awarded;
         self.notified.insert((epoch, role), now);
         context.notify(robot, &AwardNotice::GiveWay { epoch, to: first, for_now });
+    }
+
+    /// Asks a robot to return a role that a person has reassigned.
+    pub(super) fn ask_to_return(
+        &mut self,
+        awarded: AwardedRole,
+        RoleReturn { epoch, repeat, by }: &RoleReturn,
+        context: &mut SessionContext,
+        now: NodeTime,
+    ) {
+        let AwardedRole { role, robot, .. } = awarded;
+        self.notified.insert((*epoch, role), now);
+        let cause = format!("reassigned by {by}");
+        context.notify(robot, &AwardNotice::Return { epoch: *epoch, repeat: *repeat, cause });
     }
 
     /// Releases a role with an expired lease. The holder of a stalled role may not get it again.

@@ -316,6 +316,9 @@ impl LeaderSession {
             CoordinatorAction::AskToGiveWay { awarded, to, for_now } => {
                 self.held_roles.ask_to_give_way(awarded, (to, for_now), &mut self.context, now);
             }
+            CoordinatorAction::AskToReturn { awarded, order } => {
+                self.held_roles.ask_to_return(awarded, &order, &mut self.context, now);
+            }
             CoordinatorAction::FailMission { mission, cause, class } => {
                 self.fail_mission(mission, (cause, class), now);
             }

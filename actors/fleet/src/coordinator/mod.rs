@@ -32,6 +32,7 @@ mod lease_monitor;
 mod limit_requests;
 mod map_parts;
 mod message;
+mod mission_requests;
 #[cfg(test)]
 pub(crate) mod model_session;
 mod no_leader;
@@ -45,6 +46,7 @@ mod reconcile;
 mod reports;
 mod requests;
 mod robot_orders;
+mod role_requests;
 mod schedules;
 mod session_context;
 mod settings;

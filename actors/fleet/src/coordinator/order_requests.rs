@@ -4,7 +4,7 @@ use super::api::{ApiError, ApiHandler, not_committed};
 use super::submission::rfc3339_ms;
 use consort_protocol::api::{
     HOLD_S, HOLD_S_MAX, HoldRequest, MaintenanceAction, MaintenanceRequest, OrdersReply, ReleaseRequest,
-    RobotCondition, RobotSelection, RobotZone, parse_request,
+    RobotSelection, RobotZone, SelectionCondition, parse_request,
 };
 use consort_protocol::ensemble::{Eligibility, Ensembles};
 use consort_protocol::ids::{NodeId, PlaceId, RequestId, RobotId, ZoneId};
@@ -86,17 +86,26 @@ impl ApiHandler {
         }))
     }
 
-    /// Returns the request of a person for a change of orders. Without a given id it has that of its signature: a client
-    /// that repeats its request signs it again, and a copy by an attacker has the given id, too.
+    /// Returns the id of a request, if it has one. Without a given id it is that of the signature: a client that repeats its
+    /// request signs it again, and a copy by an attacker has the given id, too.
+    pub(super) fn request_id(&self, request: Option<RequestId>) -> Result<Option<RequestId>, ApiError> {
+        let signed = self.requester.as_ref().map(|requester| RequestId::new(requester.request.clone())).transpose();
+        Ok(request.or(signed.map_err(|problem| problem.to_string())?))
+    }
+
+    /// Returns the request of a person for a change.
     pub(super) fn order_request<Change>(
         &self,
         change: Change,
         by: Option<String>,
         request: Option<RequestId>,
     ) -> Result<OrderRequest<Change>, ApiError> {
-        let signed = self.requester.as_ref().map(|requester| RequestId::new(requester.request.clone())).transpose();
-        let request = request.or(signed.map_err(|problem| problem.to_string())?);
-        Ok(OrderRequest { change, by: self.responsible(by), at_ms: self.time_ms()?, request })
+        Ok(OrderRequest {
+            change,
+            by: self.responsible(by),
+            at_ms: self.time_ms()?,
+            request: self.request_id(request)?,
+        })
     }
 
     /// Commits a change of orders.
@@ -113,7 +122,7 @@ impl ApiHandler {
     }
 
     /// Returns the robots of a request: robots with a known record, and robots with orders.
-    fn selected(&self, selection: &RobotSelection) -> Result<BTreeSet<RobotId>, ApiError> {
+    pub(super) fn selected(&self, selection: &RobotSelection) -> Result<BTreeSet<RobotId>, ApiError> {
         let known: BTreeMap<RobotId, RobotKnowledge> = self.knowledge.read(|base| {
             let record = |(node, stored): (&NodeId, &KnownRecord)| {
                 Some((RobotId::from(node.clone()), stored.record.knowledge.robot.clone()?))
@@ -146,7 +155,7 @@ fn select(
                 Err(format!("there is no robot {unknown}; there are {}", shorten(&known, NAMES_BYTES_MAX)).into())
             }
         },
-        RobotSelection::Where(RobotCondition { condition }) => {
+        RobotSelection::Where(SelectionCondition { condition }) => {
             let compiled = Eligibility::compile(condition).map_err(|problem| format!("where: {problem}"))?;
             if let Some((ensemble, attribute)) = ensembles.private_attribute_of(&compiled) {
                 return Err(format!(
@@ -202,7 +211,7 @@ mod tests {
     }
 
     fn condition(text: &str) -> RobotSelection {
-        RobotSelection::Where(RobotCondition { condition: text.to_owned() })
+        RobotSelection::Where(SelectionCondition { condition: text.to_owned() })
     }
 
     fn zone(name: &str) -> RobotSelection {

@@ -3,7 +3,8 @@
 //! A promise holds by estimates that become wrong: robots are slower than estimated or are held, and other robots become
 //! free. So the coordinator auctions promised roles again, one by one, those that are late first. The promise stays as it is
 //! until the ledger passes it to another robot, so no mission loses a robot by it. A robot keeps its promise unless the
-//! other costs clearly less: estimates vary, and each change costs messages.
+//! other costs clearly less: estimates vary, and each change costs messages. A role that a person has given to a robot stays with
+//! it.
 
 use super::actions::{AuctionRound, CoordinatorAction};
 use super::auctioneer::{call_for_roles, send_call};
@@ -80,8 +81,10 @@ impl Reauctions {
             let is_late = could_start && is_after_plan;
             // A free robot is about to get the role.
             let is_free = || can_proceed && ledger.check_promise(&entry.id, role, promise.epoch).is_ok();
+            let is_for_robot =
+                || entry.role_orders().get(role).is_some_and(|order| order.restriction.permits_only_one());
             let is_auctioned = || rounds.contains_key(&entry.id) || !entry.open_roles().is_empty();
-            if may_call && times.is_call_due(is_late, now) && !is_auctioned() && !is_free() {
+            if may_call && times.is_call_due(is_late, now) && !is_auctioned() && !is_free() && !is_for_robot() {
                 let reauction = Reauction { promised: AwardedRole::of(entry, role, promise), is_late };
                 candidates.push(((!is_late, !can_proceed, times.called_at), reauction));
             }
@@ -124,7 +127,7 @@ pub(super) fn conclude(
     let winner = holders.and_then(|mut holders| holders.remove(&role));
     let Some(robot) = winner.filter(|winner| *winner != former) else { return };
     let start = auction.promised.get(&role).copied().unwrap_or(Seconds::ZERO);
-    let gain_s = inputs.promises(terms).gain(&bids.responses, &role, &former, &robot);
+    let gain_s = inputs.promises(terms).gain(&inputs.responses, &role, &former, &robot);
     let cause = match gain_s.filter(|gain_s| *gain_s >= terms.gain_min.get()) {
         Some(gain_s) => format!("{robot} costs {gain_s:.0} s less than {former}"),
         None if is_late && start <= terms.late_max => format!("{former} is late, and {robot} is free in {start:.0}"),
@@ -144,6 +147,7 @@ pub(super) fn conclude(
 mod tests {
     use super::super::test_ledger::Log;
     use super::*;
+    use consort_protocol::ledger::{MissionChange, OrderRequest};
 
     /// A session with promises, at a time.
     #[derive(Default)]
@@ -211,5 +215,18 @@ mod tests {
         log.end_cart(&mission);
         let mut session = Session::default();
         assert_eq!([0, 60].map(|seconds| session.due_after(seconds, &log.0)), [None, None]);
+    }
+
+    #[test]
+    fn the_promise_of_a_pinned_role_is_not_auctioned() {
+        let (mut log, first, second) = promises();
+        log.apply(Command::first_wire_version(3));
+        let change = MissionChange::Pin { role: "arm".parse().unwrap(), robot: Some("lab-arm".parse().unwrap()) };
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 1, request: None };
+        log.apply(Command::ChangeMission { mission: first, order });
+        let mut session = Session::default();
+        assert_eq!(session.due_after(0, &log.0), None);
+        assert_eq!(session.due_after(30, &log.0), Some((second, false)));
+        assert_eq!(session.due_after(1, &log.0), None);
     }
 }

@@ -63,6 +63,12 @@ pub(super) fn pending_actions(
             }
         }
     }
+    let reassigned = missions.iter().flat_map(|entry| {
+        let returned = entry.roles_to_return();
+        returned.map(move |(role, holder, order)| (AwardedRole::of(entry, role, holder), order.clone()))
+    });
+    let reassigned = reassigned.filter(|(awarded, _)| is_notice_due(awarded));
+    actions.extend(reassigned.map(|(awarded, order)| CoordinatorAction::AskToReturn { awarded, order }));
     actions.extend(promises_due(ledger, &missions, state, is_notice_due));
     // Robots keep their roles during an alarm, since they would get no others.
     if ledger.has_alarm() {

@@ -117,7 +117,9 @@ impl LeaseClient {
                 Ok(()) => (AwardReply::Acknowledged, Some(Event::AwardReceived(award))),
                 Err(why) => (AwardReply::Declined(why), None),
             },
-            AwardNotice::GiveWay { .. } | AwardNotice::Orders(_) => (AwardReply::Acknowledged, None),
+            AwardNotice::GiveWay { .. } | AwardNotice::Orders(_) | AwardNotice::Return { .. } => {
+                (AwardReply::Acknowledged, None)
+            }
             AwardNotice::Revoked { epoch, reason } => {
                 (AwardReply::Acknowledged, Some(Event::Revoked { epoch, reason }))
             }

@@ -49,6 +49,9 @@ impl ViewService {
             ApiCall::Help => Ok(json(api_help::help())),
             ApiCall::Submit
             | ApiCall::Cancel
+            | ApiCall::CancelMissions
+            | ApiCall::Priority
+            | ApiCall::Reassign
             | ApiCall::Resolve
             | ApiCall::Answer
             | ApiCall::Schedule

@@ -98,6 +98,7 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
         progress: MissionProgress {
             holders: entry.holders(),
             promised: entry.promised_roles().map(|(role, robot)| (role.clone(), robot.robot.clone())).collect(),
+            orders: entry.role_orders().iter().map(|(role, order)| (role.clone(), order.to_string())).collect(),
             items: items(entry),
             done,
             steps,

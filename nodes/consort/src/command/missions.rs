@@ -6,7 +6,7 @@ use crate::output;
 use consort_protocol::api::{MissionQuery, ReadOptions};
 use consort_protocol::ids::{MissionId, TaskId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{HeldItem, MissionState};
+use consort_protocol::ledger::{HeldItem, MissionState, Priority};
 use consort_protocol::units::{Energy, EnergyLimit};
 use consort_protocol::view::{
     MissionBrief, MissionProgress, MissionSummary, MissionView, MissionsView, TaskParticipant, TaskProgress, TaskView,
@@ -19,10 +19,10 @@ use std::time::Duration;
 /// Show missions and their progress
 ///
 /// In the order of submission: state, finished steps, the estimated energy of all its robots together in
-/// per cent of a full battery, role holders, the reason why a mission is
-/// still pending, its results as far as they are known, and for a mission that needs intervention, the
-/// items in each robot's hands and their places. With --watch a line is added for every change, until
-/// Ctrl-C. With the name of a mission: also its tasks, with their results.
+/// per cent of a full battery, role holders, the reason why a mission is still pending, its priority unless
+/// it is 0, orders about its roles, its results as far as they are known, and for a mission that needs
+/// intervention, the items in each robot's hands and their places. With --watch a line is added for every
+/// change, until Ctrl-C. With the name of a mission: also its tasks, with their results.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -135,6 +135,9 @@ fn row(brief: &MissionBrief, pending_reason: Option<&str>) -> Vec<String> {
     let why = pending_reason.filter(|_| status.detail == MissionState::Pending);
     let why = why.map_or_else(|| detail(&status.detail).trim_start_matches(": ").to_owned(), str::to_owned);
     let result = (!result.is_empty()).then(|| pairs(result));
+    let priority = (terms.priority != Priority::default()).then(|| format!("priority {}", terms.priority.get()));
+    let is_active = matches!(status.detail, MissionState::Pending | MissionState::Running);
+    let orders = progress.orders.iter().filter(|_| is_active).map(|(role, order)| format!("{role} is {order}"));
     vec![
         mission.to_string(),
         status.detail.as_str().replace('_', " "),
@@ -142,7 +145,14 @@ fn row(brief: &MissionBrief, pending_reason: Option<&str>) -> Vec<String> {
         energy(progress.energy, terms.energy_max),
         pairs(&terms.parameters),
         roles(progress),
-        [why].into_iter().filter(|why| !why.is_empty()).chain(result).collect::<Vec<_>>().join("; "),
+        [why]
+            .into_iter()
+            .filter(|why| !why.is_empty())
+            .chain(priority)
+            .chain(orders)
+            .chain(result)
+            .collect::<Vec<_>>()
+            .join("; "),
     ]
 }
 

@@ -1,7 +1,10 @@
 //! `consort resolve`: closes a mission after its items were taken care of by hand.
 
-use super::mission_action::MissionActionFlags;
+use super::missions::detail;
+use crate::client::QueryFlags;
 use crate::exit::Failure;
+use consort_protocol::api::{MissionChangeReply, MissionChangeRequest};
+use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 
 /// Close a mission that needs intervention
@@ -14,8 +17,14 @@ use consort_protocol::keys::ApiCall;
 Examples:
   consort resolve lab-samples-1 --by 'ward 3, Nia'")]
 pub(crate) struct Args {
+    /// The mission, as named by `consort missions`
+    mission: MissionId,
+    /// Name of the responsible person, for the record. Default: in a closed fleet the name in your
+    /// certificate, else "an operator"
+    #[arg(long, env = "CONSORT_BY", value_name = "NAME")]
+    by: Option<String>,
     #[command(flatten)]
-    on_word: MissionActionFlags,
+    query: QueryFlags,
 }
 
 /// Runs the command.
@@ -24,5 +33,14 @@ pub(crate) struct Args {
 /// See [`Client::api`](crate::client::Client::api); a mission that does not need intervention, or
 /// does not exist, is [`Failure::Unsuccessful`].
 pub(crate) fn run(args: Args) -> Result<(), Failure> {
-    args.on_word.request(ApiCall::Resolve, |_| "closed")
+    let Args { mission, by, query } = args;
+    query.print(
+        async |client| {
+            let by = by.or_else(|| client.is_anonymous().then(|| "an operator".to_owned()));
+            client.api(ApiCall::Resolve, &MissionChangeRequest { mission, by }).await
+        },
+        |MissionChangeReply { mission, state }: &MissionChangeReply| {
+            format!("{mission} closed{}", state.as_ref().map(detail).unwrap_or_default())
+        },
+    )
 }

@@ -1,7 +1,7 @@
 //! Shared parts of commands that give orders to robots.
 
 use crate::exit::Failure;
-use consort_protocol::api::{AllRobots, OrdersReply, RobotCondition, RobotSelection, RobotZone};
+use consort_protocol::api::{AllRobots, OrdersReply, RobotSelection, RobotZone, SelectionCondition};
 use consort_protocol::ensemble::Eligibility;
 use consort_protocol::ids::{RobotId, ZoneId};
 
@@ -32,7 +32,7 @@ impl RobotFlags {
         let RobotFlags { robots, condition, zone, .. } = self;
         match (condition, zone) {
             (Some(condition), _) => match Eligibility::compile(&condition) {
-                Ok(_) => Ok(RobotSelection::Where(RobotCondition { condition })),
+                Ok(_) => Ok(RobotSelection::Where(SelectionCondition { condition })),
                 Err(problem) => Err(Failure::Usage(format!("--where: {problem}"))),
             },
             (None, Some(zone)) => Ok(RobotSelection::Zone(RobotZone { zone })),

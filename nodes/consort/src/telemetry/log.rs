@@ -72,6 +72,8 @@ fn level(event: &Event) -> Level {
         | EventKind::Voters { .. }
         | EventKind::Submitted { .. }
         | EventKind::ScheduleChanged { .. }
+        | EventKind::PriorityChanged { .. }
+        | EventKind::RoleOrdered { .. }
         | EventKind::RobotOrders { .. }
         | EventKind::AlarmChanged { .. }
         | EventKind::ClosureChanged { .. }

@@ -1,12 +1,14 @@
 use super::support::run;
 
-const COMMANDS: [&str; 32] = [
+const COMMANDS: [&str; 34] = [
     "robot",
     "station",
     "world",
     "submit",
     "missions",
     "cancel",
+    "priority",
+    "reassign",
     "fleet",
     "explain",
     "keys",
@@ -105,6 +107,45 @@ fn an_alarm_needs_a_name_unless_it_is_cleared() {
         (&["alarm"], "<NAME>"),
         (&["alarm", "--clear", "--reason", "smoke"], "cannot be used with"),
         (&["alarm", "fire drill"], "cannot name an alarm"),
+    ];
+    for (args, expected) in cases {
+        let ran = run(args);
+        assert_eq!(ran.code, Some(2), "{args:?}: {}", ran.err);
+        assert!(ran.err.contains(expected), "{args:?}: {}", ran.err);
+    }
+}
+
+#[test]
+fn a_cancelation_needs_missions_or_a_condition() {
+    let cases: [(&[&str], &str); 3] = [
+        (&["cancel"], "<MISSION"),
+        (&["cancel", "rounds-1", "--where", "mission.age_s > 60"], "cannot be used with"),
+        (&["cancel", "--where", "mission.prio < 0"], "--where: `mission` has no field `prio`"),
+    ];
+    for (args, expected) in cases {
+        let ran = run(args);
+        assert_eq!(ran.code, Some(2), "{args:?}: {}", ran.err);
+        assert!(ran.err.contains(expected), "{args:?}: {}", ran.err);
+    }
+}
+
+#[test]
+fn a_priority_must_be_in_range() {
+    for (value, allowed) in
+        [("101", "allowed are -100 to 100"), ("-101", "allowed are -100 to 100"), ("high", "is not a whole number")]
+    {
+        let ran = run(&["priority", "rounds-1", value]);
+        assert_eq!(ran.code, Some(2), "{value}: {}", ran.err);
+        assert!(ran.err.contains(allowed), "{value}: {}", ran.err);
+    }
+}
+
+#[test]
+fn a_role_is_reassigned_or_pinned() {
+    let cases: [(&[&str], &str); 3] = [
+        (&["reassign", "rounds-1"], "<ROLE>"),
+        (&["reassign", "rounds-1", "r1", "--to", "amber", "--pin", "amber"], "cannot be used with"),
+        (&["reassign", "rounds-1", "r1", "--repeat", "--unpin"], "cannot be used with"),
     ];
     for (args, expected) in cases {
         let ran = run(args);

@@ -62,6 +62,20 @@ fn a_single_station_coordinates_accepts_missions_and_stops() {
     let ran = run(&["explain", "lab-samples-9", "--connect", &address]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("no mission lab-samples-9 is known at s1"), "{}", ran.err);
+    let ran = run(&["priority", "lab-samples-1", "-7", "--connect", &address]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-1 has priority -7\n"), "{}", ran.err);
+    let ran = run(&["missions", "--connect", &address]);
+    assert!(ran.out.contains("priority -7"), "{}{}", ran.out, ran.err);
+    let cases: [(&[&str], &str); 3] = [
+        (&["r1"], "r1 of lab-samples-1 has no robot; name the robot that should get it"),
+        (&["r1", "--to", "amber"], "there is no robot amber"),
+        (&["nurse"], "nurse of lab-samples-1 is a role of people"),
+    ];
+    for (more, expected) in cases {
+        let ran = run(&[&["reassign", "lab-samples-1"][..], more, &["--connect", &address]].concat());
+        assert_eq!(ran.code, Some(1), "{more:?}: {}", ran.err);
+        assert!(ran.err.contains(expected), "{more:?}: {}", ran.err);
+    }
     let ran = run(&["cancel", "lab-samples-1", "--by", "Nia", "--connect", &address]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-1 canceled: by Nia\n"), "{}", ran.err);
     let ran = run(&["fleet", "--fleet", "another", "--timeout", "0.5", "--connect", &address]);

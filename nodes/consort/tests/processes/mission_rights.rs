@@ -109,7 +109,20 @@ fn a_right_to_missions_of_the_fleet_allows_no_other_plan() {
     let resumed = change(&bearer, "daily", resume);
     assert_eq!(resumed.status, 200, "{}", resumed.body);
 
+    // The person cancels only missions that it may submit.
     let submits = closed.of("submit").display().to_string();
+    let submit = ["submit", "vital-signs", "--certs", &submits];
+    let foreign = closed.fleet.run(&submit, "station-1").expect(0).stdout.trim().to_owned();
+    let cancel = ["cancel", "look-1", &foreign, "--by", "Lee", "--certs", &certs];
+    let canceled = closed.fleet.run(&cancel, "station-1").expect(1);
+    assert_eq!(canceled.stdout, "look-1 canceled: by Lee, according to lee\n", "{}", canceled.stderr);
+    let why = "only people who may submit a mission change it: lee may not submit \"vital-signs\"";
+    assert!(canceled.stderr.contains(&format!("{foreign}: {why}")), "{}", canceled.stderr);
+    let listed = ["cancel", "--where", "mission.state == \"pending\"", "--dry-run", "--certs", &certs];
+    let listed = closed.fleet.run(&listed, "station-1").expect(1);
+    assert_eq!(listed.stdout, "visit-2 would be canceled; it is pending\n", "{}", listed.stderr);
+    assert!(listed.stderr.contains(&format!("{foreign}: {why}")), "{}", listed.stderr);
+
     let refused = closed.fleet.run(&["submit", "lok", "--certs", &submits], "station-1").expect(1).stderr;
     let expected = "the fleet has no mission \"lok\"; allowed: look, visit, bed-transfer, ";
     assert!(refused.contains(expected) && refused.contains("did you mean `look`?"), "{refused}");

@@ -83,6 +83,8 @@ impl FleetModel {
             | EventKind::Foreign { .. }
             | EventKind::Voters { .. }
             | EventKind::ScheduleChanged { .. }
+            | EventKind::PriorityChanged { .. }
+            | EventKind::RoleOrdered { .. }
             | EventKind::RobotOrders { .. }
             | EventKind::AlarmChanged { .. }
             | EventKind::ClosureChanged { .. }

@@ -99,6 +99,7 @@ impl MissionModel {
         self.submitted_ms = terms.submitted_at_ms;
         let holders = progress.holders.into_iter();
         self.holders = holders.map(|(role, robot)| (role.to_string(), robot.to_string())).collect();
+        self.orders = progress.orders.into_iter().map(|(role, order)| (role.to_string(), order)).collect();
         (self.done, self.steps) = (progress.done as u64, progress.steps as u64);
         self.items = Some(progress.items).filter(|items| !items.is_empty());
         self.pending_reason = pending_reason.or(self.pending_reason.take());

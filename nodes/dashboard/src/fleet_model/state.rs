@@ -216,6 +216,9 @@ pub struct MissionModel {
     pub task_results: BTreeMap<String, BTreeMap<String, Scalar>>,
     /// Robot of each role.
     pub holders: BTreeMap<String, String>,
+    /// Orders of people about roles, as text.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub orders: BTreeMap<String, String>,
     /// Finished steps.
     pub done: u64,
     /// Total steps.

@@ -612,3 +612,16 @@ fn a_mission_has_the_results_of_its_tasks() {
     model.apply_view(&key, &view(json!({})), NOW + 20);
     assert_eq!(shown(&model), json!({ "first": { "pulse_bpm": 72, "fever": false } }));
 }
+
+#[test]
+fn a_mission_shows_the_orders_about_its_roles_until_they_end() {
+    let mut model = model();
+    let key = Key::ViewMission("m-1".parse().unwrap());
+    let mut shown = |orders: Value| {
+        let view = json!({ "mission": "m-1", "detail": "running", "orders": orders });
+        model.apply_view(&key, &view, NOW + 100);
+        model.to_json()["missions"]["m-1"]["orders"].clone()
+    };
+    assert_eq!(shown(json!({ "r1": "pinned to ada" })), json!({ "r1": "pinned to ada" }));
+    assert_eq!(shown(json!({})), Value::Null);
+}

@@ -23,7 +23,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 42] = [
+const TABLE: [(&str, [&str; 3]); 45] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
@@ -53,6 +53,9 @@ const TABLE: [(&str, [&str; 3]); 42] = [
     ("seen/ada/mission/lab-1", ["", "", ADA]),
     ("api/submit", ["", "", "vV"]),
     ("api/cancel", ["", "", "vV"]),
+    ("api/cancel_missions", ["", "", "vV"]),
+    ("api/priority", ["", "", "vV"]),
+    ("api/reassign", ["", "", "vV"]),
     ("api/hold", ["", "", "vV"]),
     ("api/release", ["", "", "vV"]),
     ("api/maintenance", ["", "", "vV"]),

@@ -90,6 +90,8 @@ impl Ledger {
             Command::ChangeAlarms { order } => self.change_alarms(&order, at),
             Command::ExpireOrders { now_ms } => Ok(self.expire_orders(now_ms, at)),
             Command::EndOrders { robots } => Ok(self.end_orders(&robots, at)),
+            Command::ChangeMission { mission, order } => self.change_mission(&mission, &order),
+            Command::CancelMissions { order } => self.cancel_missions(order, at),
             Command::RaiseWireVersion { wire, .. } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
         };
@@ -101,6 +103,7 @@ impl Ledger {
         }
         if let Some(entry) = mission.and_then(|mission| self.missions.get_mut(&mission)) {
             entry.withdraw_needless_requests();
+            entry.follow_role_orders();
         }
         done.unwrap_or_else(CommandOutcome::Refused)
     }
@@ -267,6 +270,7 @@ impl Ledger {
             energy_of_released: Energy::ZERO,
             outcomes: BTreeMap::new(),
             person_requests: vec![],
+            role_orders: BTreeMap::new(),
         };
         self.missions.insert(id.clone(), entry);
         id
@@ -309,6 +313,7 @@ impl Ledger {
             let open = entry.open_roles();
             return Err(CommandError::NotOpen { mission: mission.clone(), open });
         }
+        holders.iter().try_for_each(|(role, robot)| entry.check_permitted(role, robot))?;
         let assigned = entry.assigned_roles().map(|(role, _, holder)| (holder.robot.clone(), role.clone()));
         let mut taken: BTreeMap<RobotId, RoleId> = assigned.collect();
         for (role, robot) in &holders {
@@ -340,6 +345,7 @@ impl Ledger {
             positions.insert(role.clone(), self.insert_promise(mission, robot, auction.planned.get(role)));
         }
         let entry = self.active_mission(mission)?;
+        entry.end_next_restrictions(holders.keys().filter(|role| !is_promised(role)));
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
                 let (energy, time) = (auction.energy_of(&id, &robot), auction.time_of(&id, &robot));

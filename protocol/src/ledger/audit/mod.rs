@@ -1,20 +1,22 @@
 //! Recording of the requests of people in the audit trail.
 //!
-//! The entry is made by the command that makes the change, so no change is without its entry. A command that
-//! changes nothing, such as a repeated request, makes none.
+//! The entry is made by the command that makes the change, so no change is without its entry: a cancelation of several
+//! missions makes an entry for each. A command that changes nothing, such as a repeated request, makes none.
 
 use super::alarm::{Alarm, AlarmChange};
 use super::apply::Ledger;
 use super::audit_trail::{AuditAction, AuditEntry};
 use super::closure::{Closure, ClosureChange};
 use super::command::{Command, CommandOutcome};
-use super::entry::MissionState;
+use super::entry::{MissionEntry, MissionState};
 use super::map_part::MapPart;
+use super::mission_order::{MissionChange, RoleOrder};
 use super::person_request::{AnswerContent, PersonAnswer, PersonRequestEntry, PersonRequestId};
 use super::robot_order::{OrderChange, OrderRequest, RobotOrders};
 use super::schedule::SchedulePause;
 use super::speed_limit::{SpeedLimit, SpeedLimitChange};
-use crate::ids::{AlarmId, MissionId, RobotId, ScheduleId};
+use super::submission::Priority;
+use crate::ids::{AlarmId, MissionId, RobotId, RoleId, ScheduleId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Request of a person that is about to be executed.
@@ -29,6 +31,7 @@ enum Subject {
     /// A mission that the request creates.
     NewMission,
     Mission(MissionId),
+    MissionTerms(MissionId),
     PersonRequest(PersonRequestId),
     Schedule(ScheduleId),
     Orders,
@@ -40,6 +43,7 @@ enum Subject {
 enum SubjectState {
     NewMission,
     Mission(Option<MissionState>),
+    MissionTerms(Option<(Priority, BTreeMap<RoleId, RoleOrder>)>),
     PersonRequest(Option<Box<PersonRequestEntry>>),
     Schedule {
         exists: bool,
@@ -86,6 +90,10 @@ impl Ledger {
         match subject {
             Subject::NewMission => SubjectState::NewMission,
             Subject::Mission(mission) => SubjectState::Mission(self.mission_state(mission).cloned()),
+            Subject::MissionTerms(mission) => {
+                let terms = |entry: &MissionEntry| (entry.submission.priority, entry.role_orders().clone());
+                SubjectState::MissionTerms(self.mission(mission).map(terms))
+            }
             Subject::PersonRequest(request) => {
                 let entry = self.mission(&request.mission);
                 let entry = entry.and_then(|entry| entry.person_request(request.number));
@@ -137,6 +145,15 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         Command::Resolve { mission, by, at_ms } => {
             let entry = plain(AuditAction::Resolve, by, *at_ms, mission.to_string());
             Some((Subject::Mission(mission.clone()), entry))
+        }
+        Command::ChangeMission { mission, order: OrderRequest { change, by, at_ms, .. } } => {
+            let (action, details) = match change {
+                MissionChange::SetPriority(priority) => (AuditAction::SetPriority, priority.get().to_string()),
+                MissionChange::Reassign { role, to, .. } => (AuditAction::Reassign, role_text(role, to.as_ref())),
+                MissionChange::Pin { role, robot: Some(robot) } => (AuditAction::Pin, role_text(role, Some(robot))),
+                MissionChange::Pin { role, robot: None } => (AuditAction::Unpin, role.to_string()),
+            };
+            Some((Subject::MissionTerms(mission.clone()), entry(action, by, *at_ms, mission.to_string(), details)))
         }
         Command::AnswerPerson { request, answer, .. } => {
             let PersonAnswer { by, at_ms, .. } = answer;
@@ -222,12 +239,18 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         | Command::SkipOccurrences { .. }
         | Command::ExpireOrders { .. }
         | Command::EndOrders { .. }
+        | Command::CancelMissions { .. }
         | Command::SetHistoryLimits(_) => None,
     }
 }
 
 fn part_names(parts: &BTreeSet<MapPart>) -> String {
     parts.iter().map(MapPart::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// Formats a role and the robot that should get it: `r1 to amber`.
+fn role_text(role: &RoleId, to: Option<&RobotId>) -> String {
+    to.map_or_else(|| role.to_string(), |robot| format!("{role} to {robot}"))
 }
 
 /// Formats an answer: `declined: no time`.

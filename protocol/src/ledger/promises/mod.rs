@@ -19,7 +19,7 @@
 //! nobody, and a free robot always has a promise that can be awarded to it, so missions cannot block each other.
 
 use super::apply::Ledger;
-use super::command::{CommandOutcome, PromiseMove};
+use super::command::{CommandOutcome, PromiseMove, ReleaseCause};
 use super::command_error::CommandError;
 use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase, RoleRelease, later_ms};
 use crate::auction::{CallForBids, PlannedRole, PromisedRole, RoleOfMission};
@@ -31,6 +31,7 @@ use crate::plan::{LocalPlan, Signal, Step, StepAction, StepIndex};
 use crate::units::Seconds;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
+use std::iter;
 
 /// Maximum size of the promised roles in a call for bids, in bytes, encoded: a call contains plans, too.
 const PROMISED_BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 4;
@@ -330,6 +331,7 @@ impl Ledger {
         if entry.has_signalled(&role) {
             return Err(CommandError::ActedOn { mission, role });
         }
+        entry.check_permitted(&role, &robot)?;
         if let Some((other, ..)) = entry.assigned_roles().find(|(.., holder)| holder.robot == robot) {
             let role = other.clone();
             return Err(CommandError::TwoRoles { robot, mission, role });
@@ -374,11 +376,13 @@ impl Ledger {
     ) -> Result<CommandOutcome, CommandError> {
         self.check_promise(mission, role, epoch)?;
         let not_promised = || CommandError::NotPromised { mission: mission.clone(), role: role.clone() };
-        let role = self.active_mission(mission)?.roles.get_mut(role).ok_or_else(not_promised)?;
-        role.phase = RolePhase::Awarded;
-        if let Some(holder) = &mut role.holder {
+        let entry = self.active_mission(mission)?;
+        let promised = entry.roles.get_mut(role).ok_or_else(not_promised)?;
+        promised.phase = RolePhase::Awarded;
+        if let Some(holder) = &mut promised.holder {
             holder.epoch = at;
         }
+        entry.end_next_restrictions(iter::once(role));
         Ok(CommandOutcome::Awarded { epoch: at })
     }
 
@@ -388,11 +392,18 @@ impl Ledger {
         role_id: &RoleId,
         epoch: Epoch,
     ) -> Result<CommandOutcome, CommandError> {
-        let can_proceed = self.active_mission(mission)?.can_proceed(role_id);
+        let entry = self.active_mission(mission)?;
+        let (can_proceed, is_returned) = (entry.can_proceed(role_id), entry.is_returned(role_id));
         let role = self.held_role(mission, role_id, epoch)?;
         let is_held = role.kind == RoleKind::Managed && role.phase != RolePhase::Ended;
         if can_proceed || !is_held || !role.ended.is_empty() {
             return Err(CommandError::CanStart { mission: mission.clone(), role: role_id.clone() });
+        }
+        if is_returned {
+            // It would become a promise to a robot that may not get it.
+            let (cause, place) = ("it was reassigned".to_owned(), None);
+            let cause = ReleaseCause { cause, class: None, moved_nothing: true, place, gave_way: true };
+            return self.release(mission, role_id, epoch, &cause);
         }
         role.phase = RolePhase::Promised;
         if let Some(holder) = &mut role.holder {
@@ -411,7 +422,7 @@ impl Ledger {
     }
 
     /// Checks that a robot has no item of another mission.
-    fn check_carries_nothing(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
+    pub(super) fn check_carries_nothing(&self, mission: &MissionId, robot: &RobotId) -> Result<(), CommandError> {
         let mut others = self.held_items().filter(|(entry, _)| entry.id != *mission);
         match others.find(|(_, held_item)| held_item.robot == *robot) {
             None => Ok(()),

@@ -1,6 +1,8 @@
 use super::super::branch::Branch;
 use super::super::command::Command;
-use super::super::submission::Submission;
+use super::super::mission_order::MissionChange;
+use super::super::robot_order::OrderRequest;
+use super::super::submission::{Priority, Submission};
 use super::*;
 use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidPart, BidVerdict, RoleSpan};
 use crate::mission::test_data::domain;
@@ -92,6 +94,12 @@ impl Log {
         let auction = AuctionRecord { promised, at_ms: 1_000, ..record(mission, &[("arm", robot)]) };
         let (mission, role, robot) = (mission.clone(), role("arm"), self::robot(robot));
         self.apply(Command::MovePromise(Box::new(PromiseMove { mission, role, epoch, robot, cause, auction })))
+    }
+
+    /// Changes a mission at the request of a person.
+    fn change(&mut self, mission: &MissionId, change: MissionChange) -> CommandOutcome {
+        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 1, request: None };
+        self.apply(Command::ChangeMission { mission: mission.clone(), order })
     }
 
     /// Returns the missions of the promises of a robot in their order, with the delay of each.
@@ -345,6 +353,8 @@ enum Move {
     Release { mission: usize, of_arm: bool },
     Postpone { mission: usize, of_arm: bool },
     PassPromise { mission: usize, arm: usize, is_promised: bool },
+    Restrict { mission: usize, of_arm: bool, to: Option<usize>, is_pin: bool },
+    SetPriority { mission: usize, priority: i64 },
 }
 
 const ROBOTS: [&str; 4] = ["ada", "bob", "cyd", "dan"];
@@ -361,6 +371,9 @@ fn moves() -> impl Strategy<Value = Move> {
         1 => (mission(), any::<bool>()).prop_map(|(mission, of_arm)| Move::Postpone { mission, of_arm }),
         1 => (mission(), robot(), any::<bool>())
             .prop_map(|(mission, arm, is_promised)| Move::PassPromise { mission, arm, is_promised }),
+        1 => (mission(), any::<bool>(), proptest::option::of(robot()), any::<bool>())
+            .prop_map(|(mission, of_arm, to, is_pin)| Move::Restrict { mission, of_arm, to, is_pin }),
+        1 => (mission(), -1..=1_i64).prop_map(|(mission, priority)| Move::SetPriority { mission, priority }),
     ]
 }
 
@@ -395,6 +408,17 @@ fn perform(log: &mut Log, missions: &[MissionId], next: &Move) {
         Move::PassPromise { mission, arm, is_promised } if has(log, &missions[mission], "arm") => {
             log.move_promise(&missions[mission], ROBOTS[arm], is_promised);
         }
+        Move::Restrict { mission, of_arm, to, is_pin } => {
+            let (role, robot) = (role(ROLES[usize::from(of_arm)]), to.map(|to| robot(ROBOTS[to])));
+            let change = match is_pin {
+                true => MissionChange::Pin { role, robot },
+                false => MissionChange::Reassign { role, to: robot, repeat: true },
+            };
+            log.change(&missions[mission], change);
+        }
+        Move::SetPriority { mission, priority } => {
+            log.change(&missions[mission], MissionChange::SetPriority(Priority::new(priority).unwrap()));
+        }
         Move::AwardPromised { .. }
         | Move::End { .. }
         | Move::Release { .. }
@@ -409,6 +433,7 @@ proptest! {
     #[test]
     fn promises_can_always_be_kept(moves in proptest::collection::vec(moves(), 1..60)) {
         let (mut log, missions) = Log::with_missions(5);
+        log.apply(Command::first_wire_version(3));
         for next in &moves {
             perform(&mut log, &missions, next);
             let active = log.0.active_missions();
@@ -429,4 +454,17 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn the_order_of_promises_follows_a_new_priority() {
+    let (mut log, missions) = Log::with_missions(2);
+    log.apply(Command::first_wire_version(3));
+    for mission in &missions {
+        log.award(mission, &[("arm", "lab-arm"), ("cart", mission.as_str())], &["arm"]);
+    }
+    let order = |log: &Log| log.promises_of("lab-arm").into_iter().map(|(mission, _)| mission).collect::<Vec<_>>();
+    assert_eq!(order(&log), missions);
+    log.change(&missions[1], MissionChange::SetPriority(Priority::new(1).unwrap()));
+    assert_eq!(order(&log), [missions[1].clone(), missions[0].clone()]);
 }

@@ -131,40 +131,57 @@ impl Ledger {
         self.change_orders(order.request.as_ref(), at, |orders| order.change_alarms(&mut orders.alarms))
     }
 
-    /// Changes the orders on a request. A request with the id of a recent one changes nothing.
+    /// Checks whether a request with this id is remembered: a copy of it changes nothing.
+    pub fn remembers_order(&self, request: &RequestId) -> bool {
+        self.order_book().requests.contains(request)
+    }
+
+    /// Executes a request of a person, and remembers its id. A copy of a remembered request changes nothing.
+    pub(super) fn execute_once(
+        &mut self,
+        request: Option<&RequestId>,
+        execute: impl FnOnce(&mut Ledger) -> Result<CommandOutcome, CommandError>,
+    ) -> Result<CommandOutcome, CommandError> {
+        if !self.keeps_history() {
+            return Err(CommandError::NoOrdersYet { since: HISTORY_SINCE });
+        }
+        if request.is_some_and(|request| self.remembers_order(request)) {
+            return Ok(CommandOutcome::Done);
+        }
+        let outcome = execute(self)?;
+        let requests = &mut self.order_book_mut().requests;
+        requests.extend(request.cloned());
+        while requests.len() > ORDER_REQUESTS_MAX {
+            requests.pop_front();
+        }
+        Ok(outcome)
+    }
+
+    /// Changes the orders on a request.
     fn change_orders(
         &mut self,
         request: Option<&RequestId>,
         at: Epoch,
         change: impl FnOnce(&mut Orders),
     ) -> Result<CommandOutcome, CommandError> {
-        if !self.keeps_history() {
-            return Err(CommandError::NoOrdersYet { since: HISTORY_SINCE });
-        }
-        if request.is_some_and(|request| self.order_book().requests.contains(request)) {
-            return Ok(CommandOutcome::Done);
-        }
-        let mut changed = self.order_book().orders.clone();
-        change(&mut changed);
-        if size(changed.robots.iter()) > ORDERS_BYTES_MAX {
-            return Err(CommandError::OrdersFull);
-        }
-        if size(changed.closures.iter()) > CLOSURES_BYTES_MAX {
-            return Err(CommandError::ClosuresFull);
-        }
-        if size(changed.speed_limits.iter()) > SPEED_LIMITS_BYTES_MAX {
-            return Err(CommandError::SpeedLimitsFull);
-        }
-        if let Some(problem) = alarm_size_problem(changed.alarms.values().map(|alarm| &alarm.plan)) {
-            return Err(CommandError::AlarmsFull { problem });
-        }
-        self.set_orders(changed, at);
-        let requests = &mut self.order_book_mut().requests;
-        requests.extend(request.cloned());
-        while requests.len() > ORDER_REQUESTS_MAX {
-            requests.pop_front();
-        }
-        Ok(CommandOutcome::Done)
+        self.execute_once(request, |ledger| {
+            let mut changed = ledger.order_book().orders.clone();
+            change(&mut changed);
+            if size(changed.robots.iter()) > ORDERS_BYTES_MAX {
+                return Err(CommandError::OrdersFull);
+            }
+            if size(changed.closures.iter()) > CLOSURES_BYTES_MAX {
+                return Err(CommandError::ClosuresFull);
+            }
+            if size(changed.speed_limits.iter()) > SPEED_LIMITS_BYTES_MAX {
+                return Err(CommandError::SpeedLimitsFull);
+            }
+            if let Some(problem) = alarm_size_problem(changed.alarms.values().map(|alarm| &alarm.plan)) {
+                return Err(CommandError::AlarmsFull { problem });
+            }
+            ledger.set_orders(changed, at);
+            Ok(CommandOutcome::Done)
+        })
     }
 
     /// Ends the orders that have expired.

@@ -1,8 +1,9 @@
 //! A promised role is neither lost nor doubled.
 //!
-//! A promise lasts until its robot gets the role, another robot gets the promise, the promise is released, or the mission
-//! ends or changes to its recovery branch. It is released only if its robot could not take a role shortly before, or has
-//! promised a role of a higher priority. A robot begins a promised role only under the award that follows the promise.
+//! A promise lasts until its robot gets the role, another robot gets the promise, the promise is released, a person
+//! reassigns or pins the role, or the mission ends or changes to its recovery branch. It is released only if its robot
+//! could not take a role shortly before, or has promised a role of a higher priority, or if a person changed a priority
+//! shortly before. A robot begins a promised role only under the award that follows the promise.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
@@ -13,7 +14,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::knowledge::Availability;
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Branch, Command, Ledger, RolePhase};
+use consort_protocol::ledger::{Branch, Command, Ledger, MissionChange, RolePhase};
 use consort_skills::actions::RobotBackend as _;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -43,6 +44,8 @@ pub(super) struct Promised {
     unawarded: BTreeSet<(Part, Epoch)>,
     /// Latest times at which robots could not take a role.
     unfit_at: BTreeMap<RobotId, Duration>,
+    /// Latest time at which a person changed the priority of a mission.
+    reprioritized_at: Option<Duration>,
     /// Time of the next examination.
     due: Duration,
 }
@@ -54,6 +57,11 @@ impl Promised {
         }
         for command in commands {
             self.reference.apply_command(at, command);
+            if let Command::ChangeMission { order, .. } = command
+                && let MissionChange::SetPriority(_) = order.change
+            {
+                self.reprioritized_at = Some(now);
+            }
             let promises = promises(&self.reference.ledger);
             for (part, promise) in self.promises.iter().filter(|(part, promise)| promises.get(*part) != Some(*promise))
             {
@@ -95,6 +103,7 @@ impl Promised {
                 }
             }
             Command::MovePromise(change) if (&change.mission, &change.role) == (mission, role) => Ok(()),
+            Command::ChangeMission { mission: of, order } if of == mission && concerns(&order.change, role) => Ok(()),
             Command::Release { mission: of, role: released, epoch: under, cause, .. }
                 if (of, released, under) == (mission, role, epoch) =>
             {
@@ -104,7 +113,8 @@ impl Promised {
                 let is_displaced = ledger.promises_in_order().into_iter().any(|(other, _, promised)| {
                     promised.robot == *robot && other.submission.priority > entry.submission.priority
                 });
-                match was_returned || was_unfit || is_displaced || ledger.orders_of(robot).is_some() {
+                let was_displaced = self.reprioritized_at.is_some_and(|at| now <= at + RELEASED_WITHIN);
+                match was_returned || was_unfit || is_displaced || was_displaced || ledger.orders_of(robot).is_some() {
                     true => Ok(()),
                     false => Err(format!("{of_role} was released, although the robot could take it: {cause}").into()),
                 }
@@ -120,6 +130,14 @@ impl Promised {
             true => Err(begins.into()),
             false => Ok(()),
         }
+    }
+}
+
+/// Checks whether a person reassigns or pins a role.
+fn concerns(change: &MissionChange, role: &RoleId) -> bool {
+    match change {
+        MissionChange::Reassign { role: of, .. } | MissionChange::Pin { role: of, .. } => of == role,
+        MissionChange::SetPriority(_) => false,
     }
 }
 
@@ -185,7 +203,7 @@ mod tests {
     use super::*;
     use crate::slug;
     use consort_protocol::auction::{AuctionId, AuctionRecord};
-    use consort_protocol::ledger::Submission;
+    use consort_protocol::ledger::{OrderRequest, Priority, Submission};
     use consort_protocol::mission::{Format, MissionTemplate};
     use consort_protocol::plan::divide_and_check;
     use consort_protocol::units::Seconds;
@@ -258,6 +276,24 @@ mod tests {
         let mut state = promised();
         state.unfit_at.insert(slug("lab-arm"), secs(139));
         assert!(state.apply(secs(200), epoch(5), &[release(2, 4)]).is_err());
+    }
+
+    #[test]
+    fn a_promise_that_the_order_of_a_person_releases_is_no_violation() {
+        let change = |number: u32, change: MissionChange| {
+            let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 9, request: None };
+            Command::ChangeMission { mission: part(number).0, order }
+        };
+        let (wire, (_, role)) = (Command::first_wire_version(3), part(2));
+        let reassign = change(2, MissionChange::Reassign { role, to: None, repeat: false });
+        let mut state = promised();
+        assert_eq!(state.apply(secs(200), epoch(5), &[wire.clone(), reassign]), Ok(()));
+        assert!(state.promises.is_empty(), "{:?}", state.promises);
+
+        let lower = change(1, MissionChange::SetPriority(Priority::new(-1).unwrap()));
+        let mut state = promised();
+        assert_eq!(state.apply(secs(140), epoch(5), &[wire, lower]), Ok(()));
+        assert_eq!(state.apply(secs(200), epoch(6), &[release(2, 4)]), Ok(()));
     }
 
     #[test]

@@ -297,7 +297,11 @@ fn postpone(report: &Report) -> Command {
 fn release_failed(report: &Report, failure: &TaskFailure) -> Command {
     let gave_back = matches!(
         failure.kind,
-        FailureKind::Leaving | FailureKind::Checkpoint | FailureKind::GaveWay | FailureKind::Postponed
+        FailureKind::Leaving
+            | FailureKind::Checkpoint
+            | FailureKind::GaveWay
+            | FailureKind::Postponed
+            | FailureKind::Reassigned
     );
     let (mission, role, epoch) = (report.mission.clone(), report.role.clone(), report.epoch);
     Command::Release {
@@ -308,11 +312,14 @@ fn release_failed(report: &Report, failure: &TaskFailure) -> Command {
         class: (!gave_back).then_some(failure.class),
         moved_nothing: failure.moved_nothing,
         place: report.place.clone(),
-        gave_way: failure.kind == FailureKind::GaveWay,
+        gave_way: matches!(failure.kind, FailureKind::GaveWay | FailureKind::Reassigned),
     }
 }
 
 fn failure_cause(report: &Report, failure: &TaskFailure) -> String {
+    if failure.kind == FailureKind::Reassigned {
+        return format!("{} returned {}: {}", report.robot, report.role, failure.cause);
+    }
     let what = failure.task.as_ref().map_or("go on".to_owned(), |task| format!("do {task}"));
     format!("{} as {} could not {what}: {}", report.robot, report.role, failure.cause)
 }

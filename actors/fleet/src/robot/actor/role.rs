@@ -35,10 +35,11 @@ impl RobotState {
     /// Performs a notice of the coordinator.
     pub(super) async fn perform_notice(&mut self, query: Query, notice: AwardNotice) -> Result<(), ActorProcessingErr> {
         let now = self.now();
-        let (mut give_way, mut orders) = (None, None);
+        let (mut give_way, mut returned, mut orders) = (None, None, None);
         match &notice {
             AwardNotice::GiveWay { epoch, to, for_now } => give_way = Some((*epoch, to.clone(), *for_now)),
             AwardNotice::Orders(latest) => orders = Some(latest.clone()),
+            AwardNotice::Return { epoch, repeat, cause } => returned = Some((*epoch, *repeat, cause.clone())),
             AwardNotice::Awarded(_) | AwardNotice::Revoked { .. } => {}
         }
         let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
@@ -46,6 +47,9 @@ impl RobotState {
         reply::wire_in(&mut self.tasks, query, key, reply);
         if let Some((epoch, to, for_now)) = give_way {
             self.give_way(epoch, &to, for_now).await?;
+        }
+        if let Some((epoch, repeat, cause)) = returned {
+            self.return_role(epoch, repeat, cause).await?;
         }
         if let Some(orders) = orders {
             self.follow_orders(*orders, now);
@@ -69,6 +73,22 @@ impl RobotState {
             let kind = if for_now { FailureKind::Postponed } else { FailureKind::GaveWay };
             let cause = format!("it gives way to {to}");
             self.handle_failure(AttemptFailure::new(kind, cause)).await?;
+        }
+        Ok(())
+    }
+
+    /// Returns a role that a person has reassigned, if another robot can do it from its start. The ledger may lack what
+    /// this robot has done since the request.
+    async fn return_role(&mut self, epoch: Epoch, repeat: bool, cause: String) -> Result<(), ActorProcessingErr> {
+        let driver = &self.driver;
+        let may_return = |active: &mut ActivePlan| {
+            let ActivePlan { award, sequencer, .. } = &*active;
+            let has_no_item = !sequencer.may_receive_item() && driver.moved_nothing(active.first_goal());
+            let can_be_repeated = sequencer.can_be_restarted() && (repeat || !sequencer.has_ended_task());
+            award.epoch == epoch && has_no_item && can_be_repeated
+        };
+        if self.execution.continuing_plan().is_some_and(may_return) {
+            self.handle_failure(AttemptFailure::new(FailureKind::Reassigned, cause)).await?;
         }
         Ok(())
     }

@@ -327,6 +327,14 @@ impl Sequencer {
         !self.progress.plan().guarded.is_disjoint(self.progress.ended())
     }
 
+    /// Checks whether this role has received an item, or may receive one without a further step of this robot: for all that
+    /// the ledger knows, a guarded step has begun.
+    pub(crate) fn may_receive_item(&self) -> bool {
+        let (plan, ended) = (self.progress.plan(), self.progress.ended());
+        let before = |guarded: &StepIndex| plan.steps.get(*guarded as usize).map_or(&[][..], |step| &step.after);
+        plan.guarded.iter().any(|guarded| before(guarded).iter().all(|step| ended.contains(step)))
+    }
+
     /// Checks whether no step has ended, so that another robot can do the role from its start.
     pub(crate) fn is_untouched(&self) -> bool {
         self.progress.ended().is_empty()
@@ -335,9 +343,18 @@ impl Sequencer {
     /// Checks whether another robot can do the role from its start: no signal has been sent, and this role cannot
     /// have received an item.
     pub(crate) fn can_be_restarted(&self) -> bool {
-        let plan = self.progress.plan();
-        let mut ended = self.progress.ended().iter().filter_map(|step| plan.steps.get(*step as usize));
-        !self.may_have_custody() && !ended.any(|step| matches!(step.action, StepAction::Send(_)))
+        !self.may_have_custody() && !self.ended_actions().any(|action| matches!(action, StepAction::Send(_)))
+    }
+
+    /// Checks whether a task has ended.
+    pub(crate) fn has_ended_task(&self) -> bool {
+        self.ended_actions().any(|action| matches!(action, StepAction::Task { .. }))
+    }
+
+    /// Returns the actions of the ended steps.
+    fn ended_actions(&self) -> impl Iterator<Item = &StepAction> {
+        let steps = &self.progress.plan().steps;
+        self.progress.ended().iter().filter_map(move |step| Some(&steps.get(*step as usize)?.action))
     }
 
     /// Returns the tasks of an alternative.

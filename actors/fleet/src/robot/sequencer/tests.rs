@@ -245,3 +245,18 @@ fn parked_signals_are_bounded_and_kept_until_their_award_is_confirmed() {
     sequencer.set_holders(held(&[("r1", 5), ("arm", 9)]));
     assert_eq!(run(&mut sequencer, &[]), ["received t99"], "the oldest were dropped");
 }
+
+#[test]
+fn a_role_may_receive_an_item_once_the_steps_before_a_guard_have_ended() {
+    let steps = [task("drive", &[]), task("open", &[0]), send("open", &[1]), wait("deposit", &[2])];
+    let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": steps, "guarded": [2] })));
+    let performed = |sequencer: &Sequencer| (sequencer.has_ended_task(), sequencer.may_receive_item());
+    assert_eq!(performed(&sequencer), (false, false));
+    run(&mut sequencer, &["open"]);
+    assert_eq!(performed(&sequencer), (true, false));
+    sequencer.abort_task();
+    let Some(SequencerAction::StartTask { step, .. }) = sequencer.next_action() else { panic!("the drawer is next") };
+    sequencer.end_task(step, BTreeMap::new());
+    assert_eq!(performed(&sequencer), (true, true), "the send has not ended, and the ledger cannot tell");
+    assert!(sequencer.can_be_restarted() && !sequencer.may_have_custody());
+}

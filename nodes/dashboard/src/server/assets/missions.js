@@ -70,6 +70,7 @@ function detail(article, id, mission, now, { cancel, resolve }) {
   const add = (name, value) => value && notes.append(note(name, value));
   for (const [name, value] of Object.entries(mission.parameters ?? {})) add(name, value);
   for (const [name, value] of Object.entries(mission.result ?? {})) add(`result: ${readable(name)}`, String(value));
+  for (const [role, order] of Object.entries(mission.orders ?? {})) add(role, order);
   if (mission.priority) add('priority', String(mission.priority));
   add('submitted', clock(mission.submitted_ms));
   if (mission.award_after_ms !== undefined) add('award after', `${mission.award_after_ms.toFixed(1)} ms`);
