@@ -452,6 +452,18 @@ impl ChaosAction {
         if let ChaosAction::Submit { request, .. } = self { Some(request.clone()) } else { None }
     }
 
+    /// Checks whether the action is a fault, not a request of a client or a person.
+    pub(super) fn is_fault(&self) -> bool {
+        !matches!(
+            self,
+            ChaosAction::Submit { .. }
+                | ChaosAction::Cancel { .. }
+                | ChaosAction::ChangeSchedule { .. }
+                | ChaosAction::Order { .. }
+                | ChaosAction::Closure { .. }
+        )
+    }
+
     /// Checks whether the action requests a mission that cannot be completed.
     pub(super) fn is_poison(&self) -> bool {
         matches!(self, ChaosAction::Submit { room, .. } if ROOMS_WITHOUT_NURSE.contains(&room.as_str()))
@@ -493,17 +505,8 @@ impl ChaosAction {
 impl Schedule {
     /// Checks whether the schedule has no faults but hostile nodes.
     pub(super) fn has_only_hostile_nodes(&self) -> bool {
-        self.steps.iter().all(|step| {
-            matches!(
-                step.action,
-                ChaosAction::Submit { .. }
-                    | ChaosAction::Cancel { .. }
-                    | ChaosAction::ChangeSchedule { .. }
-                    | ChaosAction::Order { .. }
-                    | ChaosAction::Closure { .. }
-                    | ChaosAction::Hostile { .. }
-            )
-        })
+        let mut faults = self.steps.iter().filter(|step| step.action.is_fault());
+        faults.all(|step| matches!(step.action, ChaosAction::Hostile { .. }))
     }
 
     /// Checks whether the schedule has no faults but missions that cannot be completed, and has some.
