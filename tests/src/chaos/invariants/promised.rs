@@ -67,8 +67,8 @@ impl Promised {
             {
                 self.check_ended(now, part, promise, command)?;
             }
-            if matches!(command, Command::Award { .. }) {
-                let new = promises.iter().filter(|(part, _)| !self.promises.contains_key(*part));
+            if matches!(command, Command::Award { .. } | Command::MovePromise(_)) {
+                let new = promises.iter().filter(|(part, promise)| self.promises.get(*part) != Some(*promise));
                 self.unawarded.extend(new.map(|(part, promise)| (part.clone(), promise.epoch)));
             }
             self.promises = promises;
@@ -93,16 +93,22 @@ impl Promised {
         };
         let of_role = format!("the promise of {role} of {mission} to {robot}");
         let state = entry.roles.get(role);
+        let has_robot = |robot: &RobotId| {
+            state.and_then(|state| state.holder.as_ref()).is_some_and(|holder| holder.robot == *robot)
+        };
         match command {
-            Command::AwardPromised { .. } => {
-                let holder =
-                    state.filter(|state| state.phase == RolePhase::Awarded).and_then(|state| state.holder.as_ref());
-                match holder.is_some_and(|holder| holder.robot == *robot) {
+            Command::AwardPromised { mission: of, role: awarded, .. } if (of, awarded) == (mission, role) => {
+                match state.is_some_and(|state| state.phase == RolePhase::Awarded) && has_robot(robot) {
                     true => Ok(()),
                     false => Err(format!("{of_role} was not kept: another robot got the role").into()),
                 }
             }
-            Command::MovePromise(change) if (&change.mission, &change.role) == (mission, role) => Ok(()),
+            Command::MovePromise(change) if (&change.mission, &change.role) == (mission, role) => {
+                match has_robot(&change.robot) {
+                    true => Ok(()),
+                    false => Err(format!("{of_role} was not passed to {}", change.robot).into()),
+                }
+            }
             Command::ChangeMission { mission: of, order } if of == mission && concerns(&order.change, role) => Ok(()),
             Command::Release { mission: of, role: released, epoch: under, cause, .. }
                 if (of, released, under) == (mission, role, epoch) =>
@@ -203,7 +209,7 @@ mod tests {
     use super::*;
     use crate::slug;
     use consort_protocol::auction::{AuctionId, AuctionRecord};
-    use consort_protocol::ledger::{OrderRequest, Priority, Submission};
+    use consort_protocol::ledger::{OrderRequest, Priority, PromiseMove, Submission};
     use consort_protocol::mission::{Format, MissionTemplate};
     use consort_protocol::plan::divide_and_check;
     use consort_protocol::units::Seconds;
@@ -238,6 +244,15 @@ mod tests {
         let promised = BTreeMap::from_iter(is_promised.then_some((arm, Seconds::ZERO)));
         let empty = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
         Command::Award { mission, branch: Branch::Main, holders, auction: AuctionRecord { promised, ..empty } }
+    }
+
+    /// Returns the command that passes a promise of this epoch to another robot as a promise.
+    fn move_promise(number: u32, index: u64, robot: &str) -> Command {
+        let (mission, role) = part(number);
+        let promised = BTreeMap::from([(role.clone(), Seconds::ZERO)]);
+        let empty = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 2 });
+        let (robot, cause, auction) = (slug(robot), "it is late".to_owned(), AuctionRecord { promised, ..empty });
+        Command::MovePromise(Box::new(PromiseMove { mission, role, epoch: epoch(index), robot, cause, auction }))
     }
 
     fn release(number: u32, index: u64) -> Command {
@@ -294,6 +309,18 @@ mod tests {
         let mut state = promised();
         assert_eq!(state.apply(secs(140), epoch(5), &[wire, lower]), Ok(()));
         assert_eq!(state.apply(secs(200), epoch(6), &[release(2, 4)]), Ok(()));
+    }
+
+    #[test]
+    fn a_promise_of_another_robot_is_checked_like_the_first() {
+        let mut state = promised();
+        assert_eq!(state.apply(secs(200), epoch(5), &[move_promise(2, 4, "spare-arm")]), Ok(()));
+        assert_eq!(state.promises[&part(2)].robot, slug("spare-arm"));
+        let violation = state.begins(&slug("spare-arm"), part(2), epoch(5)).unwrap_err().0;
+        assert_eq!(violation, "spare-arm begins arm of bring-2 under 1.5, which was a promise");
+        let violation = state.apply(secs(200), epoch(6), &[release(2, 5)]).unwrap_err().0;
+        let expected = "the promise of arm of bring-2 to spare-arm was released, although the robot could take it: ";
+        assert!(violation.starts_with(expected), "{violation}");
     }
 
     #[test]
