@@ -21,6 +21,7 @@ use consort_protocol::units::BatteryShare;
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::RobotBackend as _;
 use consort_skills::workload::Workload;
+use consort_world::SharedWorld;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
@@ -319,7 +320,7 @@ impl ActionExecutor {
     /// restarts of an upgrade, revocations, and new batteries of stranded robots after all faults.
     pub(super) async fn advance(&mut self, fleet: &mut Fleet) {
         if self.are_faults_over && fleet.chargers().next().is_some() {
-            replace_empty_batteries(fleet);
+            replace_empty_batteries(&fleet.world);
         }
         for (node, has_left) in self.leaving.values_mut() {
             *has_left |= fleet.finish_decommission(node).await;
@@ -574,10 +575,10 @@ async fn give_order(client: &RecordingClient, event_log: &EventLog, person: &str
 
 /// Gives the stranded robots new batteries, as a person would. Faults may have prolonged their tasks beyond their
 /// estimates.
-fn replace_empty_batteries(fleet: &Fleet) {
-    for robot in fleet.world.robots() {
-        if fleet.world.telemetry(&robot).is_some_and(|telemetry| !telemetry.able) {
-            fleet.world.with(|world| world.replace_battery(&robot));
+pub(super) fn replace_empty_batteries(world: &SharedWorld) {
+    for robot in world.robots() {
+        if world.telemetry(&robot).is_some_and(|telemetry| !telemetry.able) {
+            world.with(|world| world.replace_battery(&robot));
         }
     }
 }

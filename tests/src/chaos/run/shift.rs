@@ -7,8 +7,8 @@
 //! reads missions, because the check of a history compares each read of a list with all missions.
 
 use super::{CONVERGENCE_LIMIT, Checker, MISSION_LIMIT, Run, Violation, has_converged, panic_text};
-use crate::chaos::chaos_fleet::{ChaosFleet, DATE_MS, MISSIONS};
-use crate::chaos::executor::ActionExecutor;
+use crate::chaos::chaos_fleet::{ChaosFleet, DATE_MS, MISSIONS, ROOMS};
+use crate::chaos::executor::{ActionExecutor, replace_empty_batteries};
 use crate::chaos::fault_injector::FaultInjector;
 use crate::chaos::fault_kind::FaultKind;
 use crate::chaos::generate::{FIRST_MS, LIFTED, generate, lease_terms};
@@ -21,9 +21,7 @@ use crate::shift::{ShiftSetup, work};
 use crate::{Fleet, Observation, RobotSpec, paused_runtime};
 use consort_evaluation::shift::ShiftFigures;
 use consort_protocol::ledger::Ledger;
-use consort_skills::actions::RobotBackend as _;
 use consort_skills::workload::Workload;
-use consort_world::SharedWorld;
 use consort_world::world::LoggedEvent;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -102,7 +100,13 @@ async fn execute(setup: &ShiftSetup) -> FaultyShift {
         run.fleet.record_leadership(node);
     }
     run.executor.spawn_resolver(&run.fleet);
-    tokio::spawn(replace_batteries(run.fleet.world.clone()));
+    let world = run.fleet.world.clone();
+    tokio::spawn(async move {
+        loop {
+            tokio::time::sleep(BATTERY_INTERVAL).await;
+            replace_empty_batteries(&world);
+        }
+    });
     let violation = run.shift_phases(&schedule, setup).await.err();
     let began = Duration::from_millis(FIRST_MS);
     let figures = record.borrow().figures(setup, &run.fleet, began, wall);
@@ -137,16 +141,10 @@ fn ends_missions(kind: FaultKind) -> bool {
     matches!(kind, FaultKind::Battery | FaultKind::Poison | FaultKind::CircularWait | FaultKind::Hostile)
 }
 
-/// Gives stranded robots new batteries, for ever.
-async fn replace_batteries(world: SharedWorld) {
-    loop {
-        tokio::time::sleep(BATTERY_INTERVAL).await;
-        for robot in world.robots() {
-            if world.telemetry(&robot).is_some_and(|telemetry| !telemetry.able) {
-                world.with(|world| world.replace_battery(&robot));
-            }
-        }
-    }
+/// Returns the limit for this number of missions to end, from the limit for the missions of other runs: at most one for
+/// each room with a nurse.
+fn limit_for(missions: usize) -> Duration {
+    MISSION_LIMIT * u32::try_from(missions.div_ceil(ROOMS.len()).max(1)).unwrap_or(u32::MAX)
 }
 
 impl Run {
@@ -159,7 +157,8 @@ impl Run {
         let what = "a single coordinator, all nodes alive in all views, and the latest version";
         self.until(what, CONVERGENCE_LIMIT * SIZE_FACTOR, |fleet| has_converged(fleet) && is_upgraded(fleet)).await?;
         let (acknowledged, missions) = (self.executor.acknowledged_receiver(), setup.missions);
-        self.until("an end of every mission", MISSION_LIMIT * schedule.slowdown(), |fleet| {
+        let unfinished = self.fleet.ledger(|ledger| ledger.active_missions().len()).unwrap_or(missions);
+        self.until("an end of every mission", limit_for(unfinished) * schedule.slowdown(), |fleet| {
             let have_ended = |ledger: &Ledger| ledger.active_missions().is_empty();
             acknowledged.borrow().len() == missions && fleet.ledger(have_ended) == Some(true)
         })
@@ -205,6 +204,12 @@ impl Invariant for Recorded {
 mod tests {
     use super::*;
     use crate::chaos::FIRST_SEED_WITH_CLOSURES;
+
+    #[test]
+    fn a_backlog_of_missions_has_more_time_to_end() {
+        assert_eq!([0, 1, 12].map(limit_for), [MISSION_LIMIT; 3]);
+        assert_eq!([13, 30].map(limit_for), [MISSION_LIMIT * 2, MISSION_LIMIT * 3]);
+    }
 
     #[test]
     fn a_shift_has_faults_among_its_requests_and_nothing_else() {
