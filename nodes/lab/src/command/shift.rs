@@ -17,6 +17,9 @@ use std::cell::RefCell;
 /// time.
 const SPEED_MIN_WITH_FAULTS: u32 = 2;
 
+/// What `--hours` and `--faults` lack: all requests at once leave no time for faults.
+const NEEDS_RATE: &str = "needs a rate of requests: --per-hour or --load";
+
 /// Measures a fleet during a shift, under policies of allocation: many missions at a time, on virtual time
 ///
 /// Robots carry lab samples from nurses in random rooms of the hospital to the arms in the laboratory. The policies run
@@ -217,6 +220,7 @@ impl Args {
         let most = [("--robots", self.robots, SHIFT_CARRIERS.len()), ("--arms", self.arms, SHIFT_ARMS.len())];
         match most.into_iter().find(|(_, count, most)| count > most) {
             Some((flag, count, most)) => wrong(format!("{flag} {count} with --faults; at most {most} are allowed")),
+            None if self.per_hour.or(self.load).is_none() => wrong(format!("--faults {NEEDS_RATE}")),
             None => Ok(()),
         }
     }
@@ -229,7 +233,7 @@ impl Args {
             (None, _) => missions,
             (Some(hours), Some(per_hour)) => ((hours * per_hour).round() as usize).max(1),
             (Some(_), None) => {
-                return Err(Failure::Usage("--hours needs a rate of requests: --per-hour or --load".to_owned()));
+                return Err(Failure::Usage(format!("--hours {NEEDS_RATE}")));
             }
         };
         let world_speed = f64::from(self.speed);

@@ -256,6 +256,7 @@ fn a_shift_under_faults_checks_invariants() {
         ("--faults --policies consort", "--speed 1 with --faults; at least 2 is needed"),
         ("--faults --policies consort --speed 2 --robots 21", "--robots 21 with --faults; at most 20 are allowed"),
         ("--faults --policies consort --speed 2 --arms 4", "--arms 4 with --faults; at most 3 are allowed"),
+        ("--faults --policies consort --speed 2", "--faults needs a rate of requests: --per-hour or --load"),
     ] {
         let flags: Vec<&str> = ["experiment", "shift"].into_iter().chain(flags.split(' ')).collect();
         let ran = run(&flags);
