@@ -45,6 +45,9 @@ With --json: an object for each policy, with its runs, the means of the runs wit
 differences to the first policy. Times are in seconds of world time; wall_s is the duration of the run. A mission is late if it
 is completed more than half an hour after its request. energy is the discharge of all carriers, in full batteries.
 
+Missions that are not completed are in no mean: compare the times of policies only if each completes all missions. Auctions,
+leases and the terms of promises last for seconds of node time, so compare policies at --speed 1.
+
 The load is the time that the requested missions take their carriers, as a share of the time that the carriers have and do not
 charge, by the estimates of the robots.
 

@@ -4,12 +4,13 @@ use super::ShiftPolicy;
 use crate::stats::MeanEstimate;
 use serde::Serialize;
 
-/// A value for each measure of a shift. Times are in seconds of world time.
+/// A value for each measure of a shift. Times are in seconds of world time. Those until the completion are times of the
+/// completed missions, so they compare policies only if each completes all missions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ShiftMetrics<T> {
     /// Completed missions per hour, from the first request to the last completion.
     pub per_hour: T,
-    /// Mean time from the request of a mission to its first task.
+    /// Mean time from the request of a mission to its first task, of the missions that have begun.
     pub waiting_s: T,
     /// 95th percentile of this time.
     pub waiting_p95_s: T,
