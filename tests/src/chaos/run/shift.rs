@@ -3,8 +3,9 @@
 //!
 //! Faults begin and end as long as missions are requested. Meanwhile a person resolves missions that need
 //! intervention, and another replaces empty batteries: otherwise fewer and fewer robots would be left. There are no
-//! faults that end missions (drained batteries, missions that cannot be completed) or remove nodes for good. No client
-//! reads missions, because the check of a history compares each read of a list with all missions.
+//! faults that end missions (drained batteries, missions that cannot be completed) or remove nodes for good, and no
+//! orders of people. No client reads missions, because the check of a history compares each read of a list with all
+//! missions.
 
 use super::{CONVERGENCE_LIMIT, Checker, MISSION_LIMIT, Run, Violation, has_converged, panic_text};
 use crate::chaos::chaos_fleet::{ChaosFleet, DATE_MS, MISSIONS, ROOMS};
@@ -129,7 +130,7 @@ fn schedule(setup: &ShiftSetup, composition: &ChaosFleet, requests: Vec<work::Sh
         },
     };
     // Of the generated actions only the faults: the requests are those of the shift.
-    let kinds: Vec<FaultKind> = FaultKind::FAULTS.into_iter().filter(|kind| !ends_missions(*kind)).collect();
+    let kinds: Vec<FaultKind> = FaultKind::FAULTS.into_iter().filter(|kind| !is_excluded(*kind)).collect();
     let generated = generate(setup.seed, composition, last_s / 60.0 / LIFTED, &kinds).steps;
     let faults = generated.into_iter().filter(|step| step.action.is_fault());
     let steps = requests.into_iter().enumerate().map(submit).chain(faults).collect();
@@ -137,7 +138,7 @@ fn schedule(setup: &ShiftSetup, composition: &ChaosFleet, requests: Vec<work::Sh
 }
 
 /// Checks whether faults of a kind end missions by themselves, remove nodes for good, or need certificates.
-fn ends_missions(kind: FaultKind) -> bool {
+fn is_excluded(kind: FaultKind) -> bool {
     matches!(kind, FaultKind::Battery | FaultKind::Poison | FaultKind::CircularWait | FaultKind::Hostile)
 }
 
