@@ -27,6 +27,7 @@ use consort_world::world::LoggedEvent;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -117,11 +118,16 @@ async fn execute(setup: &ShiftSetup) -> FaultyShift {
 /// Returns the requests with faults among them.
 fn schedule(setup: &ShiftSetup, composition: &ChaosFleet, requests: Vec<work::ShiftRequest>) -> Schedule {
     let node_s = |request: &work::ShiftRequest| request.at_s / setup.world_speed;
+    let asked_ms: Vec<u64> = requests.iter().map(|request| FIRST_MS + (node_s(request) * 1000.0) as u64).collect();
     let last_s = requests.last().map_or(0.0, node_s);
-    let submit = |(number, request): (usize, work::ShiftRequest)| ScheduledAction {
-        at_ms: FIRST_MS + (node_s(&request) * 1000.0) as u64,
+    // Of the generated actions only the faults: the requests are those of the shift.
+    let kinds: Vec<FaultKind> = FaultKind::FAULTS.into_iter().filter(|kind| !is_excluded(*kind)).collect();
+    let generated = generate(setup.seed, composition, last_s / 60.0 / LIFTED, &kinds).steps;
+    let mut names = names_of_generated(&generated, &asked_ms);
+    let submit = |(number, (request, at_ms)): (usize, (work::ShiftRequest, u64))| ScheduledAction {
+        at_ms,
         action: ChaosAction::Submit {
-            request: format!("r{number}"),
+            request: names.remove(&number).unwrap_or_else(|| format!("shift-{number}")),
             unnamed: false,
             mission: MISSIONS[0].to_owned(),
             room: request.room.to_string(),
@@ -129,12 +135,24 @@ fn schedule(setup: &ShiftSetup, composition: &ChaosFleet, requests: Vec<work::Sh
             deadline_s: None,
         },
     };
-    // Of the generated actions only the faults: the requests are those of the shift.
-    let kinds: Vec<FaultKind> = FaultKind::FAULTS.into_iter().filter(|kind| !is_excluded(*kind)).collect();
-    let generated = generate(setup.seed, composition, last_s / 60.0 / LIFTED, &kinds).steps;
-    let faults = generated.into_iter().filter(|step| step.action.is_fault());
-    let steps = requests.into_iter().enumerate().map(submit).chain(faults).collect();
+    let mut steps: Vec<ScheduledAction> = requests.into_iter().zip(asked_ms).enumerate().map(submit).collect();
+    steps.extend(generated.into_iter().filter(|step| step.action.is_fault()));
     Schedule { world_speed: setup.world_speed as u32, ..Schedule::of(steps) }.in_order()
+}
+
+/// Returns the names of the generated requests, each with the number of the latest request of the shift at that time.
+/// Some faults concern the carrier of a generated request.
+fn names_of_generated(generated: &[ScheduledAction], asked_ms: &[u64]) -> BTreeMap<usize, String> {
+    let mut names = BTreeMap::new();
+    for step in generated {
+        let asked = asked_ms.partition_point(|at_ms| *at_ms <= step.at_ms).max(1);
+        if let Some(name) = step.action.submitted_request()
+            && let Some(number) = (0..asked).rev().find(|number| !names.contains_key(number))
+        {
+            names.insert(number, name);
+        }
+    }
+    names
 }
 
 /// Checks whether faults of a kind end missions by themselves, remove nodes for good, or need certificates.
@@ -205,6 +223,7 @@ impl Invariant for Recorded {
 mod tests {
     use super::*;
     use crate::chaos::FIRST_SEED_WITH_CLOSURES;
+    use crate::chaos::schedule::CARRIER_OF;
 
     #[test]
     fn a_backlog_of_missions_has_more_time_to_end() {
@@ -217,7 +236,7 @@ mod tests {
         let setup = ShiftSetup { missions: 200, per_hour: Some(100.0), world_speed: 10.0, ..ShiftSetup::default() };
         let rooms = work::rooms(0);
         let composition = ChaosFleet::of_shift(12, 2);
-        let mut faults = 0;
+        let (mut faults, mut of_carriers) = (0, 0);
         // The later seeds generate orders of people and closures, too.
         for seed in (1..=10).chain(FIRST_SEED_WITH_CLOSURES..FIRST_SEED_WITH_CLOSURES + 10) {
             let setup = ShiftSetup { seed, ..setup };
@@ -240,9 +259,18 @@ mod tests {
                         | ChaosAction::Hostile { .. }
                 );
                 assert!(!is_excluded, "seed {seed}: {step}");
+                if let ChaosAction::Crash { node, .. } = &step.action
+                    && let Some(name) = node.strip_prefix(CARRIER_OF)
+                {
+                    let is_named =
+                        |request: &&&ScheduledAction| request.action.submitted_request().as_deref() == Some(name);
+                    let request = requests.iter().find(is_named).expect("a request of the shift");
+                    assert!(step.at_ms.abs_diff(request.at_ms) < 60_000, "seed {seed}: {request}, {step}");
+                    of_carriers += 1;
+                }
             }
             faults += others.len();
         }
-        assert!(faults > 100, "{faults}");
+        assert!(faults > 100 && of_carriers > 0, "{faults}, {of_carriers}");
     }
 }
