@@ -1,5 +1,6 @@
 //! A whole fleet in a single process on virtual time.
 
+use crate::charging_setup::ChargingSetup;
 use crate::credentials::{Credentials, Signatures};
 use crate::event_log::{EventLog, Observation};
 use crate::robot_spec::RobotSpec;
@@ -9,13 +10,11 @@ use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
 use consort_bus::{LinkModel, SharedBus, VirtualBus, VirtualNetwork};
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
-use consort_fleet::robot::ChargingSettings;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{NodeId, PlaceId};
 use consort_protocol::keys::Keys;
 use consort_protocol::trust::AccessScope;
-use consort_protocol::units::{WattHours, Watts};
 use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::descriptor::DescriptorRegistry;
@@ -107,17 +106,6 @@ pub struct DomainSetup {
     pub rooms: &'static [&'static str],
     /// Nodes have certificates and sign their messages.
     pub closed: bool,
-}
-
-/// Chargers and batteries of a hospital.
-#[derive(Debug, Clone)]
-pub struct ChargingSetup {
-    /// Chargers, and when robots use them.
-    pub settings: ChargingSettings,
-    /// Power of each charger.
-    pub power: Watts,
-    /// Capacity of each mobile robot's battery.
-    pub capacity: WattHours,
 }
 
 impl Default for NodeOptions {

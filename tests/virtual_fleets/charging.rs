@@ -1,13 +1,11 @@
 //! Robots that charge by themselves.
 
 use consort_fleet::node::NodeSettings;
-use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
 use consort_protocol::auction::{BidVerdict, RefusalReason};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::Charging;
-use consort_protocol::units::{BatteryShare, WattHours, Watts};
 use consort_skills::actions::RobotBackend as _;
 use consort_tests::{ChargingSetup, Fleet, RobotSpec, for_each_seed, slug};
 use consort_world::world::WorldEvent as InWorld;
@@ -25,11 +23,10 @@ const SOON: Duration = Duration::from_secs(90);
 const CHARGER: &str = "Dock";
 
 const BELOW: f64 = 0.4;
-const UNTIL: f64 = 0.9;
+const UNTIL: f64 = ChargingSetup::UNTIL;
 
-/// Power of the charger and capacity of the batteries: a battery gains 0.4 % a second.
+/// Power of the charger: a battery gains 0.4 % a second.
 const POWER_W: f64 = 1440.0;
-const CAPACITY_WH: f64 = 100.0;
 
 /// Discharge of the robots per second of work: a drive from one of these rooms to the other (59 m) takes 98 s and
 /// 9.8 % of a battery; the drive to the charger takes 6 % from the first (36 m) and 5.3 % from the second (32 m).
@@ -40,18 +37,8 @@ const SPEED_MPS: f64 = 0.6;
 /// Charge below which the robots are not useful, which is the reserve at the charger.
 const USEFUL: f64 = 0.08;
 
-fn share(share: f64) -> BatteryShare {
-    BatteryShare::new(share).expect("a share")
-}
-
 fn setup(below: f64) -> ChargingSetup {
-    let thresholds = ChargeThresholds { below: share(below), until: share(UNTIL), opportunistic: None };
-    let chargers = vec![Charger { place: slug(CHARGER), eligible: None }];
-    ChargingSetup {
-        settings: ChargingSettings { thresholds, chargers },
-        power: Watts::new(POWER_W).expect("a power"),
-        capacity: WattHours::new(CAPACITY_WH).expect("a capacity"),
-    }
+    ChargingSetup::new(&[CHARGER], below, POWER_W)
 }
 
 fn carrier(name: &str, place: &str, battery: f64) -> RobotSpec {

@@ -3,9 +3,7 @@
 use super::fault_kind::FaultKind;
 use super::orders::FIRST_SEED;
 use super::schedule::{ChaosAction, ScheduledAction};
-use crate::{ChargingSetup, RobotSpec, slug};
-use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
-use consort_protocol::units::{BatteryShare, WattHours, Watts};
+use crate::{ChargingSetup, RobotSpec};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -16,13 +14,11 @@ const PLACES: [&str; 2] = ["Dock", "PC Room 8"];
 const RUNS: f64 = 0.5;
 const SINGLE: f64 = 0.6;
 
-/// Charges at which a robot begins and ends to charge.
+/// Charge below which a robot charges.
 const BELOW: f64 = 0.35;
-const UNTIL: f64 = 0.9;
 
-/// Power of a charger, and capacity of a battery, which gains 0.4 % a second.
+/// Power of a charger: a battery gains 0.4 % a second.
 const POWER_W: f64 = 1440.0;
-const CAPACITY_WH: f64 = 100.0;
 
 /// Discharge of a carrier per second of work. A mission needs about a quarter of the charge; with the usual batteries
 /// a tenth.
@@ -45,14 +41,7 @@ pub(super) fn charger_count(seed: u64, kinds: &[FaultKind], steps: &[ScheduledAc
 
 /// Returns the setup of a fleet with `count` chargers; `None` for none.
 pub(super) fn setup(count: usize) -> Option<ChargingSetup> {
-    let share = |share| BatteryShare::new(share).expect("a share");
-    let thresholds = ChargeThresholds { below: share(BELOW), until: share(UNTIL), opportunistic: None };
-    let chargers = PLACES.iter().take(count).map(|place| Charger { place: slug(place), eligible: None }).collect();
-    (count > 0).then(|| ChargingSetup {
-        settings: ChargingSettings { thresholds, chargers },
-        power: Watts::new(POWER_W).expect("a power"),
-        capacity: WattHours::new(CAPACITY_WH).expect("a capacity"),
-    })
+    (count > 0).then(|| ChargingSetup::new(&PLACES[..count.min(PLACES.len())], BELOW, POWER_W))
 }
 
 /// Gives the carriers small batteries.

@@ -4,12 +4,11 @@ use super::ShiftSetup;
 use crate::fleet::nurse_in;
 use crate::{ChargingSetup, RobotSpec, slug};
 use consort_evaluation::shift::ShiftJob;
-use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
 use consort_protocol::ids::{PlaceId, RoleId};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::plan::divide_and_check;
 use consort_protocol::timeline::Travel;
-use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WattHours, Watts};
+use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
 use consort_skills::domain::hospital;
 use consort_skills::environment::{Routes, SpeedLimits};
@@ -30,13 +29,11 @@ pub(crate) const LABORATORY: &str = "Laboratory";
 /// Places of chargers, in the order of use. No sample is fetched from a room with a charger.
 pub const CHARGERS: [&str; 6] = ["Dock", "PC Room 8", "IC Room 3", "PC Room 4", "IC Room 5", "PC Room 6"];
 
-/// Charges at which a carrier begins and ends to charge.
+/// Charge below which a carrier charges.
 const BELOW: f64 = 0.4;
-const UNTIL: f64 = 0.9;
 
-/// Power of a charger, and capacity of a battery: it charges about four times as fast as a working robot discharges it.
+/// Power of a charger: it charges a battery about four times as fast as a working robot discharges it.
 const POWER_W: f64 = 600.0;
-const CAPACITY_WH: f64 = 100.0;
 
 /// Request of a shift.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,15 +83,7 @@ pub(crate) fn draw_requests(setup: &ShiftSetup, rooms: &[PlaceId], chance: &mut 
 
 /// Returns the chargers; `None` for none.
 pub(crate) fn charging(chargers: usize) -> Option<ChargingSetup> {
-    let share = |share| BatteryShare::new(share).expect("a share");
-    let thresholds = ChargeThresholds { below: share(BELOW), until: share(UNTIL), opportunistic: None };
-    let places = CHARGERS[..chargers].iter();
-    let chargers: Vec<Charger> = places.map(|place| Charger { place: slug(place), eligible: None }).collect();
-    (!chargers.is_empty()).then(|| ChargingSetup {
-        settings: ChargingSettings { thresholds, chargers },
-        power: Watts::new(POWER_W).expect("a power"),
-        capacity: WattHours::new(CAPACITY_WH).expect("a capacity"),
-    })
+    (chargers > 0).then(|| ChargingSetup::new(&CHARGERS[..chargers], BELOW, POWER_W))
 }
 
 /// Estimates of the carriers' work.
@@ -150,7 +139,10 @@ pub fn requests_per_hour(robots: usize, chargers: usize, load: f64) -> f64 {
     let mission_s = WorkModel::new(&rooms(chargers)).mission_s();
     let charging_s = match chargers {
         0 => 0.0,
-        _ => mission_s * RobotSpec::carrier("model", LABORATORY).discharge * CAPACITY_WH * 3600.0 / POWER_W,
+        _ => {
+            let battery_s = ChargingSetup::CAPACITY_WH * 3600.0 / POWER_W;
+            mission_s * RobotSpec::carrier("model", LABORATORY).discharge * battery_s
+        }
     };
     load * robots as f64 * 3600.0 / (mission_s + load * charging_s)
 }
