@@ -1,9 +1,9 @@
 //! A promised role is neither lost nor doubled.
 //!
-//! A promise lasts until its robot gets the role, another robot gets the promise, the promise is released, a person
-//! reassigns or pins the role, or the mission ends or changes to its recovery branch. It is released only if its robot
-//! could not take a role shortly before, or has promised a role of a higher priority, or if a person changed a priority
-//! shortly before. A robot begins a promised role only under the award that follows the promise.
+//! A promise lasts until its robot gets the role, an auction gives it to another robot, it is released, a person reassigns
+//! or pins the role, or the mission ends or changes to its recovery branch. It is released only if its robot could not
+//! take a role or returned this role shortly before, if it has promised a role of a higher priority, or if a person
+//! changed a priority shortly before. A robot begins a promised role only under the award that follows the promise.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
@@ -19,8 +19,9 @@ use consort_skills::actions::RobotBackend as _;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// Longest time from the instant at which a robot could not take a role until a promise is released for that reason: a
-/// coordinator may learn it, or commit the release, only when the longest partition has ended.
+/// Longest time from the instant at which a robot could not take a role, or returned it for now, until a promise is
+/// released for that reason: a coordinator may learn it, or commit the release, only when the longest partition has
+/// ended.
 const RELEASED_WITHIN: Duration = Duration::from_secs(60);
 
 /// Interval at which the robots are examined.
@@ -42,6 +43,8 @@ pub(super) struct Promised {
     promises: BTreeMap<Part, Promise>,
     /// Epochs of promises that auctions have made. A returned role keeps the epoch under which it was begun.
     unawarded: BTreeSet<(Part, Epoch)>,
+    /// Latest times at which robots returned roles for now.
+    returned_at: BTreeMap<Part, Duration>,
     /// Latest times at which robots could not take a role.
     unfit_at: BTreeMap<RobotId, Duration>,
     /// Latest time at which a person changed the priority of a mission.
@@ -62,6 +65,9 @@ impl Promised {
             {
                 self.reprioritized_at = Some(now);
             }
+            if let Command::Postpone { mission, role, .. } = command {
+                self.returned_at.insert((mission.clone(), role.clone()), now);
+            }
             let promises = promises(&self.reference.ledger);
             for (part, promise) in self.promises.iter().filter(|(part, promise)| promises.get(*part) != Some(*promise))
             {
@@ -81,11 +87,11 @@ impl Promised {
     fn check_ended(
         &self,
         now: Duration,
-        (mission, role): &Part,
+        part: &Part,
         promise: &Promise,
         command: &Command,
     ) -> Result<(), InvariantViolation> {
-        let Promise { robot, epoch, branch } = promise;
+        let (Promise { robot, epoch, branch }, (mission, role)) = (promise, part);
         let ledger = &self.reference.ledger;
         let Some(entry) = ledger.mission(mission).filter(|entry| !entry.state.is_final() && entry.branch == *branch)
         else {
@@ -113,9 +119,10 @@ impl Promised {
             Command::Release { mission: of, role: released, epoch: under, cause, .. }
                 if (of, released, under) == (mission, role, epoch) =>
             {
+                let is_recent = |at: Option<&Duration>| at.is_some_and(|at| now <= *at + RELEASED_WITHIN);
                 // A returned role may have been about to be released because of its lease.
-                let was_returned = !self.unawarded.contains(&((mission.clone(), role.clone()), *epoch));
-                let was_unfit = self.unfit_at.get(robot).is_some_and(|at| now <= *at + RELEASED_WITHIN);
+                let was_returned = is_recent(self.returned_at.get(part));
+                let was_unfit = is_recent(self.unfit_at.get(robot));
                 let is_displaced = ledger.promises_in_order().into_iter().any(|(other, _, promised)| {
                     promised.robot == *robot && other.submission.priority > entry.submission.priority
                 });
@@ -315,12 +322,23 @@ mod tests {
     fn a_promise_of_another_robot_is_checked_like_the_first() {
         let mut state = promised();
         assert_eq!(state.apply(secs(200), epoch(5), &[move_promise(2, 4, "spare-arm")]), Ok(()));
-        assert_eq!(state.promises[&part(2)].robot, slug("spare-arm"));
+        assert_eq!(state.promises[&part(2)].robot.as_str(), "spare-arm");
         let violation = state.begins(&slug("spare-arm"), part(2), epoch(5)).unwrap_err().0;
         assert_eq!(violation, "spare-arm begins arm of bring-2 under 1.5, which was a promise");
         let violation = state.apply(secs(200), epoch(6), &[release(2, 5)]).unwrap_err().0;
         let expected = "the promise of arm of bring-2 to spare-arm was released, although the robot could take it: ";
         assert!(violation.starts_with(expected), "{violation}");
+    }
+
+    #[test]
+    fn a_returned_role_may_be_released_for_a_while() {
+        let (mission, role) = part(2);
+        let postpone = Command::Postpone { mission, role, epoch: epoch(4) };
+        for (at_s, is_permitted) in [(200, true), (201, false)] {
+            let mut state = promised();
+            assert_eq!(state.apply(secs(140), epoch(5), std::slice::from_ref(&postpone)), Ok(()));
+            assert_eq!(state.apply(secs(at_s), epoch(6), &[release(2, 4)]).is_ok(), is_permitted, "{at_s}");
+        }
     }
 
     #[test]
