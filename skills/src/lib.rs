@@ -15,6 +15,7 @@ pub mod environment;
 pub mod extensions;
 pub mod library;
 pub mod missions;
+mod names;
 pub mod skill;
 mod waypoints;
 pub mod workload;

@@ -43,9 +43,10 @@ use crate::actions::RobotActions;
 use crate::bt::xml::read_xml;
 use crate::bt::{
     BlackboardError, Blueprint, NodeSpec, NodeStatus, PortType, Registry, RegistryError, Tree, TreeError, TreeInput,
-    TreeSpec, Value, join_names,
+    TreeSpec, Value,
 };
 use crate::environment::Environment;
+use crate::names::join_names;
 use crate::skill::{KnownValues, SkillContext, StatedQuestion, TaskContext, register_leaves, stated_questions};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::TaskType;

@@ -31,7 +31,7 @@ impl<C> Registry<C> {
 impl<C> Blueprint<C> {
     fn check(spec: &TreeSpec, registry: &Registry<C>) -> Result<Blueprint<C>, TreeError> {
         let Some(root) = spec.trees.get(&spec.main) else {
-            let known = super::manifest::join_names(spec.trees.keys().map(String::as_str));
+            let known = crate::names::join_names(spec.trees.keys().map(String::as_str));
             let problem = Box::new(TreeErrorKind::UnknownTree { tree: spec.main.clone(), known });
             return Err(TreeError { source: spec.source.clone(), line: None, node: None, kind: problem });
         };

@@ -6,13 +6,14 @@ use super::builtin::Builtin;
 use super::checked_node::{CheckedNode, MAX_DEPTH, MAX_NODES, NodeImpl};
 use super::conditions::Conditions;
 use super::error::{Place, TreeError, TreeErrorKind};
-use super::manifest::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec, join_names};
+use super::manifest::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec};
 use super::ports::{PortBinding, Ports};
 use super::registry::Registry;
 use super::scopes::{Layout, Scopes};
 use super::script::{Script, ScriptError};
 use super::spec::{NodeSpec, TreeSpec};
 use super::value::Value;
+use crate::names::join_names;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

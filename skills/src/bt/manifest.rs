@@ -1,6 +1,7 @@
 //! Declaration of nodes: kind, and ports with their types and constraints.
 
 use super::value::{PortType, Value, ValueError};
+use crate::names::join_names;
 use consort_protocol::ensemble::ExchangedValue;
 
 /// Direction of a port.
@@ -174,10 +175,4 @@ impl NodeManifest {
     pub(crate) fn port_names(&self) -> String {
         join_names(self.ports.iter().map(|port| port.name.as_str()))
     }
-}
-
-/// Joins names for messages.
-pub(crate) fn join_names<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
-    let names: Vec<&str> = names.into_iter().collect();
-    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }

@@ -82,7 +82,6 @@ pub use checked_node::TreeInput;
 pub use error::{TreeError, TreeErrorKind};
 pub(crate) use expand::key_of;
 pub use leaf::{Leaf, SyncLeaf};
-pub(crate) use manifest::join_names;
 pub use manifest::{NodeKind, NodeManifest, PortConstraint, PortDirection, PortPresence, PortSpec};
 pub use port_value::PortValue;
 pub use ports::PortError;

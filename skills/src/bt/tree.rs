@@ -1,7 +1,6 @@
 //! A running tree.
 
 use super::blackboard::{Blackboard, BlackboardError, EntryId};
-use super::manifest::join_names;
 use super::node::ChildNode;
 #[cfg(test)]
 use super::port_value::PortValue;
@@ -9,6 +8,7 @@ use super::status::NodeStatus;
 use super::tick::{Cause, MAX_LOOP_ITERATIONS_PER_TICK, Tick, TreeState};
 use super::value::Value;
 use crate::actions::RobotActions;
+use crate::names::join_names;
 use consort_protocol::units::WorldTime;
 use std::collections::BTreeMap;
 

@@ -2,8 +2,8 @@
 
 use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 use super::fixed::{FixedDuration, STEP_DURATION_S};
-use crate::bt::join_names;
 use crate::environment::Environment;
+use crate::names::join_names;
 use consort_protocol::auction::BidPart;
 use consort_protocol::ids::{PlaceId, TaskId, TaskType};
 use consort_protocol::mission::TaskSpec;

@@ -1,6 +1,6 @@
 //! The set of descriptors of a site.
 
-use crate::bt::join_names;
+use crate::names::join_names;
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::Arc;

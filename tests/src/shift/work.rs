@@ -177,9 +177,11 @@ mod tests {
         // A mission takes a carrier between one and three minutes.
         assert!((20.0 * 0.7 * 20.0..20.0 * 0.7 * 60.0).contains(&rate), "{rate}");
         assert!((requests_per_hour(10, 6, 0.7) - rate / 2.0).abs() < 1e-9);
-        let (half, uncharged) = (requests_per_hour(20, 6, 0.35), requests_per_hour(20, 0, 0.35));
+        let half = requests_per_hour(20, 6, 0.35);
         assert!(half > rate / 2.0, "{half}: robots that work less charge less");
-        assert!(uncharged > half, "{uncharged}: robots that never charge have more time");
+        let mission_s = WorkModel::new(&rooms(0)).mission_s();
+        let uncharged = requests_per_hour(20, 0, 0.35) * mission_s / 3600.0;
+        assert!((uncharged - 20.0 * 0.35).abs() < 1e-9, "{uncharged}: robots that never charge only work");
     }
 
     #[test]

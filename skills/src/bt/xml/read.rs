@@ -6,9 +6,10 @@
 use super::model::SubTreeDefaults;
 use crate::bt::checked_node::{MAX_DEPTH, MAX_NODES};
 use crate::bt::error::{TreeError, TreeErrorKind};
-use crate::bt::manifest::{NodeKind, join_names};
+use crate::bt::manifest::NodeKind;
 use crate::bt::script_attribute::ScriptAttribute;
 use crate::bt::spec::{NodeSpec, TreeSpec};
+use crate::names::join_names;
 use crate::xml;
 use roxmltree::Node;
 use std::collections::BTreeMap;

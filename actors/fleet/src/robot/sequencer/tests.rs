@@ -255,7 +255,7 @@ fn a_role_may_receive_an_item_once_the_steps_before_a_guard_have_ended() {
     run(&mut sequencer, &["open"]);
     assert_eq!(performed(&sequencer), (true, false));
     sequencer.abort_task();
-    let Some(SequencerAction::StartTask { step, .. }) = sequencer.next_action() else { panic!("the drawer is next") };
+    let Some(SequencerAction::StartTask { step, .. }) = sequencer.next_action() else { panic!("a task is next") };
     sequencer.end_task(step, BTreeMap::new());
     assert_eq!(performed(&sequencer), (true, true), "the send has not ended, and the ledger cannot tell");
     assert!(sequencer.can_be_restarted() && !sequencer.may_have_custody());
