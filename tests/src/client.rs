@@ -79,6 +79,18 @@ impl Fleet {
         views
     }
 
+    /// Queries a view as a single node computes it.
+    ///
+    /// # Panics
+    /// If there is no reply, or if it is not JSON.
+    pub async fn view_of(&self, node: &str, what: &str) -> Value {
+        let key = format!("consort/ward/seen/{node}/{what}");
+        let limit = Duration::from_secs(1);
+        let mut replies = self.client.query_nearest(&key, vec![].into(), limit).await.expect("a virtual bus");
+        let reply = replies.recv().await.expect("a reply");
+        serde_json::from_slice(&reply.payload.expect("a view")).expect("JSON")
+    }
+
     /// Asks a node to leave for good. The node replies after it has left, or with the reason why it
     /// stays.
     pub async fn request_leave(&self, name: &str) -> Value {

@@ -115,13 +115,10 @@ fn an_alarm_stops_every_robot_until_it_is_cleared() {
         assert_eq!(fleet.holder(&third, "r1"), None, "seed {seed}: no robot gets a role");
         let explained = fleet.request_answered(ApiCall::Explain, &json!({ "mission": third })).await;
         assert!(explained["text"].to_string().contains("under alarm freeze by Nia: smoke"), "seed {seed}: {explained}");
-        let shown = async |fleet: &Fleet| {
-            let (view, health) = (fleet.view("fleet").await, fleet.view("health").await);
-            let finding = "the fleet is under alarm freeze by Nia: smoke";
-            let is_shown = view["fleet"]["alarms"][0]["order"]["by"] == "Nia";
-            (is_shown && health["health"].to_string().contains(finding)).then_some(())
-        };
-        fleet.poll_until("the alarm in the views", SOON, shown).await;
+        let (view, health) = (fleet.view_of("aster", "fleet").await, fleet.view_of("aster", "health").await);
+        assert_eq!(view["alarms"][0]["order"]["by"], "Nia", "seed {seed}: {view}");
+        let finding = "the fleet is under alarm freeze by Nia: smoke";
+        assert!(health.to_string().contains(finding), "seed {seed}: {health}");
         // Its nurse has a single sample.
         request(&fleet, ApiCall::Cancel, &json!({ "mission": third })).await;
         let reply = clear(&fleet, None).await;

@@ -1,7 +1,6 @@
 //! Promises: missions that share a scarce robot.
 
 use crate::support::task_began;
-use consort_bus::Bus as _;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::auction::PromiseTerms;
 use consort_protocol::event::EventKind;
@@ -55,10 +54,8 @@ fn has_promises(fleet: &Fleet, count: usize) -> bool {
 
 /// Returns the roles of a robot in the view of the coordinator: the role that it holds, and those that it gets later.
 async fn timeline_of(fleet: &mut Fleet, robot: &str) -> Vec<Value> {
-    let key = format!("consort/ward/seen/{}/fleet", fleet.wait_for_coordinator().await);
-    let mut replies = fleet.client.query_nearest(&key, vec![].into(), SOON).await.expect("a virtual bus");
-    let reply = replies.recv().await.expect("a reply");
-    let view: Value = serde_json::from_slice(&reply.payload.expect("a view")).expect("JSON");
+    let coordinator = fleet.wait_for_coordinator().await;
+    let view = fleet.view_of(coordinator.as_str(), "fleet").await;
     let nodes = view["nodes"].as_array().expect("nodes");
     let node = nodes.iter().find(|node| node["node"] == robot).expect("the robot");
     let held = Some(&node["holds"]).filter(|role| !role.is_null());

@@ -511,6 +511,7 @@ fn every_call_documents_its_payload() {
                 "close",
                 "open",
                 "limit",
+                "alarm",
                 "backup",
                 "upgrade",
                 "get",

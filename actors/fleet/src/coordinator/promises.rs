@@ -3,7 +3,7 @@
 use super::actions::{CoordinatorAction, RoundPhase, SessionState};
 use super::message::AwardedRole;
 use super::queues::may_return;
-use consort_gossip::SharedKnowledge;
+use consort_gossip::{MemberStatus, SharedKnowledge};
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::Availability;
 use consort_protocol::ledger::{Ledger, MissionEntry, Priority};
@@ -64,7 +64,7 @@ pub(super) fn promises_due(
 
 /// Returns the robots with promises that cannot take a role, with the reasons, as far as this node knows.
 ///
-/// With `has_all_records`, a robot without a record is unknown to the whole fleet.
+/// With `has_all_records`, a robot without a record or without contact is unknown to the whole fleet.
 pub(super) fn unfit_robots(
     ledger: &Ledger,
     knowledge: &SharedKnowledge,
@@ -80,11 +80,13 @@ pub(super) fn unfit_robots(
         let node = NodeId::from(robot.clone());
         let availability =
             knowledge.read(|base| Some(base.get(&node)?.record.knowledge.robot.as_ref()?.availability.clone()));
-        match availability {
-            None => has_all_records.then(|| format!("{robot} is unknown")),
-            Some(_) if !knowledge.is_alive(&node) => Some(format!("{robot} was judged dead")),
-            Some(Availability::OutOfService { problem }) => Some(format!("{robot} is out of service: {problem}")),
-            Some(Availability::Free | Availability::Holding { .. }) => None,
+        match (availability, knowledge.status(&node)) {
+            (None, _) => has_all_records.then(|| format!("{robot} is unknown")),
+            // A node that has just started may have the record from another node before it has contact.
+            (Some(_), MemberStatus::Unknown) => has_all_records.then(|| format!("{robot} is not in contact")),
+            (Some(_), MemberStatus::Down { .. }) => Some(format!("{robot} was judged dead")),
+            (Some(Availability::OutOfService { problem }), _) => Some(format!("{robot} is out of service: {problem}")),
+            (Some(Availability::Free | Availability::Holding { .. }), _) => None,
         }
     };
     promised.into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
