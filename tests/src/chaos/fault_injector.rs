@@ -10,6 +10,7 @@ use consort_bus::BootInstant;
 use consort_bus::clock::Clock;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::NodeSettings;
+use consort_protocol::ledger::HistoryLimits;
 use consort_protocol::units::{Seconds, WorldTime};
 use consort_protocol::versions::VersionRange;
 use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus};
@@ -156,7 +157,7 @@ impl FaultInjector {
     pub(super) fn use_limits_of_operation(&self) {
         let mut parts = self.0.borrow_mut();
         parts.log_retention = (consort_raft::SNAPSHOT_EVERY, consort_raft::LOG_ENTRIES_KEPT);
-        parts.mission_limits.1 = RequestLimits::default().missions_max;
+        parts.mission_limits = (HistoryLimits::default().missions_max, RequestLimits::default().missions_max);
     }
 
     /// Returns the number of ended missions that the fleet keeps whole.

@@ -224,6 +224,6 @@ fn close_lane(browser: &Browser) {
         )
     );
     browser.press(&format!("a door is broken{ENTER}"));
-    browser.wait_until("it is closed", &format!("{}?.by === 'the dashboard of station-1'", closure(LANE)));
+    browser.wait_until("it is closed", &format!("{}?.by === 'Nia'", closure(LANE)));
     browser.wait_until("the list", &format!("document.querySelector('#closures .rowbutton').innerText === {LANE:?}"));
 }

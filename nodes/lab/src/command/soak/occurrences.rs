@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 /// Name of the schedule.
 const SCHEDULE: &str = "soak-rounds";
 
-/// Person that adds the schedule, and in whose name its missions are.
+/// Person that adds the schedule.
 const BY: &str = "soak schedule";
 
 /// Interval of the occurrences: the smallest of schedules.
@@ -99,7 +99,7 @@ impl Occurrences {
 
 /// Checks whether a mission is an occurrence of the schedule.
 pub(super) fn is_occurrence(mission: &MissionSummary) -> bool {
-    mission.brief.terms.by == BY
+    mission.brief.terms.by == format!("{BY}, schedule {SCHEDULE}")
 }
 
 #[cfg(test)]
