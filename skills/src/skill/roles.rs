@@ -1,9 +1,8 @@
 //! Resolution of the roles in a task to robots and people.
 
 use super::context::TaskContext;
-use crate::bt::{
-    Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, Registry, RegistryError, SyncLeaf, join_names,
-};
+use crate::bt::{Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, Registry, RegistryError, SyncLeaf};
+use crate::names::join_names;
 use consort_protocol::ids::{RobotId, RoleId};
 
 pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {

@@ -78,7 +78,7 @@ mod tests {
         let file = "[fire]\nrobots = \"assemble\"\nplaces = [\"Dock\"]\ncloses = [\"Lift A\", [\"Yard\", \"Hall\"]]\n";
         let plans = alarm_plans(&alarms(file), &Domain::default()).unwrap();
         let closes = plans.values().flat_map(|plan| &plan.closes).map(MapPart::to_string);
-        assert_eq!(closes.collect::<Vec<_>>(), ["Hall – Yard", "Lift A"]);
+        assert_eq!(closes.collect::<Vec<_>>(), ["Lift A", "Hall – Yard"]);
         assert_eq!(alarms(&toml::to_string(&alarms(file)).unwrap()), alarms(file), "it reads back the same");
         let wrong = toml::from_str::<BTreeMap<AlarmId, AlarmConfig>>("[fire]\nrobots = \"stop\"\ncloses = [7]\n");
         let wrong = wrong.unwrap_err().to_string();
