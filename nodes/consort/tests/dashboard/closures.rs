@@ -178,7 +178,8 @@ fn close_place(browser: &Browser, fleet: &mut Fleet) {
 fn open_from_list(browser: &Browser, part: &str) {
     select(browser, "");
     browser.wait_until("nothing is selected", "document.querySelector('#part-orders').disabled");
-    browser.value("document.querySelector('#closures .rowbutton').focus()");
+    // A node that does not lead states no closures for a moment after a change of the coordinator.
+    browser.wait_until("the list", "document.querySelector('#closures .rowbutton')?.focus() === undefined && document.activeElement.className === 'rowbutton'");
     browser.press(ENTER);
     browser.wait_until(
         "its orders",
