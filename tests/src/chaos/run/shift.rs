@@ -3,9 +3,9 @@
 //!
 //! Faults begin and end as long as missions are requested. Meanwhile a person resolves missions that need
 //! intervention, and another replaces empty batteries: otherwise fewer and fewer robots would be left. There are no
-//! faults that end missions (drained batteries, missions that cannot be completed) or remove nodes for good, and no
-//! orders of people. No client reads missions, because the check of a history compares each read of a list with all
-//! missions.
+//! faults that end missions (drained batteries, failing skills, missions that cannot be completed) or remove nodes
+//! for good, and no orders of people. No client reads missions, because the check of a history compares each read of
+//! a list with all missions.
 
 use super::{CONVERGENCE_LIMIT, Checker, MISSION_LIMIT, Run, Violation, has_converged, panic_text};
 use crate::chaos::chaos_fleet::{ChaosFleet, DATE_MS, MISSIONS, ROOMS};
@@ -157,7 +157,8 @@ fn names_of_generated(generated: &[ScheduledAction], asked_ms: &[u64]) -> BTreeM
 
 /// Checks whether faults of a kind end missions by themselves, remove nodes for good, or need certificates.
 fn is_excluded(kind: FaultKind) -> bool {
-    matches!(kind, FaultKind::Battery | FaultKind::Poison | FaultKind::CircularWait | FaultKind::Hostile)
+    use FaultKind::{Battery, CircularWait, Hostile, Poison, Skill};
+    matches!(kind, Battery | CircularWait | Hostile | Poison | Skill)
 }
 
 /// Returns the limit for this number of missions to end, from the limit for the missions of other runs: at most one for
