@@ -47,7 +47,7 @@ struct Planner<'a, P, T> {
 
 /// Plans jobs, given in the order of their requests, for robots that are free at these places at time 0. Returns the
 /// jobs of each robot in their order. The plan minimises the sum of the times from the requests to the ends of the
-/// jobs, as far as the [method](self) finds it. All places can be reached from each other.
+/// jobs, as far as the method finds it. All places can be reached from each other.
 ///
 /// # Panics
 /// If there are jobs and no robots.
