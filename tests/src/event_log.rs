@@ -49,7 +49,7 @@ pub enum Observation {
     OrderAcknowledged {
         /// The client.
         node: NodeId,
-        /// The person, who gives this order only.
+        /// Name of the person. No other order has the same name.
         by: String,
     },
     /// A replica applied an entry of the log.

@@ -47,7 +47,7 @@ pub struct Alarm {
     pub alarm: AlarmId,
     /// Its plan, as declared when it was raised.
     pub plan: AlarmPlan,
-    /// Who raised it, why, and when. It has no end.
+    /// Person, reason and start of the alarm; it has no end.
     pub order: RobotOrder,
 }
 

@@ -33,7 +33,7 @@ pub struct SpeedLimit {
     pub part: MapPart,
     /// The highest allowed speed in metres per second.
     pub speed_mps: MetresPerSecond,
-    /// Who set it, why, and until when.
+    /// Person, reason and end of the limit.
     pub order: RobotOrder,
 }
 

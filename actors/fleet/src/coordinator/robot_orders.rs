@@ -35,7 +35,7 @@ pub(super) struct OrderDelivery {
     ended_at: Option<NodeTime>,
 }
 
-/// Orders whose changes are published.
+/// Orders as last published: the next changes are found by comparison.
 struct PublishedOrders {
     robots: BTreeMap<RobotId, RobotOrders>,
     /// Closures by their texts: a closed zone is the same if its places change.

@@ -27,7 +27,7 @@ pub(super) struct Closed {
     reference: ReferenceLedger,
     /// Closures in the ledger, with the times of their latest changes.
     closures: BTreeMap<MapPart, (RobotOrder, Duration)>,
-    /// Parts whose closures have ended, and when.
+    /// Times at which closures ended, by part.
     opened: BTreeMap<MapPart, Duration>,
     active: ActiveGoals,
 }

@@ -53,7 +53,7 @@ pub(crate) enum RobotMessage {
     DecommissionTimeout,
 }
 
-/// A report whose query has ended.
+/// Report with the result of its query.
 pub(crate) struct EndedReport {
     /// Node that the report was sent to.
     pub(super) recipient: NodeId,
