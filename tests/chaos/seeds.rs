@@ -7,11 +7,11 @@ use std::ops::RangeInclusive;
 
 /// Seeds of open fleets. More seeds find more, and make the check in CI longer; sweeps of thousands of seeds are run
 /// with `consort-lab chaos`.
-const OPEN_SEEDS: RangeInclusive<u64> = 1..=20;
+const OPEN_SEEDS: RangeInclusive<u64> = 1..=45;
 
-/// Seeds of closed fleets with all faults. All have schedules; the last 40 have orders of people to robots and
-/// chargers, and the last 10 of them closures.
-const CLOSED_SEEDS: RangeInclusive<u64> = FIRST_SEED_WITH_CLOSURES - 50..=FIRST_SEED_WITH_CLOSURES + 9;
+/// Seeds of closed fleets with all faults. The last 70 have schedules, the last 40 of them orders of people to robots and
+/// chargers, and the last 10 closures.
+const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_CLOSURES + 9;
 
 /// Seeds with missions that cannot be completed as the only faults.
 const POISON_SEEDS: RangeInclusive<u64> = 1..=20;
