@@ -433,9 +433,17 @@ impl MissionEntry {
         self.releases.push(release);
         self.release_count = self.release_count.saturating_add(1);
         if self.releases.len() > RELEASES_KEPT {
-            let first = self.releases.iter().position(|released| !released.counts()).unwrap_or(0);
+            let first_of = |may_go: &dyn Fn(&RoleRelease) -> bool| self.releases.iter().position(may_go);
+            let first = first_of(&|released| !released.counts() && !released.excludes_robot());
+            let first = first.or_else(|| first_of(&|released| !released.counts())).unwrap_or(0);
             self.releases.remove(first);
         }
+    }
+
+    /// Returns the number of releases of a role from robots that had not confirmed it, as far as they are kept.
+    pub fn unconfirmed_releases(&self, role: &RoleId) -> u32 {
+        let of_role = self.releases.iter().filter(|released| released.role == *role && !released.confirmed);
+        u32::try_from(of_role.count()).unwrap_or(u32::MAX)
     }
 
     /// Returns the robots that failed at a role of this mission, with the causes. They are not

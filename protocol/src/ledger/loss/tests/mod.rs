@@ -458,6 +458,19 @@ fn releases_before_confirmation_are_not_counted() {
 }
 
 #[test]
+fn a_robot_that_failed_stays_excluded_whatever_is_released_since() {
+    let mut log = Log::of(&fetch_parcel());
+    for count in 0..=RELEASES_KEPT {
+        let CommandOutcome::Awarded { epoch } = log.award(&[("r1", "amber"), ("lab_arm", "arm")]) else {
+            panic!("no award")
+        };
+        log.lose("r1", epoch, count == 0);
+        log.lose("lab_arm", epoch, false);
+    }
+    assert_eq!(log.entry().excluded(&role("r1")).len(), 1);
+}
+
+#[test]
 fn roles_returned_to_give_way_are_not_counted() {
     let mut log = Log::of(&fetch_parcel());
     for count in 0..3 * RELEASES_MAX {
