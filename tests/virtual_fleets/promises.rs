@@ -2,7 +2,7 @@
 
 use crate::support::task_began;
 use consort_fleet::node::NodeSettings;
-use consort_protocol::auction::PromiseTerms;
+use consort_protocol::auction::{Allocator, AllocatorInput, AssignmentError, OptimalAssignment, PromiseTerms};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::keys::ApiCall;
@@ -12,6 +12,9 @@ use consort_protocol::units::Seconds;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::cell::Cell;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 const SEEDS: [u64; 3] = [81, 82, 83];
@@ -331,6 +334,59 @@ fn missions_that_start_together_are_allocated_together() {
         for mission in &missions {
             fleet.assert_completes(mission).await;
         }
+    });
+}
+
+/// Allocates as the default does, and counts the calls.
+#[derive(Debug, Default)]
+struct CountingAllocator(AtomicUsize);
+
+impl Allocator for CountingAllocator {
+    fn allocate(&self, input: &AllocatorInput<'_>) -> Result<BTreeMap<RoleId, RobotId>, AssignmentError> {
+        self.0.fetch_add(1, Ordering::Relaxed);
+        OptimalAssignment.allocate(input)
+    }
+
+    fn allocates_together(&self) -> bool {
+        true
+    }
+}
+
+/// Each of the missions is cleared once when it has its bids, and once when all have theirs.
+#[test]
+fn auctions_that_wait_for_others_are_not_cleared_again() {
+    let robots = [
+        ("amber", "PC Room 8"),
+        ("birch", "IC Room 4"),
+        ("cedar", "IC Room 1"),
+        ("dogwood", "IC Room 2"),
+        ("elder", "IC Room 3"),
+        ("fern", "Dock"),
+        ("gorse", "PC Room 2"),
+        ("hazel", "IC Room 6"),
+    ];
+    for_each_seed(SEEDS, async |seed| {
+        let allocator = Arc::new(CountingAllocator::default());
+        let of_nodes = Arc::clone(&allocator);
+        let adjust = Box::new(move |node: &mut NodeSettings| node.fleet.allocator = of_nodes.clone());
+        let members = robots.map(|(name, place)| RobotSpec::carrier(name, place)).into();
+        let mut fleet = Fleet::adjusted_hospital(seed, members, &["aba"], &[], adjust).await;
+        fleet.wait_for_coordinator().await;
+        let mut missions: Vec<MissionId> = vec![];
+        for (request, _) in robots {
+            let go =
+                json!({ "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": "Laboratory" } });
+            let mission = json!({ "mission": "go", "roles": { "r1": { "kind": "managed" } }, "root": go });
+            let body = json!({ "mission": mission, "request": request, "not_before": "1970-01-01T00:02:00Z" });
+            let answer = fleet.request_answered(ApiCall::Submit, &body).await;
+            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+        }
+        let held = |ledger: &Ledger| {
+            missions.iter().filter_map(|id| ledger.mission(id)?.holders().into_values().next()).count()
+        };
+        fleet.wait_until("all awards", 3 * SOON, |fleet| fleet.ledger(held) == Some(robots.len())).await;
+        let cleared = allocator.0.load(Ordering::Relaxed);
+        assert!(cleared <= 3 * robots.len(), "seed {seed}: cleared {cleared} times");
     });
 }
 

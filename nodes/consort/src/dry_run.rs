@@ -6,7 +6,8 @@ use crate::wiring::SkillResources;
 use consort_fleet::robot::{BidContext, Bidder, ChargerReserve, ChargingSettings, PresentWork};
 use consort_protocol::auction::{
     AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, EnergyBudget, Invitation, PresentRole,
-    PromiseContext, PromiseTerms, RefusalReason, RobotQueue, RoleReply, Timelines, clear_auction, explain,
+    PromiseContext, PromiseTerms, RefusalReason, RobotQueue, RoleEstimate, RoleReply, Timelines, clear_auction,
+    explain,
 };
 use consort_protocol::ensemble::{Ensembles, Membership};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
@@ -204,7 +205,7 @@ fn other_role() -> (MissionId, RoleId) {
 fn busy_queue() -> RobotQueue {
     let (mission, role) = other_role();
     RobotQueue {
-        is_held: true,
+        held: Some(RoleEstimate { time: Seconds::ZERO, energy: Energy::ZERO }),
         promised: 0,
         preceding: 0,
         time: Seconds::ZERO,

@@ -5,7 +5,7 @@ use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
 use crate::mission::{ENSEMBLES_MAX, ROLES_MAX};
 use crate::plan::LocalPlan;
-use crate::units::{BatteryShare, Seconds};
+use crate::units::{BatteryShare, Energy, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -127,6 +127,15 @@ pub struct BidPart {
     pub time: Seconds,
     /// Charge used, as a share of a full battery.
     pub energy: f64,
+}
+
+/// Estimate of the tasks of a role, without waits for other robots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RoleEstimate {
+    /// Time of the tasks.
+    pub time: Seconds,
+    /// Energy of the tasks.
+    pub energy: Energy,
 }
 
 /// Refusal of a single role by a robot.
@@ -322,6 +331,11 @@ pub enum ViabilityError {
 const COST_MAX: f64 = 1e15;
 
 impl Bid {
+    /// Returns the estimate of the tasks of the role.
+    pub fn estimate(&self) -> RoleEstimate {
+        RoleEstimate { time: self.parts.iter().map(|part| part.time).sum(), energy: Energy::of_share(self.energy) }
+    }
+
     /// Returns the marginal cost of the bid: its time, the delay of the promised roles after it, and its energy with that
     /// of the additional drives.
     pub(super) fn cost(&self, objective: Objective) -> f64 {

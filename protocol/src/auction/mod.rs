@@ -23,8 +23,8 @@ mod together;
 pub use allocator::{Allocator, AllocatorInput, OptimalAssignment};
 pub use assignment::{AssignmentError, optimal_assignment};
 pub use bid::{
-    AuctionId, Bid, BidLimits, BidPart, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleReply,
-    ViabilityError,
+    AuctionId, Bid, BidLimits, BidPart, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleEstimate,
+    RoleReply, ViabilityError,
 };
 pub use clearing::{AuctionContext, AuctionOutcome, clear_auction, clear_auction_with};
 pub use energy::EnergyBudget;
@@ -37,4 +37,4 @@ pub use invitation::Invitation;
 pub use promise::{PromiseContext, PromiseTerms, RobotQueue};
 pub use record::{AuctionEntry, AuctionRecord, BidVerdict};
 pub use restriction::{RobotRestriction, restrict_replies};
-pub use together::{OpenAuction, allocate_together};
+pub use together::{OpenAuction, allocate_together, joint_count};

@@ -1,6 +1,6 @@
 //! Record of an auction, for display.
 
-use super::bid::{AuctionId, BidPart, RefusalReason, ViabilityError};
+use super::bid::{AuctionId, BidPart, RefusalReason, RoleEstimate, ViabilityError};
 use super::insertion::PlannedRole;
 use crate::bounds::{TEXT_BYTES_MAX, limit_text};
 use crate::codec::{self, encoded_size};
@@ -64,18 +64,14 @@ impl AuctionRecord {
         self.entries.iter().find(|entry| entry.role == *role && entry.robot == *robot)
     }
 
-    /// Returns the estimated energy of a robot's bid for a role; none without a bid.
-    pub(crate) fn energy_of(&self, role: &RoleId, robot: &RobotId) -> Energy {
-        match self.entry(role, robot).map(|entry| &entry.verdict) {
+    /// Returns the estimate of a robot's bid for a role: no energy without a bid, and no time without its parts.
+    pub fn estimate_of(&self, role: &RoleId, robot: &RobotId) -> RoleEstimate {
+        let entry = self.entry(role, robot);
+        let energy = match entry.map(|entry| &entry.verdict) {
             Some(BidVerdict::Viable { energy, .. } | BidVerdict::Unviable { energy, .. }) => Energy::of_share(*energy),
             Some(BidVerdict::Refused { .. }) | None => Energy::ZERO,
-        }
-    }
-
-    /// Returns the estimated time of a robot's bid for the tasks of a role; none without a bid, or without its
-    /// parts.
-    pub(crate) fn time_of(&self, role: &RoleId, robot: &RobotId) -> Seconds {
-        self.entry(role, robot).into_iter().flat_map(|entry| &entry.parts).map(|part| part.time).sum()
+        };
+        RoleEstimate { time: entry.into_iter().flat_map(|entry| &entry.parts).map(|part| part.time).sum(), energy }
     }
 
     /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:

@@ -406,8 +406,12 @@ impl MissionEntry {
     /// Returns the estimated energy of all awards of the mission. An award that its robot never confirmed
     /// counts only while it is in force: the robot has not started.
     pub fn estimated_energy(&self) -> Energy {
-        let of_holders = self.roles.values().filter_map(|role| Some(role.holder.as_ref()?.energy));
-        self.energy_of_released + of_holders.sum::<Energy>()
+        self.estimated_energy_without(|_| false)
+    }
+
+    fn estimated_energy_without(&self, is_left_out: impl Fn(&RoleId) -> bool) -> Energy {
+        let roles = self.roles.iter().filter(|(id, _)| !is_left_out(id));
+        self.energy_of_released + roles.filter_map(|(_, role)| Some(role.holder.as_ref()?.energy)).sum::<Energy>()
     }
 
     /// Returns the bound on the energy of the mission.
@@ -415,9 +419,11 @@ impl MissionEntry {
         self.submission.mission.energy_max
     }
 
-    /// Returns the bound on the energy of the mission, with the estimate for the awards so far.
-    pub fn energy_budget(&self) -> Option<EnergyBudget> {
-        Some(EnergyBudget { limit: self.energy_max()?, used: self.estimated_energy() })
+    /// Returns the bound on the energy of the mission for an auction, with the estimate for the awards so far. A promise that
+    /// is auctioned again does not count.
+    pub fn energy_budget(&self, call: &CallForBids) -> Option<EnergyBudget> {
+        let used = self.estimated_energy_without(|role| call.roles.contains_key(role));
+        Some(EnergyBudget { limit: self.energy_max()?, used })
     }
 
     /// Counts the energy of a role whose holder is about to be removed.

@@ -1,12 +1,13 @@
 //! Auction rounds and actions of a leader session, as values.
 
-use super::message::{AwardedRole, CollectedBids, Reauction};
+use super::message::{AwardedRole, CollectedBids};
+use consort_protocol::auction::AuctionRecord;
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
 use consort_protocol::ledger::{Branch, RoleReturn};
 use consort_protocol::units::NodeTime;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// Auction of a mission's open roles by this coordinator.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,12 +47,7 @@ pub(super) enum RoundPhase {
     /// All bids have arrived. Missions with a better rank may still need the same robots.
     BiddingClosed(Box<ClosedBidding>),
     /// The award is proposed and not committed yet.
-    Proposing {
-        /// Robot of each role.
-        holders: BTreeMap<RoleId, RobotId>,
-        /// Roles that are promised and not awarded.
-        promised: BTreeSet<RoleId>,
-    },
+    Proposing(Box<AuctionRecord>),
     /// The round had no result.
     BackingOff {
         /// Time of the next call.
@@ -67,6 +63,8 @@ pub(super) struct ClosedBidding {
     pub(super) bids: CollectedBids,
     /// Time until which it waits for better-ranked missions.
     pub(super) deadline: NodeTime,
+    /// Its roles could be filled when it began to wait.
+    pub(super) is_fillable: bool,
 }
 
 /// Pending action of the coordinator.
@@ -74,8 +72,6 @@ pub(super) struct ClosedBidding {
 pub(super) enum CoordinatorAction {
     /// Call for bids for a mission's open roles.
     CallForBids(MissionId),
-    /// Call for bids for a promised role.
-    AuctionAgain(Reauction),
     /// Notify a robot of its award.
     NotifyAward(AwardedRole),
     /// Award a promised role to its robot, which is free.
@@ -110,13 +106,14 @@ pub(super) struct SessionState<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::auction::AuctionId;
     use std::time::Duration;
 
     #[test]
     fn a_branch_change_voids_the_round_and_makes_the_next_due() {
         let now = NodeTime::ZERO + Duration::from_secs(9);
-        let holders = BTreeMap::from([("r1".parse().unwrap(), "amber".parse().unwrap())]);
-        let proposing = RoundPhase::Proposing { holders, promised: BTreeSet::new() };
+        let auction = AuctionId { mission: "m-1".parse().unwrap(), term: 1, round: 4 };
+        let proposing = RoundPhase::Proposing(Box::new(AuctionRecord::empty(auction)));
         let round = AuctionRound {
             number: 4,
             branch: Branch::Main,

@@ -108,7 +108,7 @@ impl Auctions {
             }
         }
         let deadline = context.now() + context.settings.auctions.bid_window * 2;
-        round.phase = RoundPhase::BiddingClosed(Box::new(ClosedBidding { bids, deadline }));
+        round.phase = RoundPhase::BiddingClosed(Box::new(ClosedBidding { bids, deadline, is_fillable: false }));
         self.clear(context);
     }
 
@@ -133,18 +133,22 @@ impl Auctions {
             match &round.phase {
                 RoundPhase::Bidding => calling = true,
                 RoundPhase::BackingOff { since, .. } => waiting.push((mission.clone(), *since)),
-                RoundPhase::Proposing { .. } => {}
+                RoundPhase::Proposing(_) => {}
                 RoundPhase::BiddingClosed(closed) => {
                     let is_followed = self.is_followed(&open[index..], *priority, called);
                     let may_wait = now < closed.deadline;
-                    if !(may_wait && (calling || is_followed)) && !allocated.contains_key(mission) {
+                    let waits = may_wait && (calling || is_followed);
+                    if waits && closed.is_fillable {
+                        calling = true; // lower-ranked missions wait, too
+                        continue;
+                    }
+                    if !waits && !allocated.contains_key(mission) {
                         allocated.extend(self.allocate_with(&open[index..], called, context));
                     }
-                    let reserved = robots_of_others(&allocated, mission);
-                    let is_joint = !reserved.is_empty();
+                    let is_joint = others_in(&allocated, mission).next().is_some();
                     let outcome = {
                         let mut inputs = AuctionInputs::read(&closed.bids, &self.rounds, context);
-                        inputs.reserve(reserved);
+                        self.reserve_for_others(&allocated, mission, &mut inputs);
                         inputs.clear(&closed.bids, context)
                     };
                     if (outcome.holders.is_some() || is_joint) && may_wait {
@@ -157,12 +161,21 @@ impl Auctions {
                         }
                         calling |= is_followed;
                         if calling {
-                            continue; // lower-ranked missions wait, too
+                            self.note_fillable(mission, outcome.holders.is_some());
+                            continue;
                         }
                     }
                     self.record(mission, outcome, context);
                 }
             }
+        }
+    }
+
+    /// Notes whether the roles of an auction that begins to wait could be filled. Then it is not cleared again while it waits:
+    /// a clearing takes long in a large fleet.
+    fn note_fillable(&mut self, mission: &MissionId, is_fillable: bool) {
+        if let Some(RoundPhase::BiddingClosed(closed)) = self.rounds.get_mut(mission).map(|round| &mut round.phase) {
+            closed.is_fillable = is_fillable;
         }
     }
 
@@ -192,10 +205,22 @@ impl Auctions {
         rounds.any(|round| round.phase == RoundPhase::Bidding && are_together(called, round.called_at))
     }
 
+    /// Reserves the robots that other missions get, unless they are proposed already.
+    fn reserve_for_others(&self, allocated: &Allocation, mission: &MissionId, inputs: &mut AuctionInputs<'_>) {
+        for (other, role, robot) in others_in(allocated, mission) {
+            let Some(RoundPhase::BiddingClosed(closed)) = self.rounds.get(other).map(|round| &round.phase) else {
+                continue;
+            };
+            if let Some(bid) = closed.bids.bid_of(role, robot) {
+                let (mission, role) = (other.clone(), role.clone());
+                inputs.reserve(robot, RefusalReason::Busy { mission, role }, bid.estimate());
+            }
+        }
+    }
+
     /// Proposes the award, or defers the mission and backs off.
     fn record(&mut self, mission: &MissionId, outcome: AuctionOutcome, context: &mut SessionContext) {
         let AuctionOutcome { holders, record, unfillable, energy_exceeded } = outcome;
-        let promised: BTreeSet<RoleId> = record.promised.keys().cloned().collect();
         context.publish_event(EventKind::Closed { mission: mission.clone(), record: record.clone() });
         let Some(round) = self.rounds.get_mut(mission) else { return };
         round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
@@ -203,7 +228,7 @@ impl Auctions {
         let mut failure = None;
         let command = match holders {
             Some(holders) => {
-                round.phase = RoundPhase::Proposing { holders: holders.clone(), promised };
+                round.phase = RoundPhase::Proposing(Box::new(record.clone()));
                 Command::Award { mission, branch, holders, auction: record }
             }
             None => {
@@ -258,11 +283,12 @@ impl Auctions {
         let since = context.now();
         let mission = &auction.mission;
         let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
-        let RoundPhase::Proposing { holders, promised } = &round.phase else { return };
+        let RoundPhase::Proposing(record) = &round.phase else { return };
         match outcome {
             Ok(CommandOutcome::Awarded { epoch }) => {
                 let after_ms = time_known.map(|known| known.as_secs_f64() * 1000.0);
-                let (promised, holders) = holders.clone().into_iter().partition(|(role, _)| promised.contains(role));
+                let is_promised = |(role, _): &(RoleId, RobotId)| record.promised.contains_key(role);
+                let (promised, holders) = record.chosen.clone().into_iter().partition(is_promised);
                 let mission = mission.clone();
                 context.publish_event(EventKind::Awarded { mission, holders, promised, epoch, after_ms });
                 // If a role of the mission is released, its rounds start again from 1.
@@ -281,16 +307,13 @@ impl Auctions {
     }
 }
 
-/// Returns the robots that other missions get, as the reasons for which they refuse a role of this mission.
-fn robots_of_others(allocation: &Allocation, mission: &MissionId) -> Vec<(RobotId, RefusalReason)> {
-    let mut reserved = vec![];
-    for (other, robots) in allocation.iter().filter(|(other, _)| *other != mission) {
-        for (role, robot) in robots {
-            let (mission, role) = (other.clone(), role.clone());
-            reserved.push((robot.clone(), RefusalReason::Busy { mission, role }));
-        }
-    }
-    reserved
+/// Returns the roles that other missions get in an allocation, with their robots.
+fn others_in<'a>(
+    allocation: &'a Allocation,
+    mission: &'a MissionId,
+) -> impl Iterator<Item = (&'a MissionId, &'a RoleId, &'a RobotId)> {
+    let others = allocation.iter().filter(move |(other, _)| *other != mission);
+    others.flat_map(|(other, robots)| robots.iter().map(move |(role, robot)| (other, role, robot)))
 }
 
 /// Checks whether calls that were sent at these times are allocated together.

@@ -6,7 +6,7 @@ use super::queues::{reserve, robot_queues, unavailable_robots, unpromisable_robo
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
     AuctionContext, AuctionOutcome, BidResponse, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms,
-    RefusalReason, RobotQueue, allocate_together, clear_auction_with, restrict_replies,
+    RefusalReason, RobotQueue, RoleEstimate, allocate_together, clear_auction_with, joint_count, restrict_replies,
 };
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::MissionEntry;
@@ -17,7 +17,7 @@ use std::time::Duration;
 /// Inputs of the clearing of an auction, from the ledger and the other auctions.
 pub(super) struct AuctionInputs<'a> {
     /// Replies of the robots, with refusals of those that the orders of people keep from a role.
-    pub(super) responses: Cow<'a, [BidResponse]>,
+    responses: Cow<'a, [BidResponse]>,
     /// Robots that can get no role now.
     unavailable: BTreeMap<RobotId, RefusalReason>,
     /// Robots that can be promised no role.
@@ -65,7 +65,7 @@ impl<'a> AuctionInputs<'a> {
                 failed: of_roles(&MissionEntry::excluded),
                 released: of_roles(&MissionEntry::former_robots),
                 may_wait: is_overdue || entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
-                energy: entry.and_then(MissionEntry::energy_budget),
+                energy: entry.and_then(|entry| entry.energy_budget(call)),
             }
         })
     }
@@ -81,12 +81,10 @@ impl<'a> AuctionInputs<'a> {
         }
     }
 
-    /// Reserves robots for other missions, with the roles that they get there.
-    pub(super) fn reserve(&mut self, robots: Vec<(RobotId, RefusalReason)>) {
-        for (robot, reason) in robots {
-            reserve(&mut self.queues, &robot, reason.clone());
-            self.unavailable.entry(robot).or_insert(reason);
-        }
+    /// Reserves a robot for a role of another mission.
+    pub(super) fn reserve(&mut self, robot: &RobotId, reason: RefusalReason, estimate: RoleEstimate) {
+        reserve(&mut self.queues, robot, reason.clone(), estimate);
+        self.unavailable.entry(robot.clone()).or_insert(reason);
     }
 
     /// Checks whether no robot has lost or returned a role of the mission, except for robots that failed.
@@ -147,6 +145,8 @@ pub(super) fn allocate_missions<'a>(
     rounds: &BTreeMap<MissionId, AuctionRound>,
     context: &SessionContext,
 ) -> Vec<(&'a MissionId, BTreeMap<RoleId, RobotId>)> {
+    // The others are cleared by themselves, so their inputs are not needed.
+    let missions = &missions[..joint_count(missions.iter().map(|(_, bids)| &bids.call))];
     if missions.len() < 2 || !context.settings.auctions.allocator.allocates_together() {
         return vec![];
     }

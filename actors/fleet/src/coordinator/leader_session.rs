@@ -155,6 +155,7 @@ impl LeaderSession {
         self.handle_early_requests();
         self.read_clocks();
         self.reconcile();
+        self.auction_again();
         self.people.tick(&mut self.context);
     }
 
@@ -224,6 +225,7 @@ impl LeaderSession {
         let now = self.context.now();
         if self.members.update(&self.context, now) {
             self.auctions.end_backoff(now);
+            self.reauctions.shorten_intervals();
         }
     }
 
@@ -263,6 +265,17 @@ impl LeaderSession {
         self.submit_occurrences(now, confirmed_ms);
     }
 
+    /// Calls for bids for a promised role, if that is due.
+    fn auction_again(&mut self) {
+        let (now, confirmed_ms) = (self.context.now(), self.confirmed_ms());
+        let LeaderSession { context, auctions, reauctions, .. } = self;
+        let terms = context.settings.auctions.promises;
+        let due = context.read_ledger(|ledger| reauctions.due(ledger, auctions.rounds(), &terms, now, confirmed_ms));
+        if let Some(reauction) = due {
+            reauctions::call_again(reauction, context, now);
+        }
+    }
+
     /// Proposes the occurrences of schedules that are due.
     fn submit_occurrences(&mut self, now: NodeTime, confirmed_ms: Option<u64>) {
         let (Some(now_ms), LeaderSession { context, schedules, .. }) = (confirmed_ms, self) else { return };
@@ -278,7 +291,7 @@ impl LeaderSession {
 
     fn pending_actions(&mut self, now: NodeTime) -> Vec<CoordinatorAction> {
         let confirmed_ms = self.confirmed_ms();
-        let LeaderSession { context, auctions, reauctions, held_roles, changes, failing, .. } = self;
+        let LeaderSession { context, auctions, held_roles, changes, failing, .. } = self;
         context.read_ledger(|ledger| {
             let mut lease_monitor = context.lease_monitor.lock();
             let epochs = track_awards(ledger, &mut lease_monitor, now);
@@ -292,12 +305,10 @@ impl LeaderSession {
             // Until then a new coordinator may lack records.
             let has_all_records = now.since(context.since) > terms.lease + terms.grace;
             let unfit = &unfit_robots(ledger, knowledge, has_all_records);
-            let promises = &context.settings.auctions.promises;
-            let promises_max = promises.promises_max;
+            let promises_max = context.settings.auctions.promises.promises_max;
             let state = SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit, promises_max };
-            let mut actions = pending_actions(ledger, &state, now, confirmed_ms);
+            let actions = pending_actions(ledger, &state, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
-            actions.extend(reauctions.due(ledger, rounds, promises, now, confirmed_ms));
             actions
         })
     }
@@ -305,7 +316,6 @@ impl LeaderSession {
     fn perform(&mut self, action: CoordinatorAction, now: NodeTime) {
         match action {
             CoordinatorAction::CallForBids(mission) => self.auctions.call_for_bids(&mission, &mut self.context, now),
-            CoordinatorAction::AuctionAgain(reauction) => reauctions::call_again(reauction, &mut self.context, now),
             CoordinatorAction::NotifyAward(awarded) => self.held_roles.notify_award(awarded, &mut self.context, now),
             CoordinatorAction::AwardPromised(promised) => {
                 self.held_roles.award_promised(promised, &mut self.context, now);
@@ -333,9 +343,10 @@ impl LeaderSession {
     }
 
     pub(super) fn close_bidding(&mut self, bids: CollectedBids) {
-        match bids.again.clone() {
+        match &bids.again {
             Some(reauction) => {
-                reauctions::conclude(&bids, reauction, self.auctions.rounds(), &mut self.context);
+                let LeaderSession { auctions, reauctions, context, .. } = self;
+                reauctions::conclude(&bids, reauction, auctions.rounds(), reauctions, context);
             }
             None => self.auctions.close_bidding(bids, &mut self.context),
         }

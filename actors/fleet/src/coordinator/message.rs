@@ -4,7 +4,7 @@ use super::status::CoordinatorStatus;
 use crate::autopilot::ActionResult;
 use crate::robot_driver::PersonRequestState;
 use consort_bus::{Author, Query, Sample};
-use consort_protocol::auction::{AuctionId, BidResponse, CallForBids, Invitation};
+use consort_protocol::auction::{AuctionId, Bid, BidResponse, CallForBids, Invitation, RoleReply};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment, TaskQuestion};
@@ -70,12 +70,25 @@ pub(crate) struct CollectedBids {
     pub(super) again: Option<Reauction>,
 }
 
+impl CollectedBids {
+    /// Returns the bid of a robot for a role.
+    pub(super) fn bid_of(&self, role: &RoleId, robot: &RobotId) -> Option<&Bid> {
+        let response = self.responses.iter().find(|response| response.robot == *robot)?;
+        response.replies.iter().find_map(|reply| match reply {
+            RoleReply::Bid(bid) if bid.role == *role => Some(bid),
+            RoleReply::Bid(_) | RoleReply::Refusal(_) => None,
+        })
+    }
+}
+
 /// Further auction of a promised role.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Reauction {
     pub(super) promised: AwardedRole,
     /// The role could have started for too long.
     pub(super) is_late: bool,
+    /// Number of robots that have lost the role before they began it.
+    pub(super) changes: u32,
 }
 
 /// A role that was awarded or promised to a robot.

@@ -28,7 +28,7 @@ pub(super) fn promises_due(
         waiting.extend(returnable.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
     }
     let proposed = rounds.values().flat_map(|round| match &round.phase {
-        RoundPhase::Proposing { holders, .. } => holders.values().collect(),
+        RoundPhase::Proposing(record) => record.chosen.values().collect(),
         RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::BackingOff { .. } => vec![],
     });
     let mut taken: BTreeSet<&RobotId> = held.chain(proposed).collect();

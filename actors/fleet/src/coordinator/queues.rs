@@ -2,14 +2,14 @@
 
 use super::actions::{AuctionRound, RoundPhase};
 use super::message::AwardedRole;
-use consort_protocol::auction::{RefusalReason, RobotQueue};
+use consort_protocol::auction::{RefusalReason, RobotQueue, RoleEstimate};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionEntry, RoleAssignment, RolePhase};
 use consort_protocol::units::{Energy, Seconds};
 use std::collections::BTreeMap;
 
-/// Returns what each robot holds and has promised, as it counts for a mission, except for a promise that is auctioned again. A
-/// proposed award counts as a held role.
+/// Returns what each robot holds and has promised, as it counts for a mission, except for a promise that is auctioned again.
+/// Proposed awards and promises count, too.
 pub(super) fn robot_queues(
     ledger: &Ledger,
     rounds: &BTreeMap<MissionId, AuctionRound>,
@@ -25,30 +25,39 @@ pub(super) fn robot_queues(
                 continue;
             }
             let reason = RefusalReason::Busy { mission: entry.id.clone(), role: role.clone() };
+            let estimate = RoleEstimate { time: robot.time, energy: robot.energy };
             if held.phase == RolePhase::Promised {
-                add_promise(queue_of(&mut queues, &robot.robot, reason), robot, is_lower);
+                add_promise(queue_of(&mut queues, &robot.robot, reason), estimate, is_lower);
             } else {
-                reserve(&mut queues, &robot.robot, reason).yields = is_lower && may_return(ledger, entry, role, robot);
+                let queue = reserve(&mut queues, &robot.robot, reason, estimate);
+                queue.yields = is_lower && may_return(ledger, entry, role, robot);
             }
         }
     }
     for (mission, round) in rounds {
-        if let RoundPhase::Proposing { holders, .. } = &round.phase {
-            for (role, robot) in holders {
-                let reason = RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
-                reserve(&mut queues, robot, reason);
+        let RoundPhase::Proposing(record) = &round.phase else { continue };
+        let Some(entry) = ledger.mission(mission) else { continue };
+        let (is_lower, open) = (entry.submission.priority < priority, entry.open_roles());
+        // A role that is not open has been committed.
+        for (role, robot) in record.chosen.iter().filter(|(role, _)| open.contains(*role)) {
+            let reason = RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
+            let estimate = record.estimate_of(role, robot);
+            if record.promised.contains_key(role) {
+                add_promise(queue_of(&mut queues, robot, reason), estimate, is_lower);
+            } else {
+                reserve(&mut queues, robot, reason, estimate);
             }
         }
     }
     queues
 }
 
-fn add_promise(queue: &mut RobotQueue, promise: &RoleAssignment, is_lower: bool) {
+fn add_promise(queue: &mut RobotQueue, estimate: RoleEstimate, is_lower: bool) {
     queue.promised += 1;
-    queue.energy += promise.energy;
+    queue.energy += estimate.energy;
     if !is_lower {
         queue.preceding += 1;
-        queue.time += promise.time;
+        queue.time += estimate.time;
     }
 }
 
@@ -62,15 +71,20 @@ pub(super) fn may_return(ledger: &Ledger, entry: &MissionEntry, role: &RoleId, h
 pub(super) type Queues = BTreeMap<RobotId, RobotQueue>;
 
 /// Counts a role as held by a robot.
-pub(super) fn reserve<'q>(queues: &'q mut Queues, robot: &RobotId, reason: RefusalReason) -> &'q mut RobotQueue {
+pub(super) fn reserve<'q>(
+    queues: &'q mut Queues,
+    robot: &RobotId,
+    reason: RefusalReason,
+    estimate: RoleEstimate,
+) -> &'q mut RobotQueue {
     let queue = queue_of(queues, robot, reason.clone());
-    (queue.is_held, queue.yields, queue.reason) = (true, false, reason);
+    (queue.held, queue.yields, queue.reason) = (Some(estimate), false, reason);
     queue
 }
 
 fn queue_of<'q>(queues: &'q mut Queues, robot: &RobotId, reason: RefusalReason) -> &'q mut RobotQueue {
     let (promised, preceding, time, energy) = (0, 0, Seconds::ZERO, Energy::ZERO);
-    let empty = RobotQueue { is_held: false, promised, preceding, time, energy, yields: false, reason };
+    let empty = RobotQueue { held: None, promised, preceding, time, energy, yields: false, reason };
     queues.entry(robot.clone()).or_insert(empty)
 }
 
@@ -109,7 +123,9 @@ pub(super) fn unavailable_robots(
 mod tests {
     use super::super::test_ledger::Log;
     use super::*;
-    use consort_protocol::ledger::Command;
+    use consort_protocol::auction::{AuctionId, AuctionRecord};
+    use consort_protocol::ledger::{Branch, Command};
+    use consort_protocol::units::NodeTime;
 
     #[test]
     fn a_queue_counts_by_the_priority_of_the_mission() {
@@ -123,8 +139,40 @@ mod tests {
         log.apply(Command::AwardPromised { mission: held, role, epoch });
         let arm: RobotId = "lab-arm".parse().unwrap();
         let queue = |of: &MissionId| robot_queues(&log.0, &BTreeMap::new(), of, None).remove(&arm).unwrap();
-        let counts = |queue: &RobotQueue| (queue.is_held, queue.promised, queue.preceding, queue.yields);
+        let counts = |queue: &RobotQueue| (queue.held.is_some(), queue.promised, queue.preceding, queue.yields);
         assert_eq!(counts(&queue(&low)), (true, 4, 4, false));
         assert_eq!(counts(&queue(&high)), (true, 4, 2, true), "it waits in a role of a lower priority");
+    }
+
+    #[test]
+    fn a_proposed_promise_counts_until_it_is_committed() {
+        let mut log = Log::default();
+        let (proposed, called) = (log.add_mission("ada"), log.add_mission("bob"));
+        let (role, arm): (RoleId, RobotId) = ("arm".parse().unwrap(), "lab-arm".parse().unwrap());
+        let auction = AuctionId { mission: proposed.clone(), term: 1, round: 1 };
+        let record = AuctionRecord {
+            chosen: [(role.clone(), arm.clone())].into(),
+            promised: [(role.clone(), Seconds::ZERO)].into(),
+            ..AuctionRecord::empty(auction)
+        };
+        let round = AuctionRound {
+            number: 1,
+            branch: Branch::Main,
+            since: NodeTime::ZERO,
+            called_at: NodeTime::ZERO,
+            hopeless_rounds: 0,
+            phase: RoundPhase::Proposing(Box::new(record)),
+        };
+        let rounds = BTreeMap::from([(proposed.clone(), round)]);
+        let counts = |log: &Log| {
+            let queue = robot_queues(&log.0, &rounds, &called, None).remove(&arm).unwrap();
+            (queue.held, queue.promised, queue.preceding)
+        };
+        assert_eq!(counts(&log), (None, 2, 2), "it is committed");
+        let epoch = log.0.mission(&proposed).unwrap().role_robots()[&role].epoch;
+        let (mission, cause) = (proposed, "lost".to_owned());
+        let (class, moved_nothing, place, gave_way) = (None, true, None, false);
+        log.apply(Command::Release { mission, role, epoch, cause, class, moved_nothing, place, gave_way });
+        assert_eq!(counts(&log), (None, 2, 2), "it is proposed");
     }
 }

@@ -47,7 +47,7 @@ pub(super) fn pending_actions(
         let due = match rounds.get(&entry.id).map(|round| &round.phase) {
             None => true,
             Some(RoundPhase::BackingOff { until, .. }) => *until <= now,
-            Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing { .. }) => false,
+            Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_)) => false,
         };
         if due && entry.submission.may_start(confirmed_ms) && can_be_auctioned(entry, lease_monitor, now) {
             actions.push(CoordinatorAction::CallForBids(entry.id.clone()));

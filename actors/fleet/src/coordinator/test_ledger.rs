@@ -3,7 +3,7 @@
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, Priority, Submission};
+use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, Priority, PromiseMove, Submission};
 use consort_protocol::mission::{Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
 use consort_protocol::units::Seconds;
@@ -49,6 +49,16 @@ impl Log {
         let auction = AuctionRecord { promised: [(arm, Seconds::ZERO)].into(), ..empty };
         self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
         mission
+    }
+
+    /// Passes the promised role of the arm to another robot.
+    pub(super) fn pass_arm(&mut self, mission: &MissionId, robot: &str) {
+        let role: RoleId = "arm".parse().unwrap();
+        let epoch = self.0.mission(mission).unwrap().role_robots()[&role].epoch;
+        let empty = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
+        let auction = AuctionRecord { promised: [(role.clone(), Seconds::ZERO)].into(), ..empty };
+        let (mission, robot, cause) = (mission.clone(), robot.parse().unwrap(), "late".to_owned());
+        self.apply(Command::MovePromise(Box::new(PromiseMove { mission, role, epoch, robot, cause, auction })));
     }
 
     /// Ends the role of the cart.

@@ -319,7 +319,7 @@ fn the_chosen_bid_stays_in_a_record_of_many_bids() {
     responses.push(bids_with_energy("zoe", 1.0, 0.5, 0.25));
     let outcome = clear_auction(&call(), &responses, &context(&Invitation::default(), &BTreeMap::new(), &NO_EXCLUDED));
     assert!(outcome.record.omitted > 0);
-    assert_eq!(outcome.record.energy_of(&role(), &robot("zoe")), Energy::new(0.25).unwrap());
+    assert_eq!(outcome.record.estimate_of(&role(), &robot("zoe")).energy, Energy::new(0.25).unwrap());
 }
 
 #[test]

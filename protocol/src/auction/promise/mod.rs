@@ -14,7 +14,7 @@
 //! A promised role is auctioned again from time to time. It passes to the winner if that costs clearly less than the robot of
 //! the promise, or if that robot is late.
 
-use super::bid::{Bid, BidRefusal, BidResponse, RefusalReason, RoleReply};
+use super::bid::{Bid, BidRefusal, BidResponse, RefusalReason, RoleEstimate, RoleReply};
 use super::insertion::{Objective, PlannedRole};
 use crate::ids::{RobotId, RoleId};
 use crate::units::{Energy, Seconds};
@@ -55,8 +55,9 @@ impl Default for PromiseTerms {
 /// What a robot holds and has promised.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotQueue {
-    /// The robot holds a role, or is about to get one.
-    pub is_held: bool,
+    /// The role that the robot holds, or is about to get, as estimated before its award; `None` without one. It counts only
+    /// if the bid of the robot does not state its present role.
+    pub held: Option<RoleEstimate>,
     /// Number of promised roles.
     pub promised: u32,
     /// Number of those of missions with at least the priority of the auctioned mission. All others come after its roles.
@@ -127,7 +128,8 @@ impl PromiseContext<'_> {
     /// Returns a later bid with the time from now on, and with the charge that is left after all that its robot has promised.
     fn at_its_start(&self, bid: &Bid) -> Bid {
         let (queue, plan, start) = (self.queues.get(&bid.robot), self.plan_of(bid), self.start_of(bid));
-        let energy = plan.map(|plan| plan.energy).or(queue.map(|queue| queue.energy)).unwrap_or(Energy::ZERO);
+        let promised = plan.map(|plan| plan.energy).or(queue.map(|queue| queue.energy)).unwrap_or(Energy::ZERO);
+        let energy = promised + self.unstated(bid).map_or(Energy::ZERO, |held| held.energy);
         let planned = match plan {
             Some(plan) => Some(Box::new(PlannedRole { delay_max: self.terms.delay_max, ..plan.clone() })),
             None => bid.planned.clone().map(|planned| Box::new(PlannedRole::alone(planned.span, start))),
@@ -136,31 +138,33 @@ impl PromiseContext<'_> {
         Bid { time, remaining, present: None, planned, ..bid.clone() }
     }
 
-    /// Returns the cost in seconds by which the bid of one robot for a role exceeds that of another; `None` unless both bid.
-    pub fn gain(&self, responses: &[BidResponse], role: &RoleId, from: &RobotId, to: &RobotId) -> Option<f64> {
-        let bid_of = |robot: &RobotId| {
-            let response = responses.iter().find(|response| response.robot == *robot)?;
-            response.replies.iter().find_map(|reply| match reply {
-                RoleReply::Bid(bid) if bid.role == *role && self.is_later(bid) => Some(self.at_its_start(bid)),
-                RoleReply::Bid(bid) if bid.role == *role => Some(bid.clone()),
-                RoleReply::Bid(_) | RoleReply::Refusal(_) => None,
-            })
-        };
-        let objective = self.terms.objective;
-        Some(bid_of(from)?.cost(objective) - bid_of(to)?.cost(objective))
+    /// Returns the cost in seconds by which a bid exceeds another for the same role.
+    pub fn gain(&self, from: &Bid, to: &Bid) -> f64 {
+        let [from, to] = [from, to].map(|bid| match self.is_later(bid) {
+            true => self.at_its_start(bid).cost(self.terms.objective),
+            false => bid.cost(self.terms.objective),
+        });
+        from - to
     }
 
-    /// Returns the position of the role in the timeline of the robot, unless the robot did not consider all that it has
-    /// promised meanwhile.
+    /// Returns the held role of the robot if the bid does not state it: the robot did not yet hold it, or has just ended it.
+    fn unstated(&self, bid: &Bid) -> Option<RoleEstimate> {
+        self.queues.get(&bid.robot)?.held.filter(|_| bid.present.is_none())
+    }
+
+    /// Returns the position of the role in the timeline of the robot, unless the robot did not consider all that it holds
+    /// and has promised meanwhile.
     fn plan_of<'b>(&self, bid: &'b Bid) -> Option<&'b PlannedRole> {
         let promised = self.queues.get(&bid.robot).map_or(0, |queue| queue.promised);
-        bid.planned.as_deref().filter(|planned| planned.promised == promised)
+        let is_complete = |planned: &&PlannedRole| planned.promised == promised && self.unstated(bid).is_none();
+        bid.planned.as_deref().filter(is_complete)
     }
 
     /// Returns the estimated time until the robot has ended what comes before the role.
     fn start_of(&self, bid: &Bid) -> Seconds {
         let queue = self.queues.get(&bid.robot);
-        let present = bid.present.as_ref().map_or(Seconds::ZERO, |present| present.time);
+        let held = || self.unstated(bid).map_or(Seconds::ZERO, |held| held.time);
+        let present = bid.present.as_ref().map_or_else(held, |present| present.time);
         let start = match self.plan_of(bid) {
             Some(planned) => planned.start,
             None => present + queue.map_or(Seconds::ZERO, |queue| queue.time),
@@ -173,7 +177,7 @@ impl PromiseContext<'_> {
 
     /// Checks whether the bid is for a promise.
     fn is_later(&self, bid: &Bid) -> bool {
-        let is_held = self.queues.get(&bid.robot).is_some_and(|queue| queue.is_held);
+        let is_held = self.queues.get(&bid.robot).is_some_and(|queue| queue.held.is_some());
         is_held || bid.present.is_some() || !self.startable.contains(&bid.role)
     }
 

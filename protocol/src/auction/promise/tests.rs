@@ -40,8 +40,9 @@ fn bid(robot: &str, id: &str, busy_s: Option<f64>) -> BidResponse {
 }
 
 fn queue(is_held: bool, promised: u32) -> RobotQueue {
+    let held = RoleEstimate { time: seconds(40.0), energy: Energy::of_share(0.2) };
     RobotQueue {
-        is_held,
+        held: is_held.then_some(held),
         promised,
         preceding: promised,
         time: seconds(20.0 * f64::from(promised)),
@@ -109,6 +110,20 @@ fn a_busy_robot_is_promised_a_role_beside_one_that_starts() {
     let entry = outcome.record.entries.iter().find(|entry| entry.robot.as_str() == "arm-1").unwrap();
     let BidVerdict::Viable { time, remaining, .. } = entry.verdict else { panic!("{entry:?}") };
     assert_eq!((time.get(), (remaining * 100.0).round()), (80.0, 40.0));
+}
+
+#[test]
+fn a_role_that_a_robot_got_after_its_bid_comes_before_a_promise() {
+    let mut late = bid("arm-1", "arm", None);
+    let Some(RoleReply::Bid(planned)) = late.replies.first_mut() else { panic!("a bid") };
+    let span = RoleSpan { from: None, to: None, time: seconds(10.0), energy: Energy::of_share(0.1) };
+    planned.planned = Some(Box::new(PlannedRole::alone(span, Seconds::ZERO)));
+    let case = Case { queues: &[("arm-1", queue(true, 0))], startable: &["cart"], may_wait: false };
+    let outcome = clear(&case, &[late, bid("ada", "cart", None)]);
+    assert_eq!(promised(&outcome), [("arm", 40.0)]);
+    let entry = outcome.record.entries.iter().find(|entry| entry.robot.as_str() == "arm-1").unwrap();
+    let BidVerdict::Viable { remaining, .. } = entry.verdict else { panic!("{entry:?}") };
+    assert_eq!((remaining * 100.0).round(), 30.0, "0.2 for the role that it got");
 }
 
 #[test]
@@ -225,18 +240,20 @@ fn a_bid_that_delays_others_costs_more() {
 #[test]
 fn the_gain_of_another_robot_is_the_difference_of_the_costs() {
     let responses = [inserting_bid("arm-1", "arm"), bid("arm-2", "arm", Some(30.0)), bid("arm-3", "arm", None)];
+    let replies = responses.iter().flat_map(|response| &response.replies);
+    let bids: Vec<&Bid> =
+        replies.filter_map(|reply| if let RoleReply::Bid(bid) = reply { Some(bid) } else { None }).collect();
     let queues = BTreeMap::from([("arm-1", 2), ("arm-2", 1)]);
     let queues = queues.into_iter().map(|(name, promised)| (name.parse().unwrap(), queue(true, promised))).collect();
     let (unavailable, none, startable) = (BTreeMap::new(), BTreeSet::new(), BTreeSet::from([role("arm")]));
-    let gain = |startable: &BTreeSet<RoleId>, from: &str, to: &str| {
+    let gain = |startable: &BTreeSet<RoleId>, from: usize, to: usize| {
         let terms = PromiseTerms { promises_max: 1, ..PromiseTerms::default() };
         let context = PromiseContext { queues: &queues, unavailable: &unavailable, startable, may_wait: true, terms };
-        context.gain(&responses, &role("arm"), &from.parse().unwrap(), &to.parse().unwrap())
+        context.gain(bids[from], bids[to])
     };
     for startable in [&none, &startable] {
-        assert_eq!(gain(startable, "arm-1", "arm-2"), Some(10.0), "60 s with a delay of 10 s, and 30 + 20 + 10 s");
-        assert_eq!(gain(startable, "arm-2", "arm-3"), Some(50.0));
-        assert_eq!(gain(startable, "arm-3", "arm-1"), Some(-60.0));
-        assert_eq!(gain(startable, "arm-1", "arm-4"), None);
+        assert_eq!(gain(startable, 0, 1), 10.0, "60 s with a delay of 10 s, and 30 + 20 + 10 s");
+        assert_eq!(gain(startable, 1, 2), 50.0);
+        assert_eq!(gain(startable, 2, 0), -60.0);
     }
 }

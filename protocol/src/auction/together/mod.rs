@@ -33,19 +33,22 @@ impl OpenAuction<'_> {
     }
 }
 
+/// Returns the number of calls, from the first one on, whose missions are allocated together.
+pub fn joint_count<'a>(calls: impl IntoIterator<Item = &'a CallForBids>) -> usize {
+    let mut roles = 0;
+    let fits = |call: &&CallForBids| {
+        roles += call.roles.len();
+        roles <= JOINT_ROLES_MAX
+    };
+    calls.into_iter().take_while(fits).count()
+}
+
 /// Returns the robots of each auction in the allocation of all, in the order of the missions; none for an auction that is left
-/// out.
+/// out. There are at most [`joint_count`] auctions.
 pub fn allocate_together(auctions: &[OpenAuction<'_>]) -> Vec<BTreeMap<RoleId, RobotId>> {
     let bids: Vec<Vec<&Bid>> =
         auctions.iter().map(|auction| viable_bids(auction.call, auction.responses, &auction.context)).collect();
-    let (mut members, mut roles) = (vec![], 0);
-    for (index, auction) in auctions.iter().enumerate().filter(|(_, auction)| auction.is_by_cost()) {
-        roles += auction.call.roles.len();
-        if roles > JOINT_ROLES_MAX {
-            break;
-        }
-        members.push(index);
-    }
+    let members: Vec<usize> = (0..auctions.len()).filter(|index| auctions[*index].is_by_cost()).collect();
     if let Some(all) = assign(auctions, &bids, &members) {
         return all;
     }

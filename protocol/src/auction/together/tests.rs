@@ -100,6 +100,13 @@ fn missions_that_cannot_be_filled_beside_earlier_ones_are_left_out() {
     assert_eq!(allocation, [vec![], vec![1, 0], vec![2], vec![]]);
 }
 
+#[test]
+fn the_number_of_roles_that_are_allocated_together_is_bounded() {
+    let calls: Vec<CallForBids> = (0..40).map(|mission| call(mission, &[vec![], vec![], vec![]])).collect();
+    assert_eq!(joint_count(&calls), JOINT_ROLES_MAX / 3);
+    assert_eq!(joint_count(&calls[..2]), 2);
+}
+
 proptest! {
     /// No other choice of robots for all roles costs less.
     #[test]

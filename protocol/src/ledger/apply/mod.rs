@@ -11,7 +11,7 @@ use super::layout::VersionedPart;
 use super::order_book::OrderBook;
 use super::schedule::ScheduleEntry;
 use super::submission::Submission;
-use crate::auction::AuctionRecord;
+use crate::auction::{AuctionRecord, RoleEstimate};
 use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId};
 use crate::lease::Epoch;
 use crate::mission::{RoleKind, TaskOutcomes};
@@ -348,7 +348,7 @@ impl Ledger {
         entry.end_next_restrictions(holders.keys().filter(|role| !is_promised(role)));
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
-                let (energy, time) = (auction.energy_of(&id, &robot), auction.time_of(&id, &robot));
+                let RoleEstimate { time, energy } = auction.estimate_of(&id, &robot);
                 let span = auction.planned.get(&id).map(|planned| planned.span.clone());
                 let (incarnation, delayed) = (None, Seconds::ZERO);
                 let position = positions.get(&id).copied().unwrap_or_default();

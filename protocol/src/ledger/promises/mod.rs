@@ -166,8 +166,9 @@ fn passed_steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>, passes: impl Fn(&
 /// Returns the time by which a promise may still be delayed: up to `delay_max` in all, and not beyond the deadline of its
 /// mission.
 fn slack_of(entry: &MissionEntry, promise: &RoleAssignment, delay_max: Seconds) -> Seconds {
-    let time = promise.span.as_ref().map_or(promise.time, |span| span.time);
-    let ends_ms = later_ms(promise.planned_ms, time);
+    // The span lacks the first drive, and the record of a large auction lacks the time.
+    let span = promise.span.as_ref().map_or(Seconds::ZERO, |span| span.time);
+    let ends_ms = later_ms(promise.planned_ms, if span > promise.time { span } else { promise.time });
     let until_s = |deadline_ms: u64| deadline_ms.saturating_sub(ends_ms) as f64 / 1000.0;
     let until_s = entry.submission.deadline_ms.map_or(f64::INFINITY, until_s);
     let slack_s = (delay_max.get() - promise.delayed.get()).min(until_s);

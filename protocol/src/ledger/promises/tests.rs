@@ -8,7 +8,7 @@ use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidPart, BidVerdict
 use crate::mission::test_data::domain;
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::divide_and_check;
-use crate::units::Energy;
+use crate::units::{Energy, EnergyLimit};
 use proptest::prelude::*;
 
 /// The cart brings something, and the arm takes it.
@@ -242,6 +242,17 @@ fn an_insertion_keeps_the_deadlines_of_promises() {
 }
 
 #[test]
+fn the_first_drive_of_a_promise_counts_towards_its_deadline() {
+    let (mut log, missions) = Log::with_missions(2);
+    let [first, second] = &missions[..] else { panic!() };
+    // Its tasks take 5 s, and with the drive to them 20 s.
+    log.insert(first, "arm", second, 5.0);
+    log.0.missions.get_mut(first).unwrap().submission.deadline_ms = Some(30_000);
+    let slack = log.promised_roles(second, &["arm"])[0].slack;
+    assert_eq!(slack.map(Seconds::get), Some(10.0));
+}
+
+#[test]
 fn a_call_has_a_bounded_size_and_names_the_shortest_queues() {
     const ROBOTS: usize = 400;
     let (mut log, missions) = Log::with_missions(ROBOTS + 1);
@@ -294,6 +305,20 @@ fn a_promise_passes_to_another_robot() {
     assert!(matches!(held, CommandOutcome::Refused(CommandError::NotPromised { .. })), "{held:?}");
     let busy = log.move_promise(first, "arm-3", false);
     assert!(matches!(busy, CommandOutcome::Refused(CommandError::TwoRoles { .. })), "{busy:?}");
+}
+
+#[test]
+fn a_promise_that_is_auctioned_again_uses_no_energy() {
+    let (mut log, missions) = Log::with_missions(1);
+    log.award(&missions[0], &[("arm", "arm-1"), ("cart", "ada")], &["arm"]);
+    let entry = log.0.missions.get_mut(&missions[0]).unwrap();
+    entry.submission.mission.energy_max = EnergyLimit::new(1.0).ok();
+    let used = |role_of_call: &str| {
+        let call = entry.call_for_roles(&[role(role_of_call)].into(), record(&missions[0], &[]).auction).unwrap();
+        entry.energy_budget(&call).map(|budget| budget.used)
+    };
+    assert_eq!(entry.estimated_energy(), Energy::of_share(0.2));
+    assert_eq!(used("arm"), Some(Energy::of_share(0.1)));
 }
 
 /// The robot may know the epoch of its promise, which permits nothing.

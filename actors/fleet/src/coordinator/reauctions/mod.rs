@@ -3,16 +3,17 @@
 //! A promise holds by estimates that become wrong: robots are slower than estimated or are held, and other robots become
 //! free. So the coordinator auctions promised roles again, one by one, those that are late first. The promise stays as it is
 //! until the ledger passes it to another robot, so no mission loses a robot by it. A robot keeps its promise unless the
-//! other costs clearly less: estimates vary, and each change costs messages. A role that a person has given to a robot stays with
-//! it.
+//! other costs clearly less: estimates vary, and each change costs messages. Each change makes the next harder: the gain and
+//! the lateness that it requires, and the time to the next call, rise with the number of changes. So a role does not pass back
+//! and forth between robots with the same work. A role that a person has given to a robot stays with it.
 
-use super::actions::{AuctionRound, CoordinatorAction};
+use super::actions::AuctionRound;
 use super::auctioneer::{call_for_roles, send_call};
 use super::clearing::AuctionInputs;
 use super::message::{AwardedRole, CollectedBids, Reauction};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{AuctionId, AuctionOutcome, PromiseTerms};
-use consort_protocol::ids::{MissionId, RoleId};
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, Ledger, PromiseMove};
 use consort_protocol::units::{NodeTime, Seconds};
@@ -22,8 +23,8 @@ use std::time::Duration;
 /// Minimum time between two calls for promised roles, whatever their number. Raised: fewer messages, later changes.
 const CALL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Time from a promise to the first call for it; doubled after each call, unless the promise is late. A guess: tasks take about as
-/// long.
+/// Time from a promise to the first call for it; doubled after each call, unless the promise is late, or a robot has become free
+/// and another robot could do the role. A guess: tasks take about as long.
 const REPEAT_INTERVAL: Duration = Duration::from_secs(30);
 
 /// Maximum number of doublings: the longest interval is 16 minutes.
@@ -45,11 +46,14 @@ struct PromiseTimes {
     called_at: NodeTime,
     /// Number of calls.
     calls: u32,
+    /// Another robot could have got the role in the latest auction.
+    has_rival: bool,
 }
 
 impl PromiseTimes {
-    fn is_call_due(&self, is_late: bool, now: NodeTime) -> bool {
-        let doublings = if is_late { 0 } else { self.calls.min(DOUBLINGS_MAX) };
+    /// Checks whether a call is due after this number of changes of the role.
+    fn is_call_due(&self, is_late: bool, changes: u32, now: NodeTime) -> bool {
+        let doublings = if is_late { 0 } else { self.calls.saturating_add(changes).min(DOUBLINGS_MAX) };
         now.since(self.called_at) >= REPEAT_INTERVAL * 2_u32.pow(doublings)
     }
 }
@@ -64,15 +68,17 @@ impl Reauctions {
         terms: &PromiseTerms,
         now: NodeTime,
         confirmed_ms: Option<u64>,
-    ) -> Option<CoordinatorAction> {
+    ) -> Option<Reauction> {
         let late_max = Duration::try_from_secs_f64(terms.late_max.get()).unwrap_or(Duration::MAX);
-        let late_max_ms = u64::try_from(late_max.as_millis()).unwrap_or(u64::MAX);
         let may_call = self.called_at.is_none_or(|at| now.since(at) >= CALL_INTERVAL);
         let (mut known, mut candidates) = (BTreeSet::new(), vec![]);
         for (entry, role, promise) in ledger.promises_in_order() {
             let can_proceed = entry.can_proceed(role);
             let key = (promise.epoch, role.clone());
-            let first = PromiseTimes { startable_since: None, called_at: now, calls: 0 };
+            let first = PromiseTimes { startable_since: None, called_at: now, calls: 0, has_rival: false };
+            let changes = entry.unconfirmed_releases(role);
+            let late_max = late_max.saturating_mul(changes.saturating_add(1));
+            let late_max_ms = u64::try_from(late_max.as_millis()).unwrap_or(u64::MAX);
             let times = self.promises.entry(key.clone()).or_insert(first);
             times.startable_since = can_proceed.then(|| times.startable_since.unwrap_or(now));
             let could_start = times.startable_since.is_some_and(|since| now.since(since) >= late_max);
@@ -83,9 +89,11 @@ impl Reauctions {
             let is_free = || can_proceed && ledger.check_promise(&entry.id, role, promise.epoch).is_ok();
             let is_for_robot =
                 || entry.role_orders().get(role).is_some_and(|order| order.restriction.permits_only_one());
+            // Other roles of the mission may stay open for long, but a late promise has waited enough.
             let is_auctioned = || rounds.contains_key(&entry.id) || !entry.open_roles().is_empty();
-            if may_call && times.is_call_due(is_late, now) && !is_auctioned() && !is_free() && !is_for_robot() {
-                let reauction = Reauction { promised: AwardedRole::of(entry, role, promise), is_late };
+            let may_be_called = || (is_late || !is_auctioned()) && !is_free() && !is_for_robot();
+            if may_call && times.is_call_due(is_late, changes, now) && may_be_called() {
+                let reauction = Reauction { promised: AwardedRole::of(entry, role, promise), is_late, changes };
                 candidates.push(((!is_late, !can_proceed, times.called_at), reauction));
             }
             known.insert(key);
@@ -97,7 +105,21 @@ impl Reauctions {
             (times.called_at, times.calls) = (now, times.calls.saturating_add(1));
         }
         self.called_at = Some(now);
-        Some(CoordinatorAction::AuctionAgain(reauction))
+        Some(reauction)
+    }
+
+    /// Notes whether another robot could have got the role in its latest auction.
+    fn note_rival(&mut self, promised: &AwardedRole, has_rival: bool) {
+        if let Some(times) = self.promises.get_mut(&(promised.epoch, promised.role.clone())) {
+            times.has_rival = has_rival;
+        }
+    }
+
+    /// Shortens the intervals of roles that other robots could get, because a robot has become free.
+    pub(super) fn shorten_intervals(&mut self) {
+        for times in self.promises.values_mut().filter(|times| times.has_rival) {
+            times.calls = 0;
+        }
     }
 }
 
@@ -116,23 +138,22 @@ pub(super) fn call_again(reauction: Reauction, context: &mut SessionContext, now
 /// that is late and the winner would not be.
 pub(super) fn conclude(
     bids: &CollectedBids,
-    reauction: Reauction,
+    reauction: &Reauction,
     rounds: &BTreeMap<MissionId, AuctionRound>,
+    reauctions: &mut Reauctions,
     context: &mut SessionContext,
 ) {
-    let Reauction { promised: AwardedRole { mission, role, robot: former, epoch }, is_late } = reauction;
     let terms = context.settings.auctions.promises;
+    let AwardedRole { mission, role, robot: former, epoch } = reauction.promised.clone();
     let inputs = AuctionInputs::read(bids, rounds, context);
     let AuctionOutcome { holders, record: mut auction, .. } = inputs.clear(bids, context);
-    let winner = holders.and_then(|mut holders| holders.remove(&role));
-    let Some(robot) = winner.filter(|winner| *winner != former) else { return };
+    let winner = holders.and_then(|mut holders| holders.remove(&role)).filter(|winner| *winner != former);
+    reauctions.note_rival(&reauction.promised, winner.is_some());
+    let Some(robot) = winner else { return };
     let start = auction.promised.get(&role).copied().unwrap_or(Seconds::ZERO);
-    let gain_s = inputs.promises(terms).gain(&inputs.responses, &role, &former, &robot);
-    let cause = match gain_s.filter(|gain_s| *gain_s >= terms.gain_min.get()) {
-        Some(gain_s) => format!("{robot} costs {gain_s:.0} s less than {former}"),
-        None if is_late && start <= terms.late_max => format!("{former} is late, and {robot} is free in {start:.0}"),
-        None => return,
-    };
+    let both = bids.bid_of(&role, &former).zip(bids.bid_of(&role, &robot));
+    let gain_s = both.map(|(from, to)| inputs.promises(terms).gain(from, to));
+    let Some(cause) = cause_of_change(reauction, &robot, gain_s, start, &terms) else { return };
     // A robot holds a role only while its tasks can run.
     if !inputs.startable.contains(&role) {
         auction.promised.insert(role.clone(), start);
@@ -143,90 +164,24 @@ pub(super) fn conclude(
     context.propose_award(Command::MovePromise(Box::new(change)), to, is_promised);
 }
 
-#[cfg(test)]
-mod tests {
-    use super::super::test_ledger::Log;
-    use super::*;
-    use consort_protocol::ledger::{MissionChange, OrderRequest};
-
-    /// A session with promises, at a time.
-    #[derive(Default)]
-    struct Session {
-        reauctions: Reauctions,
-        now: NodeTime,
-    }
-
-    impl Session {
-        /// Returns the mission of the call that is due after this number of seconds, and whether its promise is late. The time
-        /// of day is the time of the session.
-        fn due_after(&mut self, seconds: u64, ledger: &Ledger) -> Option<(MissionId, bool)> {
-            self.now = self.now + Duration::from_secs(seconds);
-            let terms = PromiseTerms { late_max: Seconds::new(100.0).unwrap(), ..PromiseTerms::default() };
-            let confirmed_ms = Some(self.now.as_millis());
-            match self.reauctions.due(ledger, &BTreeMap::new(), &terms, self.now, confirmed_ms)? {
-                CoordinatorAction::AuctionAgain(Reauction { promised, is_late }) => Some((promised.mission, is_late)),
-                other => panic!("{other:?}"),
-            }
+/// Returns the cause for which a role passes to a robot that gains this time and is free in `start`; `None` if it does not pass.
+fn cause_of_change(
+    Reauction { promised, is_late, changes }: &Reauction,
+    robot: &RobotId,
+    gain_s: Option<f64>,
+    start: Seconds,
+    terms: &PromiseTerms,
+) -> Option<String> {
+    let former = &promised.robot;
+    let gain_min_s = terms.gain_min.get() * (f64::from(*changes) + 1.0);
+    match gain_s.filter(|gain_s| *gain_s >= gain_min_s) {
+        Some(gain_s) => Some(format!("{robot} costs {gain_s:.0} s less than {former}")),
+        None if *is_late && start <= terms.late_max => {
+            Some(format!("{former} is late, and {robot} is free in {start:.0}"))
         }
-    }
-
-    /// Promises the arm of two missions. The arm holds a role of a third.
-    fn promises() -> (Log, MissionId, MissionId) {
-        let mut log = Log::default();
-        let held = log.add_mission("cyd");
-        log.end_cart(&held);
-        let role: RoleId = "arm".parse().unwrap();
-        let epoch = log.0.mission(&held).unwrap().role_robots()[&role].epoch;
-        log.apply(Command::AwardPromised { mission: held, role, epoch });
-        let (first, second) = (log.add_mission("ada"), log.add_mission("bob"));
-        (log, first, second)
-    }
-
-    #[test]
-    fn promises_are_auctioned_again_one_by_one() {
-        let (log, first, second) = promises();
-        let mut session = Session::default();
-        assert_eq!(session.due_after(0, &log.0), None);
-        assert_eq!(session.due_after(29, &log.0), None);
-        assert_eq!(session.due_after(1, &log.0), Some((first.clone(), false)));
-        assert_eq!(session.due_after(0, &log.0), None, "one call a second");
-        assert_eq!(session.due_after(1, &log.0), Some((second, false)));
-        assert_eq!(session.due_after(1, &log.0), None);
-        assert_eq!(session.due_after(28, &log.0), None, "the interval doubles");
-        assert_eq!(session.due_after(30, &log.0), Some((first, false)));
-    }
-
-    #[test]
-    fn a_role_that_could_have_started_for_too_long_is_late_and_comes_first() {
-        let (mut log, first, second) = promises();
-        let mut session = Session::default();
-        assert_eq!(session.due_after(0, &log.0), None);
-        log.end_cart(&second);
-        assert_eq!(session.due_after(60, &log.0), Some((second.clone(), false)), "it can start");
-        assert_eq!(session.due_after(1, &log.0), Some((first, false)));
-        assert_eq!(session.due_after(98, &log.0).map(|(_, is_late)| is_late), Some(false));
-        assert_eq!(session.due_after(31, &log.0), Some((second, true)));
-    }
-
-    #[test]
-    fn the_promise_of_a_free_robot_that_can_start_is_not_auctioned() {
-        let mut log = Log::default();
-        let mission = log.add_mission("ada");
-        log.end_cart(&mission);
-        let mut session = Session::default();
-        assert_eq!([0, 60].map(|seconds| session.due_after(seconds, &log.0)), [None, None]);
-    }
-
-    #[test]
-    fn the_promise_of_a_pinned_role_is_not_auctioned() {
-        let (mut log, first, second) = promises();
-        log.apply(Command::first_wire_version(3));
-        let change = MissionChange::Pin { role: "arm".parse().unwrap(), robot: Some("lab-arm".parse().unwrap()) };
-        let order = OrderRequest { change, by: "Nia".to_owned(), at_ms: 1, request: None };
-        log.apply(Command::ChangeMission { mission: first, order });
-        let mut session = Session::default();
-        assert_eq!(session.due_after(0, &log.0), None);
-        assert_eq!(session.due_after(30, &log.0), Some((second, false)));
-        assert_eq!(session.due_after(1, &log.0), None);
+        None => None,
     }
 }
+
+#[cfg(test)]
+mod tests;
