@@ -99,6 +99,8 @@ pub(super) struct SessionState<'a> {
     pub(super) notified: &'a BTreeMap<(Epoch, RoleId), NodeTime>,
     /// Robots with promises that cannot take a role, with the reasons.
     pub(super) unfit: &'a BTreeMap<RobotId, String>,
+    /// Charge that robots with promises have above the minimum that a role must leave, as shares of full batteries.
+    pub(super) spare_charge: &'a BTreeMap<RobotId, f64>,
     /// Maximum number of promises of a robot.
     pub(super) promises_max: u32,
 }

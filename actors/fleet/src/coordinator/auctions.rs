@@ -135,9 +135,9 @@ impl Auctions {
                 RoundPhase::BackingOff { since, .. } => waiting.push((mission.clone(), *since)),
                 RoundPhase::Proposing(_) => {}
                 RoundPhase::BiddingClosed(closed) => {
-                    let is_followed = self.is_followed(&open[index..], *priority, called);
+                    let has_bidding = calling || self.is_followed(&open[index..], *priority, called);
                     let may_wait = now < closed.deadline;
-                    let waits = may_wait && (calling || is_followed);
+                    let waits = may_wait && has_bidding;
                     if waits && closed.is_fillable {
                         calling = true; // lower-ranked missions wait, too
                         continue;
@@ -159,7 +159,7 @@ impl Auctions {
                             self.call_for_bids(&better_ranked, context, now);
                             calling = true;
                         }
-                        calling |= is_followed;
+                        calling |= has_bidding;
                         if calling {
                             self.note_fillable(mission, outcome.holders.is_some());
                             continue;

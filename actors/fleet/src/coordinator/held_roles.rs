@@ -18,7 +18,7 @@ pub(super) struct HeldRoles {
     /// Roles to be released because their holders reply but make no progress, once the leases have
     /// expired.
     stalled: BTreeMap<(Epoch, RoleId), String>,
-    /// Time of the last notice to the holder of each role, or of the last proposal to award a promised role.
+    /// Time of the last notice to the holder of each role, or of the last proposal to award or to release a promised role.
     notified: BTreeMap<(Epoch, RoleId), NodeTime>,
 }
 
@@ -33,7 +33,7 @@ impl HeldRoles {
         }
     }
 
-    /// Returns the time of the last notice to the holder of each role, or of the last proposal to award a
+    /// Returns the time of the last notice to the holder of each role, or of the last proposal to award or to release a
     /// promised role.
     pub(super) fn notified(&self) -> &BTreeMap<(Epoch, RoleId), NodeTime> {
         &self.notified
@@ -106,9 +106,11 @@ impl HeldRoles {
         context.notify(robot, &AwardNotice::Return { epoch: *epoch, repeat: *repeat, cause });
     }
 
-    /// Releases a role with an expired lease. The holder of a stalled role may not get it again.
-    pub(super) fn release(&self, awarded: AwardedRole, cause: String, context: &mut SessionContext) {
-        let stalled = self.stalled.get(&(awarded.epoch, awarded.role.clone())).cloned();
+    /// Releases a promise, or a role with an expired lease. The holder of a stalled role may not get it again.
+    pub(super) fn release(&mut self, awarded: AwardedRole, cause: String, context: &mut SessionContext, now: NodeTime) {
+        let key = (awarded.epoch, awarded.role.clone());
+        let stalled = self.stalled.get(&key).cloned();
+        self.notified.insert(key, now);
         let class = stalled.as_ref().map(|_| CauseClass::Robot);
         context.release_role(awarded, stalled.unwrap_or(cause), class);
     }

@@ -7,7 +7,7 @@ use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
 use super::people::People;
-use super::promises::unfit_robots;
+use super::promises::{spare_charges, unfit_robots};
 use super::reauctions::{self, Reauctions};
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
 use super::reports::ReportHandler;
@@ -15,7 +15,7 @@ use super::requests::Requests;
 use super::robot_orders::OrderDelivery;
 use super::schedules::Schedules;
 use super::session_context::SessionContext;
-use super::settings::{CoordinatorSettings, NodeParts};
+use super::settings::{AuctionSettings, CoordinatorSettings, NodeParts};
 use super::status::CoordinatorStatus;
 use super::voter_clocks::VoterClocks;
 use crate::autopilot::{ActionResult, Autopilot, perform};
@@ -305,8 +305,11 @@ impl LeaderSession {
             // Until then a new coordinator may lack records.
             let has_all_records = now.since(context.since) > terms.lease + terms.grace;
             let unfit = &unfit_robots(ledger, knowledge, has_all_records);
-            let promises_max = context.settings.auctions.promises.promises_max;
-            let state = SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit, promises_max };
+            let AuctionSettings { promises, limits, .. } = &context.settings.auctions;
+            let spare_charge = &spare_charges(ledger, knowledge, limits);
+            let promises_max = promises.promises_max;
+            let state =
+                SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
             let actions = pending_actions(ledger, &state, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
             actions
@@ -321,7 +324,7 @@ impl LeaderSession {
                 self.held_roles.award_promised(promised, &mut self.context, now);
             }
             CoordinatorAction::ReleaseRole(awarded, cause) => {
-                self.held_roles.release(awarded, cause, &mut self.context);
+                self.held_roles.release(awarded, cause, &mut self.context, now);
             }
             CoordinatorAction::AskToGiveWay { awarded, to, for_now } => {
                 self.held_roles.ask_to_give_way(awarded, (to, for_now), &mut self.context, now);

@@ -4,18 +4,23 @@ use super::actions::{CoordinatorAction, RoundPhase, SessionState};
 use super::message::AwardedRole;
 use super::queues::may_return;
 use consort_gossip::{MemberStatus, SharedKnowledge};
+use consort_protocol::auction::BidLimits;
 use consort_protocol::ids::{NodeId, RobotId};
-use consort_protocol::knowledge::Availability;
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::ledger::{Ledger, MissionEntry, Priority};
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Tolerance for the charge of a robot, as a share of a full battery: records state the charge in steps of 0.02.
+const CHARGE_TOLERANCE: f64 = 0.02;
+
 /// Returns the awards of promised roles to free robots, in the order of the promises, and the
 /// releases of promises that cannot be kept, or that those of a higher priority have displaced. A robot
-/// that only waits for others in its role is asked to return the role for a promised role that can start.
+/// that only waits for others in its role is asked to return the role for a promised role that can start. A robot whose charge
+/// is too low by now would give up the role, and would get it no more: its promise is released, so that it can charge.
 pub(super) fn promises_due(
     ledger: &Ledger,
     missions: &[&MissionEntry],
-    SessionState { rounds, unfit, promises_max, .. }: &SessionState<'_>,
+    SessionState { rounds, unfit, spare_charge, promises_max, .. }: &SessionState<'_>,
     is_due: impl Fn(&AwardedRole) -> bool,
 ) -> Vec<CoordinatorAction> {
     if missions.iter().all(|entry| entry.promised_roles().next().is_none()) {
@@ -40,15 +45,18 @@ pub(super) fn promises_due(
         // A role that a robot has returned for now exceeds the limit by one.
         let is_displaced = *before > *promises_max && entry.submission.priority < *highest;
         *before += 1;
-        if let Some(reason) = unfit.get(&robot.robot) {
-            actions.push(CoordinatorAction::ReleaseRole(promised, reason.clone()));
-        } else if is_displaced {
-            let reason = format!("{} has promised enough roles of a higher priority", robot.robot);
-            actions.push(CoordinatorAction::ReleaseRole(promised, reason));
+        let displaced = || format!("{} has promised enough roles of a higher priority", robot.robot);
+        let reason = unfit.get(&robot.robot).cloned().or_else(|| is_displaced.then(displaced));
+        if let Some(reason) = reason {
+            actions.extend(is_due(&promised).then_some(CoordinatorAction::ReleaseRole(promised, reason)));
         } else if !entry.can_proceed(role) {
             continue;
         } else if !taken.contains(&robot.robot) {
-            if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
+            let lacks_charge = |spare: &f64| robot.energy.get() > spare + CHARGE_TOLERANCE;
+            if spare_charge.get(&robot.robot).is_some_and(lacks_charge) {
+                let reason = format!("the charge of {} is too low for it", robot.robot);
+                actions.extend(is_due(&promised).then_some(CoordinatorAction::ReleaseRole(promised, reason)));
+            } else if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
                 taken.insert(&robot.robot);
                 actions.extend(is_due(&promised).then_some(CoordinatorAction::AwardPromised(promised)));
             }
@@ -70,17 +78,12 @@ pub(super) fn unfit_robots(
     knowledge: &SharedKnowledge,
     has_all_records: bool,
 ) -> BTreeMap<RobotId, String> {
-    let missions = ledger.active_missions();
-    let promised: BTreeSet<&RobotId> =
-        missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| &robot.robot)).collect();
     let unfit = |robot: &RobotId| {
         if let Some(maintenance) = ledger.orders_of(robot).and_then(|orders| orders.maintenance.as_ref()) {
             return Some(format!("{robot} is {}", maintenance.maintenance_text()));
         }
-        let node = NodeId::from(robot.clone());
-        let availability =
-            knowledge.read(|base| Some(base.get(&node)?.record.knowledge.robot.as_ref()?.availability.clone()));
-        match (availability, knowledge.status(&node)) {
+        let availability = read_record(knowledge, robot, |worker| worker.availability.clone());
+        match (availability, knowledge.status(&NodeId::from(robot.clone()))) {
             (None, _) => has_all_records.then(|| format!("{robot} is unknown")),
             // A node that has just started may have the record from another node before it has contact.
             (Some(_), MemberStatus::Unknown) => has_all_records.then(|| format!("{robot} is not in contact")),
@@ -89,7 +92,28 @@ pub(super) fn unfit_robots(
             (Some(Availability::Free | Availability::Holding { .. }), _) => None,
         }
     };
-    promised.into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
+    promised_robots(ledger).into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
+}
+
+/// Returns the charge that robots with promises have above the minimum that a role must leave, as shares of full batteries, as
+/// far as this node knows.
+pub(super) fn spare_charges(
+    ledger: &Ledger,
+    knowledge: &SharedKnowledge,
+    limits: &BidLimits,
+) -> BTreeMap<RobotId, f64> {
+    let spare = |worker: &RobotKnowledge| worker.battery.get() - limits.charge_floor(worker.useful_charge).get();
+    let robots = promised_robots(ledger).into_iter();
+    robots.filter_map(|robot| Some((robot.clone(), read_record(knowledge, robot, spare)?))).collect()
+}
+
+fn promised_robots(ledger: &Ledger) -> BTreeSet<&RobotId> {
+    ledger.promises_in_order().into_iter().map(|(.., promise)| &promise.robot).collect()
+}
+
+fn read_record<T>(knowledge: &SharedKnowledge, robot: &RobotId, read: impl Fn(&RobotKnowledge) -> T) -> Option<T> {
+    let node = NodeId::from(robot.clone());
+    knowledge.read(|base| Some(read(base.get(&node)?.record.knowledge.robot.as_ref()?)))
 }
 
 #[cfg(test)]
@@ -99,16 +123,30 @@ mod tests {
     use consort_protocol::ids::MissionId;
     use consort_protocol::lease::{LeaseMonitor, LeaseTerms};
 
-    fn due(ledger: &Ledger, promises_max: u32) -> Vec<CoordinatorAction> {
-        let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
+    #[derive(Clone, Copy)]
+    struct Case {
+        promises_max: u32,
+        unfit: &'static [&'static str],
+        /// Spare charge of the arm.
+        spare: Option<f64>,
+        /// No role was proposed a short time ago.
+        is_due: bool,
+    }
+
+    const USUAL: Case = Case { promises_max: 16, unfit: &[], spare: None, is_due: true };
+
+    fn due(ledger: &Ledger, Case { promises_max, unfit, spare, is_due }: Case) -> Vec<CoordinatorAction> {
+        let (rounds, notified) = (&BTreeMap::new(), &BTreeMap::new());
+        let unfit = &unfit.iter().map(|robot| (robot.parse().unwrap(), "judged dead".to_owned())).collect();
+        let spare_charge = &spare.map(|spare| ("lab-arm".parse().unwrap(), spare)).into_iter().collect();
         let lease_monitor = &LeaseMonitor::new(LeaseTerms::default());
-        let state = SessionState { lease_monitor, rounds, notified, unfit, promises_max };
-        promises_due(ledger, &ledger.active_missions(), &state, |_| true)
+        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
+        promises_due(ledger, &ledger.active_missions(), &state, |_| is_due)
     }
 
     /// Returns the missions whose promised roles are awarded.
     fn awarded(ledger: &Ledger) -> Vec<MissionId> {
-        let awarded = due(ledger, 16).into_iter().map(|action| match action {
+        let awarded = due(ledger, USUAL).into_iter().map(|action| match action {
             CoordinatorAction::AwardPromised(role) => role.mission,
             other => panic!("{other:?}"),
         });
@@ -119,10 +157,14 @@ mod tests {
     fn promises_of_a_higher_priority_displace_the_last() {
         let mut log = Log::default();
         let (_, last) = (log.add_mission("ada"), log.add_mission("bob"));
-        assert_eq!(due(&log.0, 0), [], "a lower limit displaces none of the same priority");
+        assert_eq!(
+            due(&log.0, Case { promises_max: 0, ..USUAL }),
+            [],
+            "a lower limit displaces none of the same priority"
+        );
         log.add_mission_of("cyd", 1);
         let released = |promises_max| -> Vec<MissionId> {
-            let due = due(&log.0, promises_max).into_iter().map(|action| match action {
+            let due = due(&log.0, Case { promises_max, ..USUAL }).into_iter().map(|action| match action {
                 CoordinatorAction::ReleaseRole(role, _) => role.mission,
                 other => panic!("{other:?}"),
             });
@@ -130,6 +172,29 @@ mod tests {
         };
         assert_eq!(released(2), []);
         assert_eq!(released(1), [last]);
+    }
+
+    #[test]
+    fn the_release_of_a_promise_is_not_proposed_with_each_change() {
+        let mut log = Log::default();
+        log.add_mission("ada");
+        let released = |is_due| due(&log.0, Case { unfit: &["lab-arm"], is_due, ..USUAL }).len();
+        assert_eq!((released(true), released(false)), (1, 0));
+    }
+
+    #[test]
+    fn a_role_that_can_start_is_released_if_the_charge_is_too_low() {
+        let mut log = Log::default();
+        let mission = log.add_mission("ada");
+        let with_spare = |log: &Log, spare| due(&log.0, Case { spare, ..USUAL });
+        assert_eq!(with_spare(&log, Some(0.0)), [], "it may charge until then");
+        log.end_cart(&mission);
+        let released = with_spare(&log, Some(0.07));
+        assert!(matches!(released[..], [CoordinatorAction::ReleaseRole(..)]), "{released:?}");
+        for spare in [Some(0.09), None] {
+            let awarded = with_spare(&log, spare);
+            assert!(matches!(awarded[..], [CoordinatorAction::AwardPromised(_)]), "{awarded:?}");
+        }
     }
 
     #[test]

@@ -54,10 +54,10 @@ pub(super) fn robot_queues(
 
 fn add_promise(queue: &mut RobotQueue, estimate: RoleEstimate, is_lower: bool) {
     queue.promised += 1;
-    queue.energy += estimate.energy;
     if !is_lower {
         queue.preceding += 1;
         queue.time += estimate.time;
+        queue.energy += estimate.energy;
     }
 }
 
@@ -139,9 +139,12 @@ mod tests {
         log.apply(Command::AwardPromised { mission: held, role, epoch });
         let arm: RobotId = "lab-arm".parse().unwrap();
         let queue = |of: &MissionId| robot_queues(&log.0, &BTreeMap::new(), of, None).remove(&arm).unwrap();
-        let counts = |queue: &RobotQueue| (queue.held.is_some(), queue.promised, queue.preceding, queue.yields);
-        assert_eq!(counts(&queue(&low)), (true, 4, 4, false));
-        assert_eq!(counts(&queue(&high)), (true, 4, 2, true), "it waits in a role of a lower priority");
+        let counts = |queue: &RobotQueue| {
+            let tenths = (queue.energy.get() * 10.0).round();
+            (queue.held.is_some(), queue.promised, queue.preceding, tenths, queue.yields)
+        };
+        assert_eq!(counts(&queue(&low)), (true, 4, 4, 4.0, false));
+        assert_eq!(counts(&queue(&high)), (true, 4, 2, 2.0, true), "it waits in a role of a lower priority");
     }
 
     #[test]

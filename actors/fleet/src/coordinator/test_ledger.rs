@@ -1,6 +1,6 @@
 //! A ledger with promises, for unit tests.
 
-use consort_protocol::auction::{AuctionId, AuctionRecord};
+use consort_protocol::auction::{AuctionEntry, AuctionId, AuctionRecord, BidVerdict};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, Priority, PromiseMove, Submission};
@@ -27,7 +27,7 @@ impl Log {
         assert!(!matches!(outcome, CommandOutcome::Refused(_)), "{outcome:?}");
     }
 
-    /// Submits a mission with a cart of its own, and promises its role for the arm.
+    /// Submits a mission with a cart of its own, and promises its role for the arm, which needs a tenth of the battery.
     pub(super) fn add_mission(&mut self, cart: &str) -> MissionId {
         self.add_mission_of(cart, 0)
     }
@@ -46,7 +46,13 @@ impl Log {
         let robots = ["lab-arm", cart].map(|name| RobotId::new(name).unwrap());
         let holders = [arm.clone(), cart_role].into_iter().zip(robots).collect();
         let empty = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
-        let auction = AuctionRecord { promised: [(arm, Seconds::ZERO)].into(), ..empty };
+        let entry = AuctionEntry {
+            role: arm.clone(),
+            robot: "lab-arm".parse().unwrap(),
+            verdict: BidVerdict::Viable { time: Seconds::ZERO, energy: 0.1, remaining: 0.5 },
+            parts: vec![],
+        };
+        let auction = AuctionRecord { entries: vec![entry], promised: [(arm, Seconds::ZERO)].into(), ..empty };
         self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
         mission
     }

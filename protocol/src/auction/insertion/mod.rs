@@ -117,7 +117,7 @@ pub struct PlannedRole {
     pub delay_max: Seconds,
     /// Number of all promised roles of the timeline.
     pub promised: u32,
-    /// Estimated energy of the promised roles, with the drives to them.
+    /// Estimated energy of the promised roles, with the drives to them, except for those of a lower priority.
     pub energy: Energy,
     /// Additional energy of the drives to promised roles, as a share of a full battery; negative if they are shorter.
     pub detour_energy: f64,
@@ -163,7 +163,8 @@ pub struct TimelineStart<'a> {
 pub struct RoleInsertion {
     /// Place where the robot is free for the role.
     pub from: PlaceId,
-    /// Place where the promised roles after it end; `None` if it comes last, or if they do not say.
+    /// Place where the promised roles after it end, except for those of a lower priority; `None` without any, or if they do not
+    /// say.
     pub ends_at: Option<PlaceId>,
     /// Position of the role.
     pub planned: PlannedRole,
@@ -201,11 +202,16 @@ pub fn insert_role(
         (found.position > last, (cost * 1e3).round(), delayed(found.position))
     });
     let found = found.filter(|found| found.position <= last)?;
-    let (before, after) = promised.split_at(found.position);
     let ended = found.position.checked_sub(1).and_then(|last| timeline.begins().nth(last));
     let free_s = ended.map_or(start.time.get(), |(job, begin_s)| begin_s + job.duration_s);
-    let to_promised_s = timeline.travel_s(&travel) + found.added_travel_s - (found.begin_s - free_s);
-    let energy_promised: f64 = promised.iter().map(|promised| promised.span.energy.get()).sum();
+    let detour_s = found.added_travel_s - (found.begin_s - free_s);
+    // Roles of a lower priority wait if the charge is too low for them, too.
+    let kept = &promised[..before_lower];
+    let (mut driven_s, mut ends_s) = (if found.position < before_lower { detour_s } else { 0.0 }, start.time.get());
+    for (job, begin_s) in timeline.begins().take(before_lower) {
+        (driven_s, ends_s) = (driven_s + begin_s - ends_s, begin_s + job.duration_s);
+    }
+    let energy_kept: f64 = kept.iter().map(|promised| promised.span.energy.get()).sum();
     let planned = PlannedRole {
         start: Seconds::new(free_s).ok()?,
         before: promised.get(found.position).map(|next| next.role.clone()),
@@ -213,13 +219,13 @@ pub fn insert_role(
         delayed: delayed(found.position),
         delay_max: Seconds::ZERO,
         promised: delayed(0),
-        energy: Energy::of_share(energy_promised + discharge * to_promised_s),
-        detour_energy: discharge * (found.added_travel_s - (found.begin_s - free_s)),
+        energy: Energy::of_share(energy_kept + discharge * driven_s),
+        detour_energy: discharge * detour_s,
         span,
     };
     let end_of = |roles: &[&PromisedRole]| roles.iter().rev().find_map(|role| role.span.to.clone());
-    let from = end_of(before).unwrap_or_else(|| start.place.clone());
-    Some(RoleInsertion { from, ends_at: end_of(after), planned })
+    let from = end_of(&promised[..found.position]).unwrap_or_else(|| start.place.clone());
+    Some(RoleInsertion { from, ends_at: end_of(&kept[found.position..]), planned })
 }
 
 fn job(key: usize, span: &RoleSpan) -> Job<usize, Option<PlaceId>> {

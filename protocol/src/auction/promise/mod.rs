@@ -64,7 +64,7 @@ pub struct RobotQueue {
     pub preceding: u32,
     /// Estimated time of the preceding promised roles.
     pub time: Seconds,
-    /// Estimated energy of all promised roles.
+    /// Estimated energy of the preceding promised roles.
     pub energy: Energy,
     /// The robot only waits in a role of a mission with a lower priority, and returns that role for now.
     pub yields: bool,

@@ -2,14 +2,16 @@
 //!
 //! A promise lasts until its robot gets the role, an auction gives it to another robot, it is released, a person reassigns
 //! or pins the role, or the mission ends or changes to its recovery branch. It is released only if its robot could not
-//! take a role or returned this role shortly before, if it has promised a role of a higher priority, or if a person
-//! changed a priority shortly before. A robot begins a promised role only under the award that follows the promise.
+//! take a role, had too little charge or returned this role shortly before, if it has promised a role of a higher
+//! priority, or if a person changed a priority shortly before. A robot begins a promised role only under the award that
+//! follows the promise.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::chaos::generate::FIRST_MS;
 use crate::{Fleet, Observation};
 use consort_gossip::MemberStatus;
+use consort_protocol::auction::BidLimits;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::knowledge::Availability;
@@ -176,6 +178,14 @@ fn can_take_role(fleet: &Fleet, robot: &RobotId) -> bool {
     is_in_service && fleet.nodes.values().all(|other| is_alive(other.knowledge.status(&node)))
 }
 
+/// Checks whether the charge of a robot, by its own record, is too low for a role that it has promised.
+fn lacks_charge(fleet: &Fleet, ledger: &Ledger, robot: &RobotId) -> bool {
+    let Some(record) = fleet.knowledge_of(robot.as_str(), &NodeId::from(robot.clone())) else { return false };
+    let spare = record.battery.get() - BidLimits::default().charge_floor(record.useful_charge).get();
+    let mut promises = ledger.promises_in_order().into_iter();
+    promises.any(|(.., promise)| promise.robot == *robot && promise.energy.get() > spare)
+}
+
 impl Invariant for Promised {
     fn name(&self) -> &'static str {
         "promised"
@@ -203,7 +213,7 @@ impl Invariant for Promised {
         }
         self.due = at + INTERVAL;
         for robot in fleet.world.robots() {
-            if !can_take_role(fleet, &robot) {
+            if !can_take_role(fleet, &robot) || lacks_charge(fleet, &self.reference.ledger, &robot) {
                 self.unfit_at.insert(robot, at);
             }
         }
