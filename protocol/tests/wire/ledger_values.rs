@@ -74,11 +74,9 @@ pub(crate) fn timelines() -> impl Strategy<Value = Timelines> {
     ];
     let promised = (name(), role_of_mission(), span(), option::of(seconds()))
         .prop_map(|(robot, role, span, slack)| PromisedRole { robot, role, span, slack });
-    (objective, vec(promised, 0..3), btree_set(name(), 0..3)).prop_map(|(objective, promised, startable)| Timelines {
-        objective,
-        promised,
-        startable,
-    })
+    (objective, vec(promised, 0..3), btree_set(name(), 0..3), option::of(seconds())).prop_map(
+        |(objective, promised, startable, ends_within)| Timelines { objective, promised, startable, ends_within },
+    )
 }
 
 pub(crate) fn bid() -> impl Strategy<Value = Bid> {

@@ -249,6 +249,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
                     slack: Some(Seconds::new(60.0).expect("a time")),
                 }],
                 startable: [slug("r1")].into(),
+                ends_within: Some(Seconds::new(600.0).expect("a time")),
             },
         }),
         encoded(&BidResponse { robot: slug("ada"), auction: auction(), replies: vec![RoleReply::Bid(bid())] }),

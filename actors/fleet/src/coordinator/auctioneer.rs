@@ -9,7 +9,7 @@ use consort_protocol::auction::{AuctionId, BidResponse, CallForBids, Invitation,
 use consort_protocol::codec;
 use consort_protocol::ids::{NodeId, RobotId, RoleId};
 use consort_protocol::keys::Keys;
-use consort_protocol::units::NodeTime;
+use consort_protocol::units::{NodeTime, Seconds};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tracing::{debug, warn};
@@ -25,13 +25,16 @@ pub(super) fn call_for_roles(
     let robots = |nodes: BTreeSet<NodeId>| nodes.into_iter().map(RobotId::from).collect();
     let members = live_members(settings, now).into_iter().map(|(name, nodes)| (name, robots(nodes))).collect();
     let PromiseTerms { objective, delay_max, .. } = settings.auctions.promises;
+    let wall_ms = settings.parts.clock.wall_ms();
     context.read_ledger(|ledger| {
         let entry = ledger.mission(&auction.mission)?;
         let call = entry.call_for_roles(roles, auction)?;
         let invitation = Invitation::of(&call.ensembles, &members);
         let promised = ledger.promised_roles(&call, delay_max, &invitation.robots);
         let startable = call.roles.keys().filter(|role| entry.can_proceed(role)).cloned().collect();
-        let timelines = Timelines { objective, promised, startable };
+        let until = |deadline_ms: u64| Seconds::new(deadline_ms.saturating_sub(wall_ms) as f64 / 1000.0).ok();
+        let ends_within = entry.submission.deadline_ms.and_then(until);
+        let timelines = Timelines { objective, promised, startable, ends_within };
         Some((CallForBids { timelines, ..call }, invitation))
     })
 }

@@ -45,18 +45,20 @@ pub(super) fn promises_due(
         // A role that a robot has returned for now exceeds the limit by one.
         let is_displaced = *before > *promises_max && entry.submission.priority < *highest;
         *before += 1;
+        let (can_start, is_free) = (entry.can_proceed(role), !taken.contains(&robot.robot));
+        let is_idle = is_free || waiting.contains_key(&robot.robot);
+        let lacks_charge = |spare: &f64| robot.energy.get() > spare + CHARGE_TOLERANCE;
+        let is_too_low = can_start && is_idle && spare_charge.get(&robot.robot).is_some_and(lacks_charge);
         let displaced = || format!("{} has promised enough roles of a higher priority", robot.robot);
-        let reason = unfit.get(&robot.robot).cloned().or_else(|| is_displaced.then(displaced));
+        let too_low = || format!("the charge of {} is too low for it", robot.robot);
+        let reason = unfit.get(&robot.robot).cloned();
+        let reason = reason.or_else(|| is_displaced.then(displaced)).or_else(|| is_too_low.then(too_low));
         if let Some(reason) = reason {
             actions.extend(is_due(&promised).then_some(CoordinatorAction::ReleaseRole(promised, reason)));
-        } else if !entry.can_proceed(role) {
+        } else if !can_start {
             continue;
-        } else if !taken.contains(&robot.robot) {
-            let lacks_charge = |spare: &f64| robot.energy.get() > spare + CHARGE_TOLERANCE;
-            if spare_charge.get(&robot.robot).is_some_and(lacks_charge) {
-                let reason = format!("the charge of {} is too low for it", robot.robot);
-                actions.extend(is_due(&promised).then_some(CoordinatorAction::ReleaseRole(promised, reason)));
-            } else if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
+        } else if is_free {
+            if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
                 taken.insert(&robot.robot);
                 actions.extend(is_due(&promised).then_some(CoordinatorAction::AwardPromised(promised)));
             }
@@ -120,8 +122,9 @@ fn read_record<T>(knowledge: &SharedKnowledge, robot: &RobotId, read: impl Fn(&R
 mod tests {
     use super::super::test_ledger::Log;
     use super::*;
-    use consort_protocol::ids::MissionId;
+    use consort_protocol::ids::{MissionId, RoleId};
     use consort_protocol::lease::{LeaseMonitor, LeaseTerms};
+    use consort_protocol::ledger::Command;
 
     #[derive(Clone, Copy)]
     struct Case {
@@ -195,6 +198,20 @@ mod tests {
             let awarded = with_spare(&log, spare);
             assert!(matches!(awarded[..], [CoordinatorAction::AwardPromised(_)]), "{awarded:?}");
         }
+    }
+
+    #[test]
+    fn a_robot_that_only_waits_is_asked_to_return_its_role_if_its_charge_suffices() {
+        let mut log = Log::default();
+        let (held, mission) = (log.add_mission("ada"), log.add_mission("bob"));
+        let role: RoleId = "arm".parse().unwrap();
+        let epoch = log.0.mission(&held).unwrap().role_robots()[&role].epoch;
+        log.apply(Command::AwardPromised { mission: held, role, epoch });
+        log.end_cart(&mission);
+        let with_spare = |spare| due(&log.0, Case { spare: Some(spare), ..USUAL });
+        let (asked, released) = (with_spare(0.2), with_spare(0.0));
+        assert!(matches!(asked[..], [CoordinatorAction::AskToGiveWay { for_now: true, .. }]), "{asked:?}");
+        assert!(matches!(released[..], [CoordinatorAction::ReleaseRole(..)]), "{released:?}");
     }
 
     #[test]

@@ -98,6 +98,8 @@ pub struct Timelines {
     /// promised roles cannot start yet.
     #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
     pub startable: BTreeSet<RoleId>,
+    /// Time until the deadline of the mission; `None` without one.
+    pub ends_within: Option<Seconds>,
 }
 
 /// Position of a role in the timeline of a robot.
@@ -156,6 +158,8 @@ pub struct TimelineStart<'a> {
     pub discharge: SharePerSecond,
     /// The role comes before all promised roles: it can start, and they cannot.
     pub comes_first: bool,
+    /// Time by which the role should end; `None` for any.
+    pub ends_within: Option<Seconds>,
 }
 
 /// Best insertion of a role.
@@ -170,8 +174,8 @@ pub struct RoleInsertion {
     pub planned: PlannedRole,
 }
 
-/// Returns the insertion of a role with the least marginal cost; the last of those that are equal to a millisecond,
-/// which delays the fewest roles. Returns `None` without a position at which all roles can be reached, and before all roles
+/// Returns the insertion of a role with the least marginal cost, of those with which it ends in time, if there are any; the last
+/// of those that are equal to a millisecond, which delays the fewest roles. Returns `None` without a position at which all roles can be reached, and before all roles
 /// of a lower priority.
 pub fn insert_role(
     start: TimelineStart<'_>,
@@ -198,8 +202,10 @@ pub fn insert_role(
     let found = timeline.cheapest_insertion(&job(promised.len(), &span), &travel, |found| {
         let delays_s = found.delay_s * f64::from(delayed(found.position));
         let energy = span.energy.get() + discharge * found.added_travel_s;
-        let cost = objective.cost(found.begin_s + span.time.get() + delays_s, energy);
-        (found.position > last, (cost * 1e3).round(), delayed(found.position))
+        let ends_s = found.begin_s + span.time.get();
+        let is_late = start.ends_within.is_some_and(|within| ends_s > within.get());
+        let cost = objective.cost(ends_s + delays_s, energy);
+        (found.position > last, is_late, (cost * 1e3).round(), delayed(found.position))
     });
     let found = found.filter(|found| found.position <= last)?;
     let ended = found.position.checked_sub(1).and_then(|last| timeline.begins().nth(last));

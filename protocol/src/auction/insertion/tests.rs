@@ -39,9 +39,18 @@ fn promise(number: usize, span: RoleSpan, slack: Option<u8>) -> PromisedRole {
 
 /// Returns the insertion for a robot that is free at metre 0 after 5 s.
 fn insert(promised: &[PromisedRole], span: RoleSpan, objective: Objective) -> Option<RoleInsertion> {
+    insert_within(promised, span, objective, None)
+}
+
+fn insert_within(
+    promised: &[PromisedRole],
+    span: RoleSpan,
+    objective: Objective,
+    ends_within: Option<Seconds>,
+) -> Option<RoleInsertion> {
     let start = place(0);
     let discharge = SharePerSecond::new(DISCHARGE).unwrap();
-    let start = TimelineStart { place: &start, time: seconds(5), discharge, comes_first: false };
+    let start = TimelineStart { place: &start, time: seconds(5), discharge, comes_first: false, ends_within };
     insert_role(start, &promised.iter().collect::<Vec<_>>(), span, objective, &Line)
 }
 
@@ -175,11 +184,25 @@ fn a_role_comes_before_all_of_a_lower_priority() {
 }
 
 #[test]
+fn a_role_comes_earlier_to_meet_its_deadline() {
+    // It ends after 46 s if it comes first, and after 56 s if it comes last.
+    let position_with = |slack, ends_within| {
+        let promised = [promise(1, span(0, 0, 10), Some(slack))];
+        let found = insert_within(&promised, span(40, 40, 1), Objective::EarliestEnd, ends_within).unwrap();
+        position(&promised, &found)
+    };
+    assert_eq!(position_with(90, None), 1);
+    assert_eq!(position_with(90, Some(seconds(50))), 0);
+    assert_eq!(position_with(80, Some(seconds(50))), 1, "it would delay the promise by 81 s");
+    assert_eq!(position_with(90, Some(seconds(40))), 1, "it would be late anyway");
+}
+
+#[test]
 fn a_role_that_can_start_comes_first_whatever_it_delays() {
     let promised = [promise(1, span(30, 30, 10), Some(1))];
     let promised: Vec<&PromisedRole> = promised.iter().collect();
     let (free, discharge) = (place(0), SharePerSecond::new(DISCHARGE).unwrap());
-    let start = TimelineStart { place: &free, time: seconds(0), discharge, comes_first: true };
+    let start = TimelineStart { place: &free, time: seconds(0), discharge, comes_first: true, ends_within: None };
     let found = insert_role(start, &promised, span(40, 40, 60), Objective::EarliestEnd, &Line).unwrap();
     assert_eq!(found.planned.before.as_ref(), Some(&promised[0].role));
     assert_eq!((found.from.as_str(), found.planned.start, found.planned.delay), ("0", seconds(0), seconds(80)));

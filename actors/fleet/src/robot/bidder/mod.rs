@@ -165,6 +165,7 @@ impl Bidder {
             time: present.map_or(Seconds::ZERO, |present| present.role.time),
             discharge: context.discharge,
             comes_first: present.is_none() && call.timelines.startable.contains(role),
+            ends_within: call.timelines.ends_within,
         };
         let span = role_span(plan, &budget, &self.estimator, &context.place);
         let RoleInsertion { from, ends_at, planned } = self.insert(call, span, start, &context);

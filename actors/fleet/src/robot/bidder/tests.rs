@@ -1,6 +1,6 @@
 use super::*;
 use crate::robot::test_values::idle_robot;
-use consort_protocol::auction::{AuctionId, Objective, RoleOfMission, Timelines};
+use consort_protocol::auction::{AuctionId, RoleOfMission, Timelines};
 use consort_protocol::pose::Pose;
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::domain_file::DomainFile;
@@ -190,7 +190,7 @@ fn bid_beside(to: &str, promised: &[&str], is_startable: bool) -> Bid {
     };
     let promised = promised.iter().enumerate().map(promise).collect();
     let startable = is_startable.then(|| "r1".parse().unwrap()).into_iter().collect();
-    let timelines = Timelines { objective: Objective::EarliestEnd, promised, startable };
+    let timelines = Timelines { promised, startable, ..Timelines::default() };
     let worker = RobotKnowledge { place: "A".parse().unwrap(), ..robot_with(&["navigation"]) };
     let (readings, spec) =
         (BTreeMap::new(), json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": to } }));
