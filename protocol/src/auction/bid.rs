@@ -260,6 +260,17 @@ impl RefusalReason {
         }
     }
 
+    /// Checks whether the robot does not suit the role, whatever else it does: it would refuse the role at its turn, too.
+    pub fn is_unsuited(&self) -> bool {
+        matches!(
+            self,
+            RefusalReason::MissingSkills { .. }
+                | RefusalReason::NotFeasible { .. }
+                | RefusalReason::NotMember { .. }
+                | RefusalReason::NotEligible { .. }
+        )
+    }
+
     /// Checks whether the refusal is permanent for this mission: nothing that the robot does
     /// meanwhile changes it.
     pub(super) fn is_permanent(&self) -> bool {

@@ -71,13 +71,21 @@ pub(crate) struct CollectedBids {
 }
 
 impl CollectedBids {
+    /// Returns the reply of a robot for a role.
+    pub(super) fn reply_of(&self, role: &RoleId, robot: &RobotId) -> Option<&RoleReply> {
+        let response = self.responses.iter().find(|response| response.robot == *robot)?;
+        response.replies.iter().find(|reply| match reply {
+            RoleReply::Bid(bid) => bid.role == *role,
+            RoleReply::Refusal(refusal) => refusal.role == *role,
+        })
+    }
+
     /// Returns the bid of a robot for a role.
     pub(super) fn bid_of(&self, role: &RoleId, robot: &RobotId) -> Option<&Bid> {
-        let response = self.responses.iter().find(|response| response.robot == *robot)?;
-        response.replies.iter().find_map(|reply| match reply {
-            RoleReply::Bid(bid) if bid.role == *role => Some(bid),
-            RoleReply::Bid(_) | RoleReply::Refusal(_) => None,
-        })
+        match self.reply_of(role, robot)? {
+            RoleReply::Bid(bid) => Some(bid),
+            RoleReply::Refusal(_) => None,
+        }
     }
 }
 

@@ -174,9 +174,9 @@ pub struct RoleInsertion {
     pub planned: PlannedRole,
 }
 
-/// Returns the insertion of a role with the least marginal cost, of those with which it ends in time, if there are any; the last
-/// of those that are equal to a millisecond, which delays the fewest roles. Returns `None` without a position at which all roles can be reached, and before all roles
-/// of a lower priority.
+/// Returns the insertion of a role with the least marginal cost, among those with which it ends in time, if there are any; the
+/// last of those that are equal to a millisecond, which delays the fewest roles. Returns `None` without a position at which all
+/// roles can be reached, and before all roles of a lower priority.
 pub fn insert_role(
     start: TimelineStart<'_>,
     promised: &[&PromisedRole],
@@ -211,7 +211,7 @@ pub fn insert_role(
     let ended = found.position.checked_sub(1).and_then(|last| timeline.begins().nth(last));
     let free_s = ended.map_or(start.time.get(), |(job, begin_s)| begin_s + job.duration_s);
     let detour_s = found.added_travel_s - (found.begin_s - free_s);
-    // Roles of a lower priority wait if the charge is too low for them, too.
+    // The energy of roles of a lower priority is left out: they wait if the charge is too low for them.
     let kept = &promised[..before_lower];
     let (mut driven_s, mut ends_s) = (if found.position < before_lower { detour_s } else { 0.0 }, start.time.get());
     for (job, begin_s) in timeline.begins().take(before_lower) {

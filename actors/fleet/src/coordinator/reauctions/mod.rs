@@ -1,18 +1,18 @@
 //! Further auctions of promised roles.
 //!
 //! A promise holds by estimates that become wrong: robots are slower than estimated or are held, and other robots become
-//! free. So the coordinator auctions promised roles again, one by one, those that are late first. The promise stays as it is
-//! until the ledger passes it to another robot, so no mission loses a robot by it. A robot keeps its promise unless the
-//! other costs clearly less: estimates vary, and each change costs messages. Each change makes the next harder: the gain and
-//! the lateness that it requires, and the time to the next call, rise with the number of changes. So a role does not pass back
-//! and forth between robots with the same work. A role that a person has given to a robot stays with it.
+//! free. So the coordinator auctions promised roles again, one by one, those that are late and others in turn. The promise
+//! stays as it is until the ledger passes it to another robot, so no mission loses a robot by it. A robot keeps its promise
+//! unless the other costs clearly less: estimates vary, and each change costs messages. Each change makes the next harder: the
+//! gain and the lateness that it requires, and the time to the next call, rise with the number of changes. So a role does not
+//! pass back and forth between robots with the same work. A role that a person has given to a robot stays with it.
 
 use super::actions::AuctionRound;
 use super::auctioneer::{call_for_roles, send_call};
 use super::clearing::AuctionInputs;
 use super::message::{AwardedRole, CollectedBids, Reauction};
 use super::session_context::SessionContext;
-use consort_protocol::auction::{AuctionId, AuctionOutcome, PromiseTerms};
+use consort_protocol::auction::{AuctionId, AuctionOutcome, PromiseTerms, RefusalReason, RoleReply};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, Ledger, PromiseMove};
@@ -36,6 +36,9 @@ pub(super) struct Reauctions {
     promises: BTreeMap<(Epoch, RoleId), PromiseTimes>,
     /// Time of the latest call.
     called_at: Option<NodeTime>,
+    /// The latest call was for a late promise. The next is for another one, so that robots that are held up for long do not
+    /// take all calls.
+    was_late: bool,
 }
 
 /// Times of a promise.
@@ -94,7 +97,7 @@ impl Reauctions {
             let may_be_called = || (is_late || !is_auctioned()) && !is_free() && !is_for_robot();
             if may_call && times.is_call_due(is_late, changes, now) && may_be_called() {
                 let reauction = Reauction { promised: AwardedRole::of(entry, role, promise), is_late, changes };
-                candidates.push(((!is_late, !can_proceed, times.called_at), reauction));
+                candidates.push(((is_late == self.was_late, !can_proceed, times.called_at), reauction));
             }
             known.insert(key);
         }
@@ -104,7 +107,7 @@ impl Reauctions {
         if let Some(times) = self.promises.get_mut(&(*epoch, role.clone())) {
             (times.called_at, times.calls) = (now, times.calls.saturating_add(1));
         }
-        self.called_at = Some(now);
+        (self.called_at, self.was_late) = (Some(now), reauction.is_late);
         Some(reauction)
     }
 
@@ -134,8 +137,8 @@ pub(super) fn call_again(reauction: Reauction, context: &mut SessionContext, now
     }
 }
 
-/// Passes a promised role to the winner of its auction, if the winner costs clearly less than the robot of the promise, or if
-/// that is late and the winner would not be.
+/// Passes a promised role to the winner of its auction, if the winner costs clearly less than the robot of the promise, if that
+/// does not suit the role any more, or if it is late and the winner would not be.
 pub(super) fn conclude(
     bids: &CollectedBids,
     reauction: &Reauction,
@@ -151,9 +154,16 @@ pub(super) fn conclude(
     reauctions.note_rival(&reauction.promised, winner.is_some());
     let Some(robot) = winner else { return };
     let start = auction.promised.get(&role).copied().unwrap_or(Seconds::ZERO);
-    let both = bids.bid_of(&role, &former).zip(bids.bid_of(&role, &robot));
-    let gain_s = both.map(|(from, to)| inputs.promises(terms).gain(from, to));
-    let Some(cause) = cause_of_change(reauction, &robot, gain_s, start, &terms) else { return };
+    let standing = match (bids.reply_of(&role, &former), bids.bid_of(&role, &robot)) {
+        (Some(RoleReply::Bid(from)), Some(to)) => {
+            FormerStanding::Costs { gain_s: inputs.promises(terms).gain(from, to) }
+        }
+        (Some(RoleReply::Refusal(refusal)), _) if refusal.reason.is_unsuited() => {
+            FormerStanding::Unsuited(&refusal.reason)
+        }
+        _ => FormerStanding::Unknown,
+    };
+    let Some(cause) = cause_of_change(reauction, &robot, standing, start, &terms) else { return };
     // A robot holds a role only while its tasks can run.
     if !inputs.startable.contains(&role) {
         auction.promised.insert(role.clone(), start);
@@ -164,22 +174,36 @@ pub(super) fn conclude(
     context.propose_award(Command::MovePromise(Box::new(change)), to, is_promised);
 }
 
-/// Returns the cause for which a role passes to a robot that gains this time and is free in `start`; `None` if it does not pass.
+/// What the robot of a promise replies when the role is auctioned again.
+#[derive(Clone, Copy)]
+enum FormerStanding<'a> {
+    /// It costs more than the winner by this time; less, if it is negative.
+    Costs { gain_s: f64 },
+    /// It does not suit the role any more.
+    Unsuited(&'a RefusalReason),
+    /// It does not reply, or cannot bid now.
+    Unknown,
+}
+
+/// Returns the cause for which a role passes to a robot that is free in `start`; `None` if it does not pass.
 fn cause_of_change(
     Reauction { promised, is_late, changes }: &Reauction,
     robot: &RobotId,
-    gain_s: Option<f64>,
+    standing: FormerStanding<'_>,
     start: Seconds,
     terms: &PromiseTerms,
 ) -> Option<String> {
     let former = &promised.robot;
     let gain_min_s = terms.gain_min.get() * (f64::from(*changes) + 1.0);
-    match gain_s.filter(|gain_s| *gain_s >= gain_min_s) {
-        Some(gain_s) => Some(format!("{robot} costs {gain_s:.0} s less than {former}")),
-        None if *is_late && start <= terms.late_max => {
+    match standing {
+        FormerStanding::Costs { gain_s } if gain_s >= gain_min_s => {
+            Some(format!("{robot} costs {gain_s:.0} s less than {former}"))
+        }
+        FormerStanding::Unsuited(reason) => Some(format!("{former}: {reason}")),
+        FormerStanding::Costs { .. } | FormerStanding::Unknown if *is_late && start <= terms.late_max => {
             Some(format!("{former} is late, and {robot} is free in {start:.0}"))
         }
-        None => None,
+        FormerStanding::Costs { .. } | FormerStanding::Unknown => None,
     }
 }
 

@@ -97,6 +97,17 @@ fn a_free_robot_shortens_the_intervals_of_roles_that_others_could_get() {
 }
 
 #[test]
+fn late_promises_leave_calls_to_others() {
+    let (mut log, first, second) = promises();
+    log.end_cart(&second);
+    let mut session = Session::default();
+    assert_eq!(session.due_after(0, &log.0), None);
+    let called = [100, 1, 29, 31].map(|seconds| session.due_after(seconds, &log.0));
+    let (late, other) = (Some((second, true)), Some((first, false)));
+    assert_eq!(called, [late.clone(), other.clone(), late, other]);
+}
+
+#[test]
 fn each_change_of_a_role_makes_the_next_harder() {
     let (mut log, first, second) = promises();
     for robot in ["lab-arm-2", "lab-arm"] {
@@ -124,13 +135,20 @@ fn a_role_passes_for_a_gain_that_rises_with_each_change() {
         robot: "lab-arm".parse().unwrap(),
         epoch: Epoch::default(),
     };
-    let passes = |changes, is_late, gain_s| {
+    let passes_to = |changes, is_late, standing| {
         let (reauction, start) = (Reauction { promised: promised.clone(), is_late, changes }, Seconds::ZERO);
-        cause_of_change(&reauction, &"lab-arm-2".parse().unwrap(), gain_s, start, &PromiseTerms::default()).is_some()
+        cause_of_change(&reauction, &"lab-arm-2".parse().unwrap(), standing, start, &PromiseTerms::default())
+    };
+    let passes = |changes, is_late, gain_s: Option<f64>| {
+        let standing = gain_s.map_or(FormerStanding::Unknown, |gain_s| FormerStanding::Costs { gain_s });
+        passes_to(changes, is_late, standing).is_some()
     };
     assert!(passes(0, false, Some(60.0)) && !passes(0, false, Some(59.0)) && !passes(0, false, None));
     assert!(!passes(2, false, Some(179.0)) && passes(2, false, Some(180.0)));
     assert!(passes(2, true, None) && passes(2, true, Some(-10.0)), "it is late");
+    let unsuited = RefusalReason::MissingSkills { skills: vec!["wait".parse().unwrap()] };
+    let cause = passes_to(2, false, FormerStanding::Unsuited(&unsuited));
+    assert_eq!(cause.as_deref(), Some("lab-arm: lacks wait"));
 }
 
 #[test]
