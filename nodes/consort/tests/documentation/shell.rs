@@ -137,7 +137,7 @@ impl Shell<'_> {
 
     fn run_until_expected(&mut self, step: &PageStep, code: i32) {
         let since = Instant::now();
-        let is_query = ["fleet", "missions", "explain", "doctor"]
+        let is_query = ["fleet", "missions", "explain", "doctor", "schedule list", "audit"]
             .iter()
             .any(|word| step.command.starts_with(&format!("consort {word}")));
         loop {

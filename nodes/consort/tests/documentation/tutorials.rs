@@ -118,6 +118,11 @@ fn the_ensemble_tutorial_works() {
 }
 
 #[test]
+fn the_operator_tutorial_works() {
+    run_page(&tutorial("operator"), &[]);
+}
+
+#[test]
 fn the_operations_tutorial_works() {
     run_page(&Page::open(Path::new("docs/operations.md")), &[]);
 }
