@@ -110,7 +110,14 @@ fn one_arm_serves_missions_that_are_under_way_together() {
         let mut shown: Vec<&Value> = timeline.iter().map(|role| &role["mission"]).collect();
         shown.sort_by(|a, b| a.as_str().cmp(&b.as_str()));
         assert_eq!(json!(shown), json!(missions), "seed {seed}: {timeline:?}");
-        assert!(timeline.iter().all(|role| role["time_s"].as_f64() > Some(0.0)), "seed {seed}: {timeline:?}");
+        let later: Vec<&Value> = timeline.iter().filter(|role| role.get("planned_at_ms").is_some()).collect();
+        assert!(later.iter().all(|role| role["time_s"].as_f64() > Some(0.0)), "seed {seed}: {timeline:?}");
+        let planned = fleet.ledger(|ledger| {
+            let promises = ledger.promises_in_order();
+            json!(promises.iter().map(|(entry, _, promise)| (&entry.id, promise.planned_ms)).collect::<Vec<_>>())
+        });
+        let shown: Vec<_> = later.iter().map(|role| (&role["mission"], &role["planned_at_ms"])).collect();
+        assert_eq!(planned, Some(json!(shown)), "seed {seed}: {timeline:?}");
         assert_all_complete(&mut fleet, &missions).await;
         let arm: RoleId = slug("lab_arm");
         let ended = fleet.ledger(|ledger| {

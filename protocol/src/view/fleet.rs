@@ -159,9 +159,6 @@ pub struct HeldRole {
     /// Epoch of the award, as `term.index`; null if it is not known.
     #[serde(default)]
     pub epoch: Option<String>,
-    /// Estimated time for its tasks; null if it is not known.
-    #[serde(default)]
-    pub time_s: Option<Seconds>,
 }
 
 /// Role that a robot gets later.
@@ -171,6 +168,8 @@ pub struct PromisedRoleView {
     pub mission: MissionId,
     /// The role in it.
     pub role: RoleId,
+    /// Time at which the robot is estimated to be free for it, in milliseconds since 1970.
+    pub planned_at_ms: u64,
     /// Estimated time for its tasks; null if it is not known.
     #[serde(default)]
     pub time_s: Option<Seconds>,

@@ -12,7 +12,7 @@ use consort_protocol::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Ledger, MissionState, RoleAssignment};
+use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{NodeTime, Seconds};
 use consort_protocol::view::{
@@ -278,7 +278,6 @@ impl ViewContext<'_> {
                 mission: entry.id.clone(),
                 role: role.clone(),
                 epoch: Some(epoch.to_string()),
-                time_s: entry.roles.get(role).and_then(|role| estimated_time(role.holder.as_ref()?)),
             })
         });
         let mut robot = record.knowledge.robot.clone();
@@ -290,7 +289,7 @@ impl ViewContext<'_> {
         // Without the ledger, use the robot's own record.
         let holds = by_ledger.unwrap_or_else(|| match robot.as_ref().map(|worker| &worker.availability) {
             Some(Availability::Holding { mission, role, .. }) => {
-                Some(HeldRole { mission: mission.clone(), role: role.clone(), epoch: None, time_s: None })
+                Some(HeldRole { mission: mission.clone(), role: role.clone(), epoch: None })
             }
             Some(Availability::Free | Availability::OutOfService { .. }) | None => None,
         });
@@ -401,15 +400,15 @@ impl ViewContext<'_> {
 fn promised_by_robot(ledger: &Ledger) -> BTreeMap<RobotId, Vec<PromisedRoleView>> {
     let mut robots: BTreeMap<RobotId, Vec<PromisedRoleView>> = BTreeMap::new();
     for (entry, role, promise) in ledger.promises_in_order() {
-        let (mission, role, time_s) = (entry.id.clone(), role.clone(), estimated_time(promise));
-        robots.entry(promise.robot.clone()).or_default().push(PromisedRoleView { mission, role, time_s });
+        robots.entry(promise.robot.clone()).or_default().push(PromisedRoleView {
+            mission: entry.id.clone(),
+            role: role.clone(),
+            planned_at_ms: promise.planned_ms,
+            // Zero if the bid was stored without its parts.
+            time_s: Some(promise.time).filter(|time| *time > Seconds::ZERO),
+        });
     }
     robots
-}
-
-/// Returns the time that the bid of a robot has estimated for the tasks of its role, if the bid was stored with its parts.
-fn estimated_time(assignment: &RoleAssignment) -> Option<Seconds> {
-    Some(assignment.time).filter(|time| *time > Seconds::ZERO)
 }
 
 fn with<T: Serialize>(provenance: &Provenance, content: T) -> Value {

@@ -79,14 +79,7 @@ fn the_panels_show_the_planned_starts_of_promised_roles_in_their_order() {
     let Some(browser) = Browser::start(&folder) else { return };
     let shown = ShownModel::serve("timelines", |_, _| {});
     let holding = json!({ "availability": { "holding": { "mission": "rinse-1", "role": "r1", "suspended": false } } });
-    let timeline = json!({
-        "holds": { "mission": "rinse-1", "role": "r1", "time_s": 100.0 },
-        "promised": [
-            { "mission": "rinse-3", "role": "carrier", "time_s": 50.0 }, { "mission": "rinse-2", "role": "r1", "time_s": null },
-            { "mission": "rinse-4", "role": "r1", "time_s": 10.0 },
-        ],
-    });
-    let fleet = json!({ "nodes": [robot("ada", holding, timeline)] });
+    let starts = std::cell::Cell::new([0; 2]);
     let role = |role: &str, phase: &str| json!({ "role": role, "kind": "managed", "phase": phase, "holder": "ada" });
     let mission = |number: u64, role: Value| json!({ "mission": format!("rinse-{number}"), "number": number, "detail": "running", "roles": [role] });
     shown.change(|model, now_ms| {
@@ -94,29 +87,31 @@ fn the_panels_show_the_planned_starts_of_promised_roles_in_their_order() {
             let key = Key::ViewMission(format!("rinse-{number}").parse().expect("a mission"));
             model.apply_view(&key, &mission(number, role), at_ms);
         };
-        // The held role began a minute ago.
+        let [first, second] = [now_ms + 40_000, now_ms + 90_000];
+        starts.set([first, second]);
         apply(1, role("r1", "active"), now_ms - 60_000);
         let mut promised = role("r1", "promised");
         let before = json!([{ "mission": "rinse-1", "role": "r1" }, { "mission": "rinse-3", "role": "carrier" }]);
-        promised["promise"] =
-            json!({ "planned_at_ms": now_ms + 90_000, "delayed_s": 0.0, "can_start": false, "after": before });
+        promised["promise"] = json!({ "planned_at_ms": second, "delayed_s": 0.0, "can_start": false, "after": before });
         apply(2, promised, now_ms);
         apply(3, role("carrier", "promised"), now_ms);
         // The rate of the world is measured: a second per second.
         report(model, "ada", 0.8, &json!({}), now_ms - 10_000);
         report(model, "ada", 0.8, &json!({}), now_ms);
+        let timeline = json!({
+            "holds": { "mission": "rinse-1", "role": "r1" },
+            "promised": [
+                { "mission": "rinse-3", "role": "carrier", "planned_at_ms": first, "time_s": 50.0 },
+                { "mission": "rinse-2", "role": "r1", "planned_at_ms": second, "time_s": null },
+            ],
+        });
+        let fleet = json!({ "nodes": [robot("ada", holding, timeline)] });
         model.apply_view(&Key::ViewFleet, &fleet, now_ms);
     });
     browser.open(&shown.url());
     browser.wait_until("the robot", "document.querySelectorAll('#robots tbody tr').length === 1");
     browser.value("document.querySelector('#robots tr[data-row=ada] .rowbutton').click()");
-    let next = "consort.connection.model.robots.ada.next";
-    let start = |number: usize| browser.value(&format!("{next}[{number}].start_ms")).as_u64();
-    let (first, second) = (start(0).expect("a start"), start(1).expect("a start"));
-    assert_eq!((second - first, start(2)), (50_000, None), "the second has no estimate");
-    let begun = browser.value("consort.connection.model.missions['rinse-1'].assignments[0].from_ms");
-    let wait_ms = first.abs_diff(begun.as_u64().expect("an instant") + 100_000);
-    assert!(wait_ms < 2_000, "the first role starts {wait_ms} ms from the planned end of the held role");
+    let [first, second] = starts.get();
     let at = |ms: u64| {
         let time = browser.value(&format!("new Date({ms}).toLocaleTimeString([], {{ hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }})"));
         time.as_str().expect("text").to_owned()
@@ -124,19 +119,17 @@ fn the_panels_show_the_planned_starts_of_promised_roles_in_their_order() {
     wait_for_notes(
         &browser,
         &format!(
-            "charge 80 %; later, 1 carrier of rinse-3, planned for {}; later, 2 r1 of rinse-2, planned for {}; later, 3 r1 of rinse-4",
+            "charge 80 %; later, 1 carrier of rinse-3, planned for {}; later, 2 r1 of rinse-2, planned for {}",
             at(first),
             at(second)
         ),
     );
-    let planned = browser.value("consort.connection.model.missions['rinse-2'].roles.r1.promise.planned_at_ms");
-    let planned = planned.as_u64().expect("an instant");
     browser.value("document.querySelector('#missions tr[data-row=rinse-2] .rowbutton').click()");
     browser.wait_until(
         "the role of the mission",
         &format!(
             "document.querySelector('#mission table .sub')?.innerText === 'promised, from about {}, after r1 of rinse-1, carrier of rinse-3'",
-            at(planned)
+            at(second)
         ),
     );
     check_access(&browser, "a promised role");

@@ -1,9 +1,10 @@
-//! Role assignments over time, for the schedule chart, with their planned durations.
+//! Role assignments over time, for the schedule chart, with their planned durations, and the roles that robots get later.
 
-use super::FleetModel;
-use super::state::{MissionModel, RoleAssignment};
+use super::state::{MissionModel, NextRole, RoleAssignment};
+use super::{FleetModel, bounds};
 use consort_protocol::lease::EndReason;
 use consort_protocol::ledger::RolePhase;
+use consort_protocol::view::PromisedRoleView;
 
 /// Time after a change in which a view does not change a role's holder again, in milliseconds: the
 /// view may be older than the change.
@@ -49,13 +50,9 @@ impl MissionModel {
 
     /// Checks whether a robot has a role.
     pub(super) fn is_assigned(&self, role: &str, by: &str) -> bool {
-        self.assigned_from_ms(role, by).is_some()
-    }
-
-    /// Returns the start of the current assignment of a role to a robot.
-    pub(super) fn assigned_from_ms(&self, role: &str, by: &str) -> Option<u64> {
-        let is_it = |shown: &&RoleAssignment| shown.to_ms.is_none() && shown.role == role && shown.by == by;
-        self.assignments.iter().find(is_it).map(|shown| shown.from_ms)
+        self.assignments
+            .iter()
+            .any(|assignment| assignment.to_ms.is_none() && assignment.role == role && assignment.by == by)
     }
 
     /// Ends the assignment of a role.
@@ -118,7 +115,6 @@ impl FleetModel {
     /// Computes the planned durations of current assignments: from the winners' bids, at the speed
     /// of their world.
     pub(super) fn update_planned_times(&mut self) {
-        let Some(rate) = self.world_rate.rate() else { return };
         let unplanned = |mission: &MissionModel| mission.assignments.iter().any(RoleAssignment::lacks_plan);
         let missions: Vec<String> =
             self.missions.iter().filter(|(_, mission)| unplanned(mission)).map(|(id, _)| id.clone()).collect();
@@ -136,7 +132,7 @@ impl FleetModel {
                 .zip(&mission.assignments)
                 .filter(|(_, assignment)| assignment.lacks_plan())
                 .filter_map(|(index, assignment): (usize, &RoleAssignment)| {
-                    Some((index, (planned_time(assignment)? * 1000.0 / rate).round() as u64))
+                    Some((index, self.world_rate.wall_ms(planned_time(assignment)?)?))
                 })
                 .collect();
             if found.is_empty() {
@@ -147,6 +143,21 @@ impl FleetModel {
                 mission.assignments[index].planned_ms = Some(planned);
             }
         }
+    }
+
+    /// Returns the promised roles of a robot in their order.
+    pub(super) fn next_roles(&self, promised: Vec<PromisedRoleView>) -> Vec<NextRole> {
+        let next = |PromisedRoleView { mission, role, planned_at_ms, time_s }: PromisedRoleView| {
+            let planned_ms = time_s.and_then(|time| self.world_rate.wall_ms(time.get()));
+            NextRole {
+                mission: mission.to_string(),
+                role: role.to_string(),
+                start_ms: planned_at_ms,
+                // The measured rate of the world varies a little, and each change is sent.
+                planned_ms: planned_ms.map(|ms| ms.saturating_add(500) / 1000 * 1000),
+            }
+        };
+        promised.into_iter().take(bounds::NEXT_ROLES).map(next).collect()
     }
 }
 
@@ -189,7 +200,8 @@ impl WorldRate {
         self.from = Some((robot.to_owned(), world_s, now_ms));
     }
 
-    pub(super) fn rate(&self) -> Option<f64> {
-        self.rate
+    /// Returns how long a time of the world takes, in milliseconds; `None` before the rate is measured.
+    pub(super) fn wall_ms(&self, world_s: f64) -> Option<u64> {
+        Some((world_s * 1000.0 / self.rate?).round() as u64)
     }
 }

@@ -18,7 +18,6 @@ mod floor_plan;
 mod input;
 mod kpi;
 mod missions;
-mod next_roles;
 mod schedules;
 mod state;
 mod tracked;

@@ -163,8 +163,8 @@ pub struct NextRole {
     pub mission: String,
     /// The role in it.
     pub role: String,
-    /// Planned start, if the roles before it have estimates.
-    pub start_ms: Option<u64>,
+    /// Planned start.
+    pub start_ms: u64,
     /// Estimated duration in milliseconds, at the speed of its world.
     pub planned_ms: Option<u64>,
 }

@@ -164,7 +164,7 @@ impl FleetModel {
 
     fn take_fleet(&mut self, view: FleetView, published_ms: u64) {
         let mut present = vec![];
-        for NodeView { node: name, contact, record, traits, holds, orders, promised } in
+        for NodeView { node: name, contact, record, traits, orders, promised, .. } in
             view.nodes.into_iter().take(bounds::NODES)
         {
             let node = NodeModel {
@@ -178,7 +178,7 @@ impl FleetModel {
                 robot: record.robot.is_some(),
             };
             if let Some(robot) = record.robot {
-                let next = self.next_roles(name.as_str(), holds.as_ref(), promised);
+                let next = self.next_roles(promised);
                 self.take_robot(name.as_str(), robot, orders, next, &node);
             }
             present.push(name.to_string());

@@ -555,38 +555,24 @@ fn a_forecast_begins_again_when_the_availability_changes() {
 }
 
 #[test]
-fn promised_roles_start_after_the_roles_before_them() {
+fn promised_roles_have_planned_starts_and_the_time_of_their_world() {
     let mut model = model();
     let at = |world_s: f64| Telemetry { time: WorldTime::from_secs(world_s), ..telemetry(1.0, 1.0) };
     // The world is twice as fast as the clock.
     for (at_ms, world_s) in [(0, 0.0), (5_000, 10.0)] {
         model.apply_telemetry("ada", &at(world_s), NOW + at_ms);
     }
-    let role = json!({ "role": "r1", "kind": "managed", "phase": "active", "holder": "ada" });
-    let mission = json!({ "mission": "m-1", "detail": "running", "roles": [role] });
-    model.apply_view(&Key::ViewMission("m-1".parse().unwrap()), &mission, NOW);
     let mut ada = json!({ "node": "ada", "alive": true, "robot": worker(json!("free")) });
-    ada["holds"] = json!({ "mission": "m-1", "role": "r1", "time_s": 100.0 });
     ada["promised"] = json!([
-        { "mission": "m-3", "role": "r2", "time_s": 50.0 }, { "mission": "m-2", "role": "r1" },
-        { "mission": "m-4", "role": "r1", "time_s": 50.0 },
+        { "mission": "m-3", "role": "r2", "planned_at_ms": NOW + 50_000, "time_s": 50.0 },
+        { "mission": "m-2", "role": "r1", "planned_at_ms": NOW + 80_000, "time_s": null },
     ]);
-    let next = |model: &FleetModel| {
-        let next = model.robots()["ada"].next.iter();
-        next.map(|next| (next.mission.clone(), next.role.clone(), next.start_ms)).collect::<Vec<_>>()
-    };
-    let expected = |starts: [Option<u64>; 3]| {
-        let roles = [("m-3", "r2"), ("m-2", "r1"), ("m-4", "r1")];
-        roles.into_iter().zip(starts).map(|((mission, role), start)| (mission.to_owned(), role.to_owned(), start))
-    };
     model.apply_view(&Key::ViewFleet, &fleet(json!([ada])), NOW + 5_000);
-    assert_eq!(next(&model), expected([Some(NOW + 50_000), Some(NOW + 75_000), None]).collect::<Vec<_>>());
-    let durations: Vec<_> = model.robots()["ada"].next.iter().map(|next| next.planned_ms).collect();
-    assert_eq!(durations, [Some(25_000), None, Some(25_000)]);
-    // A robot without a role waits until its next role can start.
-    ada["holds"] = Value::Null;
-    model.apply_view(&Key::ViewFleet, &fleet(json!([ada])), NOW + 6_000);
-    assert_eq!(next(&model), expected([None; 3]).collect::<Vec<_>>());
+    let expected = json!([
+        { "mission": "m-3", "role": "r2", "start_ms": NOW + 50_000, "planned_ms": 25_000 },
+        { "mission": "m-2", "role": "r1", "start_ms": NOW + 80_000 },
+    ]);
+    assert_eq!(model.to_json()["robots"]["ada"]["next"], expected);
 }
 
 #[test]

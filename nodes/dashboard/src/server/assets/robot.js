@@ -25,7 +25,7 @@ function notesOf(robot) {
   const charge = [percent(robot.battery ?? 0), robot.forecast && forecastText(robot.forecast), chargingText(robot.charging ?? {})];
   notes.push(['charge', charge.filter(Boolean).join(', ')]);
   (robot.next ?? []).forEach(({ mission, role, start_ms: start }, index) => {
-    notes.push([`later, ${index + 1}`, `${role} of ${mission}${start ? `, planned for ${clock(start)}` : ''}`]);
+    notes.push([`later, ${index + 1}`, `${role} of ${mission}, planned for ${clock(start)}`]);
   });
   return notes;
 }

@@ -44,11 +44,11 @@ export function update(model, now) {
   table(seen, now);
 }
 
-/** Returns the promised roles with a planned start, which is late if the roles before it take longer than planned. */
+/** Returns the promised roles. Their starts are late if the roles before them take longer than planned. */
 function promised(model, now) {
   return Object.entries(model.robots ?? {}).flatMap(([by, { next = [] }]) => {
     const late = Math.max(now - (next[0]?.start_ms ?? now), 0);
-    return next.filter((role) => role.start_ms).map(({ mission, role, start_ms: start, planned_ms: planned }) => {
+    return next.map(({ mission, role, start_ms: start, planned_ms: planned }) => {
       const from_ms = start + late;
       return { mission, role, by, from_ms, to_ms: from_ms + (planned ?? 0), planned_ms: planned, state: 'promised', key: `${mission}#later-${role}` };
     });
