@@ -8,14 +8,15 @@
 //! the last route, the robot waits until they open it.
 //!
 //! The goal of a leg contains the speed limit of people. If they lower it meanwhile, the robot stops, and drives the
-//! rest of the leg as another goal.
+//! rest of the leg as another goal. While there are limits the route is planned again at each place, since they may have
+//! changed.
 
 use super::context::TaskContext;
 use crate::actions::{self, ActionError, ErrorCode, GoalId, GoalStatus};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,
 };
-use crate::environment::{Environment, RouteError, Routes};
+use crate::environment::{Environment, RouteError, Routes, SpeedLimits};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::MetresPerSecond;
 use std::borrow::Cow;
@@ -92,7 +93,7 @@ struct NavigateToPose {
     drive: Option<Drive>,
     /// Remaining legs of a detour.
     detour: VecDeque<PlaceId>,
-    /// People have closed the leg, or lowered its speed limit: the route is to be planned again.
+    /// People have closed the leg, or limit speeds: the route is to be planned again.
     must_plan: bool,
 }
 
@@ -117,6 +118,16 @@ impl Drive {
 }
 
 impl NavigateToPose {
+    /// Starts a leg that was planned before. While people limit speeds, another way may be faster now.
+    fn start_next_leg(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<NodeStatus, Cause> {
+        let are_limited = !context.actions().speed_limits().is_none_or(SpeedLimits::is_empty);
+        if are_limited && context.read_optional::<PlaceId>("to")?.is_some() {
+            self.must_plan = true;
+            return self.plan_again(context);
+        }
+        self.start_leg(context, place)
+    }
+
     fn start_leg(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<NodeStatus, Cause> {
         let pose = routes(&self.environment)?.pose(&place);
         let pose = pose.ok_or_else(|| Cause::new(format!("{place} is not on the map")))?;
@@ -154,7 +165,7 @@ impl NavigateToPose {
                 Ok(NodeStatus::Running)
             }
             Some(GoalStatus::Succeeded(_)) => match self.detour.pop_front() {
-                Some(next) => self.start_leg(context, next),
+                Some(next) => self.start_next_leg(context, next),
                 None => Ok(NodeStatus::Success),
             },
             Some(GoalStatus::Aborted(error)) if error.code == ErrorCode::Blocked => {
@@ -230,7 +241,7 @@ impl Leaf for NavigateToPose {
         {
             return Ok(NodeStatus::Success); // a detour has already reached the destination
         }
-        self.start_leg(context, place)
+        self.start_next_leg(context, place)
     }
 
     fn halt(&mut self, context: &mut LeafContext<'_, '_>) {

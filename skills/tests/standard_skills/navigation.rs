@@ -234,6 +234,19 @@ fn a_drive_takes_a_faster_route_around_a_slow_lane() {
 }
 
 #[test]
+fn a_drive_avoids_a_later_leg_on_which_people_limit_the_speed_on_its_way() {
+    let mut driver = ScriptedDriver::at("A");
+    let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    driver.limit("B", "C", 0.1);
+    assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+    assert!(!driver.is_canceling(), "its leg is not limited");
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    let way = ["drive B 10", "drive A 0", "drive E 15", "drive C 20"];
+    assert_eq!(driver.sent(), way, "70 s at 1 m/s, not 100 s");
+}
+
+#[test]
 fn a_drive_under_way_is_slowed_when_people_lower_the_speed_limit_of_its_leg() {
     let mut driver = ScriptedDriver::at("A");
     let mut skill = skill(&task("navigation", &[("to", "C")]));

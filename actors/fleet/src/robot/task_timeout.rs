@@ -92,6 +92,14 @@ impl TaskTimer {
         self.started = None;
     }
 
+    /// Gives the attempt at least the time of another timer, which starts now.
+    pub(super) fn extend(&mut self, other: TaskTimer, world: Option<WorldTime>) {
+        let taken_s = world.zip(self.started).map_or(0.0, |(now, started)| now.as_secs() - started.as_secs());
+        if other.limit.get() > self.limit.get() - taken_s {
+            *self = other;
+        }
+    }
+
     /// Returns the reason to abort the attempt, if any. Call it periodically with the driver's
     /// clock and the age of that reading.
     pub(super) fn check(&mut self, world: Option<WorldTime>, silent_for: Duration) -> Option<String> {
@@ -161,6 +169,20 @@ mod tests {
         assert_eq!(timer.check(at(3.0), fresh), None, "another world");
         assert_eq!(timer.check(at(62.0), fresh), None);
         assert_eq!(timer.check(at(64.0), fresh).unwrap(), "not completed after 61 s; the limit is 60 s");
+    }
+
+    /// A leg that the robot drives slowly takes as long as before when the speed limit is cleared on its way.
+    #[test]
+    fn an_extended_timer_leaves_no_less_time_than_before() {
+        let timer = |estimate_s| TaskTimer::new(&TaskTimeout::default(), &task(&[]), Some(seconds(estimate_s)));
+        let (mut timer_of_slow_drive, fresh) = (timer(200.0), Duration::ZERO);
+        assert_eq!(timer_of_slow_drive.check(at(1000.0), fresh), None);
+        timer_of_slow_drive.extend(timer(20.0), at(1100.0));
+        assert_eq!(timer_of_slow_drive.check(at(1660.0), fresh), None, "660 s from the start");
+        timer_of_slow_drive.extend(timer(20.0), at(1660.0));
+        assert_eq!(timer_of_slow_drive.check(at(1660.0), fresh), None);
+        assert_eq!(timer_of_slow_drive.check(at(1780.0), fresh), None, "120 s more");
+        assert!(timer_of_slow_drive.check(at(1781.0), fresh).is_some());
     }
 
     #[test]

@@ -254,9 +254,11 @@ impl ActivePlan {
         self.left.as_ref()
     }
 
-    /// Records that the robot is back at the place that it had left.
+    /// Records that the robot is back at the place that it had left. The plan goes on once this is stored: otherwise a
+    /// robot that restarts on its next drive would return again.
     pub(super) fn set_returned(&mut self) {
         self.left = None;
+        self.checkpoint.writer.mark_outdated();
     }
 
     /// Returns the remaining work, with the way back to the place that the robot has left, as a plan that can be
@@ -277,10 +279,10 @@ impl ActivePlan {
         Some(AttemptFailure::new(FailureKind::NoProgress, cause))
     }
 
-    /// Replaces the time limit of the current task.
-    pub(super) fn set_timer(&mut self, timer: TaskTimer) {
+    /// Gives the current task at least the time of another timer, which starts now.
+    pub(super) fn extend_timer(&mut self, timer: TaskTimer, world: Option<WorldTime>) {
         if let Some(attempt) = &mut self.attempt {
-            attempt.timer = timer;
+            attempt.timer.extend(timer, world);
         }
     }
 

@@ -95,6 +95,8 @@ fn a_robot_returns_to_the_place_that_it_left_before_its_plan_goes_on() {
         assert_eq!(active.place_left(), Some(&place("Ward")));
         active.set_returned();
         assert_eq!(active.remaining_plan().tasks().count(), 1);
+        assert_eq!(active.next_action(at(0)), None, "the return is not stored yet");
+        assert_eq!(write(active).map(|checkpoint| checkpoint.left), Some(None));
         assert_eq!(start_task(active, at(0)).1.as_str(), "return");
     }
 }

@@ -120,19 +120,20 @@ impl RobotState {
         Ok((skill, task_timer(&self.settings, spec, context)))
     }
 
-    /// Gives the task in progress a new time limit, since the speed limits on its way have changed.
-    pub(super) fn renew_timers(&mut self) {
-        let context = self.driver.estimate_context();
+    /// Gives the task in progress the time that it needs now, since the speed limits on its way have changed. It has no
+    /// less time than before: the robot drives its present leg as slowly as it began.
+    pub(super) fn extend_timers(&mut self) {
+        let (context, world) = (self.driver.estimate_context(), self.driver.world_time());
         let RobotState { settings, execution, alarm_drive, charging, .. } = self;
         if let Some(active) = &mut execution.plan
             && let Some((.., spec)) = active.sequencer.current_step()
         {
             let timer = task_timer(settings, spec, &context);
-            active.set_timer(timer);
+            active.extend_timer(timer, world);
         }
         let own_tasks = [alarm_drive.task_mut(), charging.as_mut().and_then(ChargeControl::task_mut)];
         for task in own_tasks.into_iter().flatten() {
-            task.timer = task_timer(settings, &task.spec, &context);
+            task.timer.extend(task_timer(settings, &task.spec, &context), world);
         }
     }
 

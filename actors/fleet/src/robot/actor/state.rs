@@ -158,7 +158,7 @@ impl RobotState {
         self.driver.set_map_orders(self.orders.map_orders(now));
         let worker = self.driver.sense(holding, problem, charging, now);
         if self.driver.speed_limits() != limits {
-            self.renew_timers();
+            self.extend_timers();
         }
         let Some(worker) = worker else { return };
         let worker = self.settings.pricing.ensembles.published(worker);
