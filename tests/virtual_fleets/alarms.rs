@@ -5,7 +5,7 @@ use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
-use consort_tests::{Fleet, RobotSpec, for_each_seed};
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -193,6 +193,36 @@ fn a_robot_returns_to_the_person_that_it_left_even_after_a_restart() {
         fleet.wait_until("the return to the room", SOON, |fleet| is_at(fleet, &carrier, ROOM_AT)).await;
         assert_goes_on(&mut fleet, &[(mission, carrier)]).await;
         fleet.assert_sample_delivered(ROOMS[0]);
+    });
+}
+
+/// No other robot could take the role.
+#[test]
+fn a_free_robot_keeps_its_promised_role_during_an_alarm() {
+    for_each_seed([1535, 1536], async |seed| {
+        let mut robots = slow_carriers();
+        robots.push(RobotSpec::carrier("heath", "PC Room 2").with_skill("wait"));
+        let mut fleet = fleet_of(seed, robots, &[], |_: &mut NodeSettings| {}).await;
+        fleet.wait_for_audit_trail().await;
+        let (managed, room) = (json!({ "kind": "managed" }), ROOMS[0]);
+        let drive = json!({ "task": "go", "type": "navigation", "roles": ["cart"], "parameters": { "to": room } });
+        let wait = json!({ "task": "act", "type": "wait", "roles": ["arm"], "parameters": { "seconds": "5" } });
+        let mission = json!({
+            "mission": "go-and-act", "roles": { "cart": managed, "arm": managed },
+            "root": { "task": "all", "method": "sequential", "tasks": [drive, wait] },
+        });
+        let reply = request(&fleet, ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;
+        let mission: MissionId = slug(reply["mission"].as_str().expect("a mission"));
+        fleet.wait_until("the drive", SOON, |fleet| fleet.has_event(task_began("go"))).await;
+        let promises = |fleet: &Fleet| fleet.ledger(|ledger| ledger.promises_in_order().len());
+        assert_eq!(promises(&fleet), Some(1), "seed {seed}: the arm waits for the cart");
+        raise(&fleet, "freeze").await;
+        wait_for_rest(&mut fleet).await;
+        let is_lost = |fleet: &Fleet| promises(fleet) != Some(1);
+        fleet.assert_never("the end of the promise", longer_than_a_lease(), is_lost).await;
+        clear(&fleet, None).await;
+        fleet.assert_completes(&mission).await;
+        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}\n{}", fleet.event_log_text());
     });
 }
 

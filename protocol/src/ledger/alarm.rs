@@ -19,6 +19,9 @@ const PLANS_BYTES_MAX: usize = 4 * 1024;
 /// Maximum encoded size of all alarms in bytes: their plans, their names, and the texts of their orders.
 pub(super) const ALARMS_BYTES_MAX: usize = PLANS_BYTES_MAX + ALARMS_MAX * 1024;
 
+/// Beginning of the text of an alarm.
+const TEXT_PREFIX: &str = "under alarm ";
+
 /// What robots do while an alarm lasts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -106,7 +109,13 @@ impl Alarm {
     /// Formats the alarm, as `under alarm fire by Nia: smoke`.
     pub fn text(&self) -> String {
         let RobotOrder { by, .. } = &self.order;
-        format!("under alarm {} by {by}{}", self.alarm, self.order.reason_text())
+        format!("{TEXT_PREFIX}{} by {by}{}", self.alarm, self.order.reason_text())
+    }
+
+    /// Checks whether a robot is out of service because of an alarm, by the problem that its record states. The record
+    /// states it until the robot has received the all-clear.
+    pub fn is_problem(problem: &str) -> bool {
+        problem.starts_with(TEXT_PREFIX)
     }
 
     /// Formats what the alarm demands, as `robots drive to the nearest of Dock, Yard; closed: Lift A`.
@@ -232,6 +241,7 @@ mod tests {
         };
         let fire = alarm(AlarmResponse::Assemble, &["Dock", "Yard"], &closes);
         assert_eq!(fire.text(), "under alarm fire by Nia: smoke");
+        assert!(Alarm::is_problem(&fire.text()) && !Alarm::is_problem(&fire.order.hold_text()));
         assert_eq!(fire.plan_text(), "robots drive to the nearest of Dock, Yard; closed: Lift A");
         assert_eq!(alarm(AlarmResponse::Stop, &[], &[]).plan_text(), "robots stand still");
     }

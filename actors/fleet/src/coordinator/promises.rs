@@ -7,7 +7,7 @@ use consort_gossip::{MemberStatus, SharedKnowledge};
 use consort_protocol::auction::BidLimits;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
-use consort_protocol::ledger::{Ledger, MissionEntry, Priority};
+use consort_protocol::ledger::{Alarm, Ledger, MissionEntry, Priority};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Tolerance for the charge of a robot, as a share of a full battery: records state the charge in steps of 0.02.
@@ -90,8 +90,7 @@ pub(super) fn unfit_robots(
             // A node that has just started may have the record from another node before it has contact.
             (Some(_), MemberStatus::Unknown) => has_all_records.then(|| format!("{robot} is not in contact")),
             (Some(_), MemberStatus::Down { .. }) => Some(format!("{robot} was judged dead")),
-            (Some(Availability::OutOfService { problem }), _) => Some(format!("{robot} is out of service: {problem}")),
-            (Some(Availability::Free | Availability::Holding { .. }), _) => None,
+            (Some(availability), _) => problem_of(&availability).map(|problem| format!("{robot} is {problem}")),
         }
     };
     promised_robots(ledger).into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
@@ -116,6 +115,17 @@ fn promised_robots(ledger: &Ledger) -> BTreeSet<&RobotId> {
 fn read_record<T>(knowledge: &SharedKnowledge, robot: &RobotId, read: impl Fn(&RobotKnowledge) -> T) -> Option<T> {
     let node = NodeId::from(robot.clone());
     knowledge.read(|base| Some(read(base.get(&node)?.record.knowledge.robot.as_ref()?)))
+}
+
+/// Returns the problem for which a robot cannot keep its promises. During an alarm it keeps them, since no other robot could
+/// take the roles.
+fn problem_of(availability: &Availability) -> Option<String> {
+    match availability {
+        Availability::OutOfService { problem } if !Alarm::is_problem(problem) => {
+            Some(format!("out of service: {problem}"))
+        }
+        Availability::OutOfService { .. } | Availability::Free | Availability::Holding { .. } => None,
+    }
 }
 
 #[cfg(test)]
@@ -154,6 +164,14 @@ mod tests {
             other => panic!("{other:?}"),
         });
         awarded.collect()
+    }
+
+    #[test]
+    fn an_alarm_is_no_problem_for_promises() {
+        let problem = |text: &str| problem_of(&Availability::out_of_service(text.to_owned()));
+        assert_eq!(problem("held by Nia").as_deref(), Some("out of service: held by Nia"));
+        assert_eq!(problem("under alarm fire by Nia: smoke"), None);
+        assert_eq!(problem_of(&Availability::Free), None);
     }
 
     #[test]
