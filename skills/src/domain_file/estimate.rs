@@ -213,12 +213,12 @@ impl DeclaredEstimate {
         }
         let to = self.parsed(task, name, str::parse::<PlaceId>)?;
         let open = routes.without_closed(&context.closed);
-        let routes = open.limited(&context.limits, context.speed);
+        let known = environment.find::<Passages>();
+        let routes = open.limited(&context.limits, context.speed, known);
         let length = match context.pose {
             Some(pose) => routes.distance_left(&context.place, pose, &to)?,
             None => routes.distance(&context.place, &to)?,
         };
-        let known = environment.find::<Passages>();
         let limited = (!context.limits.is_empty())
             .then(|| known.cloned().unwrap_or_default().with_limits(context.limits.clone()));
         // Most maps have no doors, lifts or limits.

@@ -62,15 +62,24 @@ impl Passages {
     /// Returns the travel time from a place to its neighbour, over an edge of this length, at this
     /// speed or the lowest limit.
     pub fn time(&self, from: &PlaceId, to: &PlaceId, length: Metres, speed: MetresPerSecond) -> Seconds {
-        let speed = self.limits.slowed(from, to, speed);
-        match self.edges.get(from).and_then(|edges| edges.get(to)) {
+        let speed = self.speed(from, to, self.limits.slowed(from, to, speed));
+        match self.passage(from, to) {
             None => length.at(speed),
-            Some(Passage::Drive { speed_limit, expected_wait }) => {
-                let limit = speed_limit.filter(|limit| limit.get() < speed.get());
-                length.at(limit.unwrap_or(speed)) + *expected_wait
-            }
+            Some(Passage::Drive { expected_wait, .. }) => length.at(speed) + *expected_wait,
             Some(Passage::Lift(time)) => *time,
         }
+    }
+
+    /// Returns the speed of a robot of this speed from a place to its neighbour, under the limit of the map.
+    pub(super) fn speed(&self, from: &PlaceId, to: &PlaceId, speed: MetresPerSecond) -> MetresPerSecond {
+        match self.passage(from, to) {
+            Some(Passage::Drive { speed_limit: Some(limit), .. }) if limit.get() < speed.get() => *limit,
+            Some(Passage::Drive { .. } | Passage::Lift(_)) | None => speed,
+        }
+    }
+
+    fn passage(&self, from: &PlaceId, to: &PlaceId) -> Option<&Passage> {
+        self.edges.get(from)?.get(to)
     }
 }
 

@@ -13,6 +13,11 @@ impl SpeedLimits {
         self.0.is_empty()
     }
 
+    /// Returns the limited lanes by their ends, and each limited place twice.
+    pub(super) fn lanes(&self) -> impl Iterator<Item = &(PlaceId, PlaceId)> {
+        self.0.iter().map(|(lane, _)| lane)
+    }
+
     /// Returns the lowest limit for a robot that has passed `from`, on its way to the neighbour `to`. The lane on which a
     /// robot returns to the place that it has passed is unknown: the limits of all lanes to it count.
     pub fn on(&self, from: &PlaceId, to: &PlaceId) -> Option<MetresPerSecond> {

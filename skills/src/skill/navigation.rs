@@ -16,7 +16,7 @@ use crate::actions::{self, ActionError, ErrorCode, GoalId, GoalStatus};
 use crate::bt::{
     Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,
 };
-use crate::environment::{Environment, RouteError, Routes, SpeedLimits};
+use crate::environment::{Environment, Passages, RouteError, Routes};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::MetresPerSecond;
 use std::borrow::Cow;
@@ -50,12 +50,12 @@ fn legs(
     to: &PlaceId,
 ) -> Result<Option<Vec<PlaceId>>, Cause> {
     let Some(telemetry) = context.actions().telemetry() else { return Ok(None) };
-    let (telemetry, routes) = (telemetry.clone(), routes(environment)?);
+    let (telemetry, routes, passages) = (telemetry.clone(), routes(environment)?, environment.find::<Passages>());
     let limits = context.actions().speed_limits().cloned().unwrap_or_default();
     let speed = context.actions().speed();
     let legs = |closed: &[(PlaceId, PlaceId)]| {
         let open = routes.without_closed(closed);
-        let routes = speed.map_or(Cow::Borrowed(&*open), |speed| open.limited(&limits, speed));
+        let routes = speed.map_or(Cow::Borrowed(&*open), |speed| open.limited(&limits, speed, passages));
         routes.legs(&telemetry.place, telemetry.pose, to)
     };
     match legs(&telemetry.closed) {
@@ -120,7 +120,7 @@ impl Drive {
 impl NavigateToPose {
     /// Starts a leg that was planned before. While people limit speeds, another way may be faster now.
     fn start_next_leg(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<NodeStatus, Cause> {
-        let are_limited = !context.actions().speed_limits().is_none_or(SpeedLimits::is_empty);
+        let are_limited = context.actions().speed_limits().is_some_and(|limits| !limits.is_empty());
         if are_limited && context.read_optional::<PlaceId>("to")?.is_some() {
             self.must_plan = true;
             return self.plan_again(context);

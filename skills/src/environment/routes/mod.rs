@@ -11,6 +11,7 @@ use super::speed_limits::SpeedLimits;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
+use petgraph::Direction;
 use petgraph::algo::dijkstra;
 use petgraph::graph::{DiGraph, EdgeIndex, EdgeReference, NodeIndex};
 use petgraph::visit::{EdgeRef, Reversed};
@@ -126,16 +127,22 @@ impl Routes {
         Cow::Owned(Routes { graph, index: self.index.clone(), costs, reduced: true, closed_places, slowed })
     }
 
-    /// Returns the routes of a robot of this speed: they are the fastest under the limits. A metre at half of the speed
-    /// counts as two metres. Lift rides from and to a limited place count as its lanes do.
-    pub fn limited(&self, limits: &SpeedLimits, speed: MetresPerSecond) -> Cow<'_, Routes> {
-        if limits.is_empty() {
-            return Cow::Borrowed(self);
-        }
-        let slowed = self.graph.edge_references().filter_map(|edge| {
-            let [from, to] = [edge.source(), edge.target()].map(|end| &self.graph[end].0);
-            let slow = limits.slowed(from, to, speed);
-            (slow != speed).then(|| (edge.id(), speed.get() / slow.get()))
+    /// Returns the routes of a robot of this speed: they are the fastest under the limits. A metre on which people slow
+    /// the robot to half of its speed counts as two metres. Limits above those of the map, in `passages`, count as none.
+    /// Lift rides from and to a limited place count as its lanes do.
+    pub fn limited(
+        &self,
+        limits: &SpeedLimits,
+        speed: MetresPerSecond,
+        passages: Option<&Passages>,
+    ) -> Cow<'_, Routes> {
+        let edges = limits.lanes().flat_map(|(a, b)| self.edges_of(a, b));
+        let slowed = edges.filter_map(|edge| {
+            let (from, to) = self.graph.edge_endpoints(edge)?;
+            let [from, to] = [from, to].map(|end| &self.graph[end].0);
+            let own = passages.map_or(speed, |passages| passages.speed(from, to, speed));
+            let slow = limits.slowed(from, to, own);
+            (slow != own).then(|| (edge, own.get() / slow.get()))
         });
         let slowed: BTreeMap<EdgeIndex, f64> = slowed.collect();
         if slowed.is_empty() {
@@ -149,6 +156,17 @@ impl Routes {
             closed_places: self.closed_places.clone(),
             slowed,
         })
+    }
+
+    /// Returns the edges between two places in both directions, or all from and to a place that is given twice. None for
+    /// a place that is not on the map.
+    fn edges_of(&self, a: &PlaceId, b: &PlaceId) -> Vec<EdgeIndex> {
+        let (Some(a), Some(b)) = (self.index.get(a).copied(), self.index.get(b).copied()) else { return vec![] };
+        if a == b {
+            let edges = |direction| self.graph.edges_directed(a, direction).map(|edge| edge.id());
+            return edges(Direction::Outgoing).chain(edges(Direction::Incoming)).collect();
+        }
+        [self.graph.find_edge(a, b), self.graph.find_edge(b, a)].into_iter().flatten().collect()
     }
 
     /// Checks whether a robot that has passed `from` enters a closed lane or place on its way to the

@@ -1,7 +1,7 @@
 //! Routes, compared with hand-drawn maps and with a slow search.
 
 use super::*;
-use crate::environment::Edge;
+use crate::environment::{Edge, Passage};
 use proptest::prelude::*;
 
 fn place(name: &str) -> PlaceId {
@@ -209,18 +209,24 @@ fn a_slow_lane_is_avoided_if_another_way_is_faster() {
     );
     let speed = |speed| MetresPerSecond::new(speed).unwrap();
     let limits = |limit| -> SpeedLimits { [((place("C"), place("B")), speed(limit))].into_iter().collect() };
-    let route = |limit, own| ring.limited(&limits(limit), speed(own)).route(&place("A"), &place("C")).unwrap();
+    let route = |limit, own| ring.limited(&limits(limit), speed(own), None).route(&place("A"), &place("C")).unwrap();
     let places = |limit, own| -> Vec<String> { route(limit, own).places.iter().map(PlaceId::to_string).collect() };
     assert_eq!(places(0.6, 1.0), ["A", "B", "C"], "26.7 s, not 30 s");
     assert_eq!((places(0.4, 1.0), route(0.4, 1.0).length.get()), (["A", "E", "C"].map(str::to_owned).into(), 30.0));
     assert_eq!(places(0.4, 0.4), ["A", "B", "C"], "the robot is as slow everywhere");
     assert_eq!(route(0.6, 1.0).length.get(), 20.0, "the length is that of the lanes");
     let slow = limits(0.1);
-    let slowed = ring.limited(&slow, speed(1.0));
+    let slowed = ring.limited(&slow, speed(1.0), None);
     let legs = |x| slowed.legs(&place("B"), Pose::new(x, 0.0, 0.0), &place("C")).unwrap();
     assert_eq!(names(&legs(11.0)), ["B", "A", "E", "C"], "10 + 40 s, not 90 s");
     assert_eq!(names(&legs(16.0)), ["C"], "40 s, not 60 + 40 s");
     let passages = Passages::default().with_limits(slow.clone());
     let time = slowed.time_left(&place("B"), Pose::new(16.0, 0.0, 0.0), &place("C"), speed(1.0), &passages);
     assert_eq!(time.map(Seconds::get), Ok(40.0));
+    // On a lane that is slow by the map, only a lower limit of people changes the route.
+    let drive = Passage::Drive { speed_limit: Some(speed(0.3)), expected_wait: Seconds::ZERO };
+    let of_map = Passages::default().with(place("B"), place("C"), drive).with(place("C"), place("B"), drive);
+    let route = |limit| ring.limited(&limits(limit), speed(1.0), Some(&of_map)).route(&place("A"), &place("C"));
+    assert_eq!(names(&route(0.4).unwrap().places), ["A", "B", "C"]);
+    assert_eq!(names(&route(0.1).unwrap().places), ["A", "E", "C"]);
 }
