@@ -3,7 +3,7 @@
 
 use crate::auction::{AuctionRecord, Bid};
 use crate::cause::CauseClass;
-use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, ScheduleId, TaskId};
+use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, ScheduleId, TaskId};
 use crate::lease::{EndReason, Epoch};
 use crate::ledger::{Alarm, MapPart, MissionState, Priority, RobotOrder, RobotOrders};
 use crate::message::FailureKind;
@@ -127,6 +127,22 @@ pub enum EventKind {
         part: MapPart,
         /// Who closed it, why, and until when; null if it is open from now on.
         order: Option<RobotOrder>,
+    },
+    /// The coordinator has leased a charger to a robot.
+    ChargerLeased {
+        /// Place of the charger.
+        charger: PlaceId,
+        /// The robot.
+        robot: RobotId,
+    },
+    /// The lease of a charger has ended.
+    ChargerFreed {
+        /// Place of the charger.
+        charger: PlaceId,
+        /// The robot that had the lease.
+        robot: RobotId,
+        /// Cause.
+        cause: String,
     },
     /// An occurrence of a schedule was submitted.
     OccurrenceSubmitted {
@@ -443,6 +459,8 @@ impl EventKind {
             EventKind::RobotOrders { .. } => "robot_orders",
             EventKind::AlarmChanged { .. } => "alarm_changed",
             EventKind::ClosureChanged { .. } => "closure_changed",
+            EventKind::ChargerLeased { .. } => "charger_leased",
+            EventKind::ChargerFreed { .. } => "charger_freed",
             EventKind::OccurrenceSubmitted { .. } => "occurrence_submitted",
             EventKind::BidsRequested { .. } => "bids_requested",
             EventKind::Bid { .. } => "bid",
@@ -514,6 +532,8 @@ impl EventKind {
             | EventKind::RobotOrders { .. }
             | EventKind::AlarmChanged { .. }
             | EventKind::ClosureChanged { .. }
+            | EventKind::ChargerLeased { .. }
+            | EventKind::ChargerFreed { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. } => None,
         }
@@ -540,6 +560,12 @@ mod tests {
             EventKind::ClosureChanged { part: MapPart::Place("Ward".parse().unwrap()), order: None },
             EventKind::PriorityChanged { mission: mission.clone(), priority: Priority::default() },
             EventKind::RoleOrdered { mission: mission.clone(), role: role.clone(), order: None },
+            EventKind::ChargerLeased { charger: "Dock".parse().unwrap(), robot: "ada".parse().unwrap() },
+            EventKind::ChargerFreed {
+                charger: "Dock".parse().unwrap(),
+                robot: "ada".parse().unwrap(),
+                cause: String::new(),
+            },
             EventKind::LowCharge { mission, role, cause: String::new() },
         ];
         for kind in kinds {

@@ -45,6 +45,7 @@ pub mod api;
 pub mod auction;
 mod bounds;
 pub mod cause;
+pub mod chargers;
 pub mod codec;
 pub mod ensemble;
 pub mod event;

@@ -1,5 +1,6 @@
 //! Robots that charge by themselves.
 
+use consort_bus::Bus as _;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::auction::{BidVerdict, RefusalReason};
 use consort_protocol::event::EventKind;
@@ -187,6 +188,79 @@ fn two_robots_use_a_single_charger_in_turn() {
         }
         fleet.wait_until("no robot that needs charge", SOON, |fleet| !one_waits(fleet)).await;
         assert_eq!(connections(&fleet).len(), 2, "seed {seed}: {:?}", connections(&fleet));
+    });
+}
+
+/// Returns the robots to which the charger was leased, in their order.
+fn leased(fleet: &Fleet) -> Vec<String> {
+    let robots = fleet.events().into_iter().filter_map(|event| match event {
+        EventKind::ChargerLeased { charger, robot } if charger.as_str() == CHARGER => Some(robot.to_string()),
+        _ => None,
+    });
+    robots.collect()
+}
+
+/// Returns the charger as seen by the coordinator.
+async fn charger_view(fleet: &Fleet) -> Value {
+    let coordinator = fleet.coordinating().expect("a coordinator");
+    let key = format!("consort/ward/seen/{coordinator}/fleet");
+    let mut replies = fleet.client.query(&key, vec![].into(), Duration::from_secs(1)).await.expect("a virtual bus");
+    let payload = replies.recv().await.expect("a reply").payload.expect("a view");
+    let view: Value = serde_json::from_slice(&payload).expect("JSON");
+    view["chargers"][0].clone()
+}
+
+/// Returns the cause of the end of the first lease of a robot, if it has ended.
+fn freed(fleet: &Fleet, name: &str) -> Option<String> {
+    fleet.events().into_iter().find_map(|event| match event {
+        EventKind::ChargerFreed { robot, cause, .. } if robot.as_str() == name => Some(cause),
+        _ => None,
+    })
+}
+
+#[test]
+fn a_charger_is_leased_to_the_waiting_robots_with_less_charge_first() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![
+            carrier("fern", ROOMS[1], BELOW - 0.1),
+            carrier("gorse", ROOMS[0], BELOW - 0.15),
+            carrier("hazel", CHARGER, BELOW - 0.01),
+        ];
+        let mut fleet = fleet(seed, robots, BELOW).await;
+        fleet.wait_until("the first connection", SOON, |fleet| is_connected(fleet, "hazel")).await;
+        fleet.wait_until("the lease", SOON, |fleet| leased(fleet) == ["hazel"]).await;
+        let both_wait = |fleet: &Fleet| {
+            ["fern", "gorse"].iter().all(|robot| matches!(charging(fleet, robot), Some(Charging::Waiting { .. })))
+        };
+        fleet.wait_until("two robots that wait", SOON, both_wait).await;
+        let view = charger_view(&fleet).await;
+        assert_eq!(view["charger"], json!(CHARGER), "seed {seed}: {view}");
+        assert_eq!(view["lease"]["robot"], json!("hazel"), "seed {seed}: {view}");
+        assert_eq!(view["waiting"], json!(["gorse", "fern"]), "seed {seed}: {view}");
+        fleet.wait_until("the last connection", SOON * 3, |fleet| is_connected(fleet, "fern")).await;
+        assert_eq!(connections(&fleet), ["hazel", "gorse", "fern"], "seed {seed}");
+        assert_eq!(leased(&fleet), ["hazel", "gorse", "fern"], "seed {seed}\n{}", fleet.event_log_text());
+    });
+}
+
+#[test]
+fn a_lease_outlasts_the_coordinator_and_not_its_robot() {
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![carrier("fern", ROOMS[1], BELOW - 0.1), carrier("hazel", CHARGER, BELOW - 0.05)];
+        let mut fleet = fleet(seed, robots, BELOW).await;
+        fleet.wait_until("a connection", SOON, |fleet| is_connected(fleet, "hazel")).await;
+        fleet.wait_until("the lease", SOON, |fleet| leased(fleet) == ["hazel"]).await;
+        fleet.kill_coordinator().await;
+        fleet.wait_for_coordinator().await;
+        let ended = |fleet: &Fleet| freed(fleet, "hazel").is_some();
+        fleet.wait_until("a charged battery", SOON, |fleet| battery(fleet, "hazel") > 0.8).await;
+        assert!(!ended(&fleet) && leased(&fleet) == ["hazel"], "seed {seed}\n{}", fleet.event_log_text());
+        fleet.wait_until("the next lease", SOON, |fleet| leased(fleet) == ["hazel", "fern"]).await;
+        fleet.kill("fern").await;
+        fleet.wait_until("the end of the lease", SOON, |fleet| freed(fleet, "fern").is_some()).await;
+        let causes = (freed(&fleet, "hazel"), freed(&fleet, "fern"));
+        let expected = ("it no longer uses it".to_owned(), "it is lost, or has left the fleet".to_owned());
+        assert_eq!(causes, (Some(expected.0), Some(expected.1)), "seed {seed}");
     });
 }
 

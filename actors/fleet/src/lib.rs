@@ -8,6 +8,7 @@
 
 mod api_help;
 pub mod autopilot;
+mod charger_users;
 pub mod coordinator;
 mod ensemble_exchange;
 pub mod events;

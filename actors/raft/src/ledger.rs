@@ -15,7 +15,10 @@ impl StateMachine for Ledger {
 
     fn grants_epoch(command: &Command) -> bool {
         match command {
-            Command::Award { .. } | Command::AwardPromised { .. } | Command::MovePromise(_) => true,
+            Command::Award { .. }
+            | Command::AwardPromised { .. }
+            | Command::MovePromise(_)
+            | Command::LeaseCharger { .. } => true,
             Command::Submit(_)
             | Command::Defer { .. }
             | Command::Accept { .. }
@@ -44,6 +47,7 @@ impl StateMachine for Ledger {
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
             | Command::ChangeAlarms { .. }
+            | Command::FreeCharger { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

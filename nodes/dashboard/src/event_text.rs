@@ -64,6 +64,10 @@ pub fn describe_event(event: &Event) -> EventText {
         }
         EventKind::AlarmChanged { alarm, raised: None } => normal("alarm", format!("alarm {alarm} is cleared")),
         EventKind::ClosureChanged { part, order } => normal("closure", part.state_text(order.as_ref())),
+        EventKind::ChargerLeased { charger, robot } => normal("charger", format!("{charger} is leased to {robot}")),
+        EventKind::ChargerFreed { charger, robot, cause } => {
+            normal("charger", format!("{charger} is no longer leased to {robot}: {cause}"))
+        }
         EventKind::OccurrenceSubmitted { schedule, due_ms, mission } => {
             normal("schedule", format!("{schedule} submitted {mission}, due {}", time_in_zone(*due_ms, "UTC")))
         }

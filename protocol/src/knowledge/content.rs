@@ -4,7 +4,7 @@ use super::attributes::Attributes;
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{ClusterId, MissionId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
-use crate::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use crate::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
 use crate::versions::VersionRange;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -125,8 +125,16 @@ impl Charging {
 pub struct ChargerClaim {
     /// Place of the charger.
     pub charger: PlaceId,
-    /// Charge of the robot at the time of the claim. Of two claims to a charger, that with less charge prevails.
+    /// Charge of the robot at the time of the claim. Of two claims without a lease, that with less charge prevails.
     pub battery: BatteryShare,
+    /// Position in the log at which the coordinator has leased the charger to the robot; null without a lease. A claim
+    /// with a lease prevails over a claim without, and over one with an earlier lease.
+    #[serde(default)]
+    pub lease: Option<u64>,
+    /// Estimated time of the drive to the charger in seconds, at the time of the claim. The coordinator ends the lease of
+    /// a robot that takes several times as long.
+    #[serde(default)]
+    pub drive_s: Option<Seconds>,
 }
 
 /// Availability of a robot for a role.

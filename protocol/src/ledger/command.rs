@@ -319,6 +319,22 @@ pub enum Command {
         /// The change, with the person who requests it.
         order: OrderRequest<MissionChange>,
     },
+    /// Leases a charger to a robot.
+    LeaseCharger {
+        /// Place of the charger.
+        charger: PlaceId,
+        /// The robot.
+        robot: RobotId,
+        /// Time of the grant in milliseconds since 1970; 0 if it is unknown.
+        at_ms: u64,
+    },
+    /// Ends the lease of a charger.
+    FreeCharger {
+        /// Place of the charger.
+        charger: PlaceId,
+        /// Position of the grant.
+        epoch: Epoch,
+    },
 }
 
 /// Move of a promise to another robot, after an auction.
@@ -379,6 +395,8 @@ impl Command {
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
             | Command::ChangeAlarms { .. }
+            | Command::LeaseCharger { .. }
+            | Command::FreeCharger { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,
         }

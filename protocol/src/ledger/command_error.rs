@@ -1,6 +1,7 @@
 //! Errors of commands of the ledger.
 
 use super::branch::Branch;
+use super::charger_lease::CHARGER_LEASES_BYTES_MAX;
 use super::closure::CLOSURES_BYTES_MAX;
 use super::entry::MissionState;
 use super::mission_order::ReassignProblem;
@@ -9,7 +10,7 @@ use super::robot_order::ORDERS_BYTES_MAX;
 use super::schedule::Schedule;
 use super::speed_limit::SPEED_LIMITS_BYTES_MAX;
 use crate::auction::RobotRestriction;
-use crate::ids::{ItemId, MissionId, RequestId, RobotId, RoleId, ScheduleId};
+use crate::ids::{ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId};
 use crate::lease::Epoch;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -169,8 +170,10 @@ pub enum CommandError {
         /// Time up to which it is handled, in milliseconds since 1970.
         handled_ms: u64,
     },
-    /// The fleet writes a wire version without orders of people.
-    #[error("orders of people need wire version {since}; consort upgrade shows how far the fleet is")]
+    /// The fleet writes a wire version without orders of people and without leases of chargers.
+    #[error(
+        "orders of people and leases of chargers need wire version {since}; consort upgrade shows how far the fleet is"
+    )]
     NoOrdersYet {
         /// Wire version since which there are orders.
         since: u8,
@@ -271,4 +274,23 @@ pub enum CommandError {
         /// The restriction.
         restriction: RobotRestriction,
     },
+    /// The charger is leased, or the robot has the lease of another charger.
+    #[error("{charger} is leased to {robot}")]
+    ChargerLeased {
+        /// The charger that is leased.
+        charger: PlaceId,
+        /// The robot that has the lease.
+        robot: RobotId,
+    },
+    /// The charger has no lease of this grant; common for repeated commands.
+    #[error("{charger} has no lease of epoch {epoch}")]
+    NoChargerLease {
+        /// The charger.
+        charger: PlaceId,
+        /// Position of the grant.
+        epoch: Epoch,
+    },
+    /// The leases of chargers exceed their size limit.
+    #[error("the leases of chargers would take more than {} bytes", CHARGER_LEASES_BYTES_MAX)]
+    ChargerLeasesFull,
 }

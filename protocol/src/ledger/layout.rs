@@ -4,10 +4,11 @@
 //! the ledger has the layout of that version, and its nodes can return to an earlier program.
 
 use super::audit_trail::AuditTrail;
+use super::charger_lease::ChargerLease;
 use super::history::{HISTORY_SINCE, History};
 use super::order_book::OrderBook;
 use super::schedule::ScheduleEntry;
-use crate::ids::ScheduleId;
+use crate::ids::{PlaceId, ScheduleId};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeMap;
@@ -26,20 +27,25 @@ pub(super) struct VersionedPart {
     pub(super) orders: OrderBook,
     /// Requests of people; empty without a history.
     pub(super) trail: AuditTrail,
+    /// Leases of chargers; empty without a history.
+    pub(super) chargers: BTreeMap<PlaceId, ChargerLease>,
 }
 
 impl Serialize for VersionedPart {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match &self.history {
             None => (self.wire,).serialize(serializer),
-            Some(history) => (self.wire, history, &self.schedules, &self.orders, &self.trail).serialize(serializer),
+            Some(history) => {
+                let VersionedPart { wire, schedules, orders, trail, chargers, .. } = self;
+                (wire, history, schedules, orders, trail, chargers).serialize(serializer)
+            }
         }
     }
 }
 
 impl<'de> Deserialize<'de> for VersionedPart {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_tuple(5, PartVisitor)
+        deserializer.deserialize_tuple(6, PartVisitor)
     }
 }
 
@@ -61,6 +67,7 @@ impl<'de> Visitor<'de> for PartVisitor {
         let schedules = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(2, &self))?;
         let orders = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(3, &self))?;
         let trail = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(4, &self))?;
-        Ok(VersionedPart { wire, history: Some(history), schedules, orders, trail })
+        let chargers = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(5, &self))?;
+        Ok(VersionedPart { wire, history: Some(history), schedules, orders, trail, chargers })
     }
 }

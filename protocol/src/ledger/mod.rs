@@ -31,6 +31,8 @@
 //!
 //! People reassign and pin roles (the module `role_orders`).
 //!
+//! Chargers are leased to robots (the module `chargers`).
+//!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
 //!
@@ -43,6 +45,8 @@ mod apply;
 mod audit;
 mod audit_trail;
 mod branch;
+mod charger_lease;
+mod chargers;
 mod closure;
 mod command;
 mod command_error;
@@ -76,6 +80,7 @@ pub use alarm::{Alarm, AlarmChange, AlarmPlan, AlarmResponse, alarm_size_problem
 pub use apply::Ledger;
 pub use audit_trail::{AuditAction, AuditEntry};
 pub use branch::Branch;
+pub use charger_lease::ChargerLease;
 pub use closure::{Closure, ClosureChange};
 pub use command::{Command, CommandOutcome, PromiseMove};
 pub use command_error::CommandError;

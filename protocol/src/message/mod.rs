@@ -195,6 +195,13 @@ pub enum AwardNotice {
         #[serde(deserialize_with = "bounds::text")]
         cause: String,
     },
+    /// The robot has the lease of a charger.
+    ChargerLeased {
+        /// Place of the charger.
+        charger: PlaceId,
+        /// Position of the grant.
+        epoch: Epoch,
+    },
 }
 
 impl AwardNotice {
@@ -204,7 +211,8 @@ impl AwardNotice {
             AwardNotice::Awarded(award) => award.epoch,
             AwardNotice::Revoked { epoch, .. }
             | AwardNotice::GiveWay { epoch, .. }
-            | AwardNotice::Return { epoch, .. } => *epoch,
+            | AwardNotice::Return { epoch, .. }
+            | AwardNotice::ChargerLeased { epoch, .. } => *epoch,
             AwardNotice::Orders(orders) => orders.as_of,
         }
     }

@@ -35,6 +35,9 @@ pub struct FleetView {
     /// Charging by the robots themselves; null if robots charge by tasks of missions only.
     #[serde(default, deserialize_with = "readable_or_default")]
     pub charging: Option<ChargingView>,
+    /// Chargers that are leased, or for which robots wait, in the order of their names.
+    #[serde(default, deserialize_with = "readable")]
+    pub chargers: Vec<ChargerView>,
 }
 
 /// Charging of a fleet by the robots themselves.
@@ -50,6 +53,31 @@ pub struct ChargingView {
     /// Places of the chargers.
     #[serde(default, deserialize_with = "readable")]
     pub chargers: Vec<PlaceId>,
+}
+
+/// A charger, as seen by the node that replies.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ChargerView {
+    /// Its place.
+    pub charger: PlaceId,
+    /// Its lease; null without one, or if the replying node has no ledger.
+    #[serde(default)]
+    pub lease: Option<ChargerLeaseView>,
+    /// Robots that wait for it, the next first; a robot may wait for several chargers.
+    #[serde(default)]
+    pub waiting: Vec<RobotId>,
+}
+
+/// Lease of a charger.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ChargerLeaseView {
+    /// The robot.
+    pub robot: RobotId,
+    /// Epoch of the grant, as `term.index`.
+    pub epoch: String,
+    /// Time of the grant in milliseconds since 1970; 0 if it is unknown.
+    #[serde(default)]
+    pub since_ms: u64,
 }
 
 /// A node, as seen by the node that replies.

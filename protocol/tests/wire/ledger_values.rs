@@ -283,6 +283,12 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(robots, order)| Command::OrderRobots { robots, order }),
         any::<u64>().prop_map(|now_ms| Command::ExpireOrders { now_ms }),
         btree_set(name(), 0..3).prop_map(|robots| Command::EndOrders { robots }),
+        (place(), name(), any::<u64>()).prop_map(|(charger, robot, at_ms)| Command::LeaseCharger {
+            charger,
+            robot,
+            at_ms
+        }),
+        (place(), epoch()).prop_map(|(charger, epoch)| Command::FreeCharger { charger, epoch }),
         order_request(btree_map(name(), places(), 0..3).prop_map(|missions| MissionCancelation { missions }))
             .prop_map(|order| Command::CancelMissions { order }),
         (name(), order_request(mission_change()))

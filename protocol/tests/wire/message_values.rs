@@ -41,6 +41,7 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
             repeat,
             cause
         }),
+        (place(), epoch()).prop_map(|(charger, epoch)| AwardNotice::ChargerLeased { charger, epoch }),
     ]
 }
 

@@ -185,7 +185,10 @@ pub(crate) fn availability() -> impl Strategy<Value = Availability> {
 }
 
 fn charging() -> impl Strategy<Value = Charging> {
-    let claim = || (place(), share()).prop_map(|(charger, battery)| ChargerClaim { charger, battery });
+    let claim = || {
+        (place(), share(), any::<Option<u64>>(), option::of(seconds()))
+            .prop_map(|(charger, battery, lease, drive_s)| ChargerClaim { charger, battery, lease, drive_s })
+    };
     prop_oneof![
         btree_set(place(), 0..3).prop_map(|chargers| Charging::Waiting { chargers }),
         claim().prop_map(Charging::Bound),

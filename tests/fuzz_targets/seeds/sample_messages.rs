@@ -93,7 +93,12 @@ fn record(owner: &str) -> Record {
         speed: None,
         availability: Availability::Free,
         estimator: "calibrated".to_owned(),
-        charging: Some(Charging::Bound(ChargerClaim { charger: slug("Dock"), battery: BatteryShare::FULL })),
+        charging: Some(Charging::Bound(ChargerClaim {
+            charger: slug("Dock"),
+            battery: BatteryShare::FULL,
+            lease: Some(7),
+            drive_s: Some(Seconds::new(30.0).expect("a time")),
+        })),
     };
     let knowledge = Knowledge {
         may_vote: true,
@@ -257,6 +262,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&AwardNotice::Revoked { epoch: EPOCH, reason: EndReason::Over }),
         encoded(&AwardNotice::Orders(Box::new(orders()))),
         encoded(&AwardNotice::Return { epoch: EPOCH, repeat: true, cause: "reassigned by Nia".to_owned() }),
+        encoded(&AwardNotice::ChargerLeased { charger: slug("Dock"), epoch: EPOCH }),
         encoded(&AwardReply::Acknowledged),
         encoded(&report()),
         encoded(&ReportReply::Ended { epoch: EPOCH, reason: EndReason::Replaced, current: Some(EPOCH) }),
@@ -387,6 +393,8 @@ fn ledger_commands() -> Vec<Command> {
                 request: None,
             },
         },
+        Command::LeaseCharger { charger: slug("Dock"), robot: slug("ada"), at_ms: 9 },
+        Command::FreeCharger { charger: slug("Dock"), epoch },
         Command::ChangeClosures {
             parts: BTreeSet::from([MapPart::Place("IC Room 6".parse().expect("a place"))]),
             order: OrderRequest {

@@ -24,7 +24,13 @@ pub(super) fn award(bytes: &[u8]) -> bool {
                     Event::AwardReceived(Box::new(Award { robot: ada.clone(), ..*award }))
                 }
                 Ok(AwardNotice::Revoked { epoch, reason }) => Event::Revoked { epoch, reason },
-                Ok(AwardNotice::GiveWay { .. } | AwardNotice::Orders(_) | AwardNotice::Return { .. }) | Err(_) => {
+                Ok(
+                    AwardNotice::GiveWay { .. }
+                    | AwardNotice::Orders(_)
+                    | AwardNotice::Return { .. }
+                    | AwardNotice::ChargerLeased { .. },
+                )
+                | Err(_) => {
                     continue;
                 }
             },

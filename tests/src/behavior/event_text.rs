@@ -35,6 +35,8 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::AlarmChanged { raised: Some(raised), .. } => format!("the fleet is {}", raised.text()),
         EventKind::AlarmChanged { alarm, raised: None } => format!("alarm {alarm} is cleared"),
         EventKind::ClosureChanged { part, order } => part.state_text(order.as_ref()),
+        EventKind::ChargerLeased { charger, robot } => format!("leases {charger} to {robot}"),
+        EventKind::ChargerFreed { charger, robot, cause } => format!("frees {charger} of {robot}: {cause}"),
         EventKind::OccurrenceSubmitted { schedule, mission, .. } => format!("{schedule} submits {mission}"),
         EventKind::Closed { mission, record } => {
             let why = record.failure.as_ref().map(|why| format!(": {why}")).unwrap_or_default();

@@ -101,6 +101,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::with_orders(Mutant::ClaimsHidden, 20),
     MutantCheck::with_closures(Mutant::ClosureIgnored, 15),
     MutantCheck::under(Mutant::HoldersUnfit, &[FaultKind::None], 12),
+    MutantCheck::with_orders(Mutant::LeaseIgnored, 20),
 ];
 
 /// Result of a mutation check.
@@ -173,7 +174,9 @@ mod tests {
             let without = check.first_seed == 1 && (1..FIRST_SEED).contains(&check.last_seed);
             let is_expected = match check.mutant {
                 Mutant::OccurrenceRepeated => with_schedules,
-                Mutant::HoldIgnored | Mutant::OrderForgotten | Mutant::ClaimsHidden => with_orders,
+                Mutant::HoldIgnored | Mutant::OrderForgotten | Mutant::ClaimsHidden | Mutant::LeaseIgnored => {
+                    with_orders
+                }
                 Mutant::ClosureIgnored => is_from(FIRST_SEED_WITH_CLOSURES),
                 _ => without,
             };

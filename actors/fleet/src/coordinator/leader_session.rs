@@ -3,6 +3,7 @@
 use super::actions::{CoordinatorAction, SessionState};
 use super::auctions::Auctions;
 use super::change_feed::ChangeFeed;
+use super::charger_leases::ChargerDelivery;
 use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
@@ -70,6 +71,7 @@ pub(super) struct LeaderSession {
     early_requests: Vec<Query>,
     people: People,
     orders: OrderDelivery,
+    chargers: ChargerDelivery,
     schedules: Schedules,
     /// The voter change in progress.
     voter_change: Tasks,
@@ -108,6 +110,7 @@ impl LeaderSession {
             requests: Requests::new(&context),
             people: People::new(&context),
             orders: OrderDelivery::new(&context),
+            chargers: ChargerDelivery::default(),
             schedules: Schedules::default(),
             autopilot: Autopilot::new(settings.autopilot, yielded),
             clocks: VoterClocks::default(),
@@ -256,6 +259,7 @@ impl LeaderSession {
         let now = self.context.now();
         let confirmed_ms = self.confirmed_ms();
         self.orders.follow(&mut self.context, now, confirmed_ms);
+        self.chargers.follow(&mut self.context, now, confirmed_ms);
         self.changes.publish(&mut self.context, now);
         for action in self.pending_actions(now) {
             self.perform(action, now);

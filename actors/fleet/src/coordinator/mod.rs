@@ -21,6 +21,7 @@ mod api;
 mod auctioneer;
 mod auctions;
 mod change_feed;
+mod charger_leases;
 mod circular_waits;
 mod clearing;
 mod closure_requests;

@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, warn};
 
-/// Timeout for the ledger to commit the release of a role or the end of a mission.
+/// Timeout for the ledger to commit the release of a role, the end of a mission or a change of the lease of a charger.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Timeout for the ledger to commit an award.
@@ -85,6 +85,19 @@ impl SessionContext {
             let outcome = replica.propose(command.clone(), RELEASE_TIMEOUT).await;
             if !matches!(outcome, Ok(CommandOutcome::Done | CommandOutcome::Submitted { .. })) {
                 debug!(?command, ?outcome, "proposal was not applied");
+            }
+        });
+    }
+
+    /// Proposes the grant or the end of the lease of a charger in the background. Publishes the event once the command is
+    /// committed; a repetition is refused.
+    pub(super) fn propose_charger_change(&mut self, command: Command, event: EventKind) {
+        let (replica, events) = (self.settings.parts.replica.clone(), self.settings.parts.events.clone());
+        self.tasks.spawn(async move {
+            match replica.propose(command, RELEASE_TIMEOUT).await {
+                Ok(CommandOutcome::Done) => events.publish(event),
+                // It is proposed again, if it is still due.
+                outcome => debug!(?event, ?outcome, "lease of a charger was not changed"),
             }
         });
     }

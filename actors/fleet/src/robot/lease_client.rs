@@ -11,6 +11,10 @@ use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+/// Time without a beacon after which a robot counts as without a coordinator. Raised: a robot that has lost its coordinator
+/// charges later. It covers some lost beacons.
+const BEACON_AGE_MAX: Duration = Duration::from_secs(3);
+
 /// The lease of a robot, and the coordinator that renews it.
 pub(super) struct LeaseClient {
     lease: RoleLease,
@@ -97,6 +101,11 @@ impl LeaseClient {
         self.coordinator.beacon().map(|beacon| &beacon.node)
     }
 
+    /// Checks whether the beacons of a coordinator arrive.
+    pub(super) fn has_coordinator(&self, now: NodeTime) -> bool {
+        self.coordinator.latest().is_some_and(|(_, at)| now.since(*at) < BEACON_AGE_MAX)
+    }
+
     /// Follows the coordinator of a beacon. Returns `None` if another coordinator takes precedence.
     pub(super) fn follow(&mut self, beacon: Beacon, now: NodeTime) -> Option<BeaconChange> {
         let change = self.coordinator.receive(beacon, now);
@@ -117,9 +126,10 @@ impl LeaseClient {
                 Ok(()) => (AwardReply::Acknowledged, Some(Event::AwardReceived(award))),
                 Err(why) => (AwardReply::Declined(why), None),
             },
-            AwardNotice::GiveWay { .. } | AwardNotice::Orders(_) | AwardNotice::Return { .. } => {
-                (AwardReply::Acknowledged, None)
-            }
+            AwardNotice::GiveWay { .. }
+            | AwardNotice::Orders(_)
+            | AwardNotice::Return { .. }
+            | AwardNotice::ChargerLeased { .. } => (AwardReply::Acknowledged, None),
             AwardNotice::Revoked { epoch, reason } => {
                 (AwardReply::Acknowledged, Some(Event::Revoked { epoch, reason }))
             }

@@ -4,27 +4,30 @@ use super::Views;
 use super::cluster_status::ClusterStatus;
 use super::health::{Blocking, HealthInputs, health};
 use super::mission::{auctions, ended_mission, mission, missions, schedules};
+use crate::charger_users::charger_users;
 use crate::robot_driver::RobotDriver;
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
+use consort_protocol::chargers::ChargerQueue;
 use consort_protocol::ensemble::{Ensemble, KnowledgeExchange, MemberValues, Membership};
-use consort_protocol::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId};
+use consort_protocol::ids::{ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnownRecord};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Ledger, MissionState};
+use consort_protocol::ledger::{ChargerLease, Ledger, MissionState};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{NodeTime, Seconds};
 use consort_protocol::view::{
-    AuditView, Contact, CoordinatorView, EnsembleKnowledgeView, EnsembleMember, EnsembleView, EnsemblesView, FleetView,
-    HealthView, HeldRole, LedgerCopy, MemberKnowledge, NodeStatus, NodeTraits, NodeView, PersonRequestView,
-    PromisedRoleView, Provenance, PublishedRecord, RequestsView, RobotView, WithProvenance,
+    AuditView, ChargerLeaseView, ChargerView, Contact, CoordinatorView, EnsembleKnowledgeView, EnsembleMember,
+    EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, LedgerCopy, MemberKnowledge, NodeStatus, NodeTraits,
+    NodeView, PersonRequestView, PromisedRoleView, Provenance, PublishedRecord, RequestsView, RobotView,
+    WithProvenance,
 };
 use consort_raft::Replica;
 use serde::Serialize;
 use serde_json::Value;
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 use std::time::Duration;
 
@@ -205,7 +208,25 @@ impl ViewContext<'_> {
             speed_limits,
             alarms,
             charging: self.views.charging.clone(),
+            chargers: self.chargers(),
         }
+    }
+
+    /// Returns the chargers that are leased, or for which robots wait.
+    fn chargers(&self) -> Vec<ChargerView> {
+        let leases = self.ledger(|ledger| ledger.charger_leases().clone()).unwrap_or_default();
+        let mut waiting = ChargerQueue::waiting(&charger_users(&self.views.knowledge, &self.views.node));
+        let chargers: BTreeSet<PlaceId> = leases.keys().chain(waiting.keys()).cloned().collect();
+        let lease_view = |ChargerLease { robot, epoch, since_ms }: &ChargerLease| ChargerLeaseView {
+            robot: robot.clone(),
+            epoch: epoch.to_string(),
+            since_ms: *since_ms,
+        };
+        let view = |charger: PlaceId| {
+            let (lease, waiting) = (leases.get(&charger).map(lease_view), waiting.remove(&charger).unwrap_or_default());
+            ChargerView { charger, lease, waiting }
+        };
+        chargers.into_iter().map(view).collect()
     }
 
     fn ensembles(&self) -> Vec<EnsembleView> {

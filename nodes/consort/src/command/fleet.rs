@@ -9,7 +9,9 @@ use crate::output;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::scalar::Scalar;
-use consort_protocol::view::{CoordinatorView, FleetView, NodeStatus, NodeView, RobotView, WithProvenance};
+use consort_protocol::view::{
+    ChargerView, CoordinatorView, FleetView, NodeStatus, NodeView, RobotView, WithProvenance,
+};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -17,8 +19,9 @@ use std::collections::BTreeMap;
 /// Show the nodes of a fleet, the feedback and the readings of its robots, and its coordinator
 ///
 /// The data comes from the nearest node; each row has the age of its last contact. Robots that people
-/// hold or maintain are shown with these orders. Alarms, closures and speed limits follow. The nearest node
-/// queries the nodes of the robots for the readings, and for the feedback of the goals in progress.
+/// hold or maintain are shown with these orders. Alarms, closures and speed limits follow, and the
+/// chargers that are leased or for which robots wait. The nearest node queries the nodes of the robots
+/// for the readings, and for the feedback of the goals in progress.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -99,9 +102,25 @@ fn format_fleet(FleetStatus { fleet, coordinator, readings, feedback }: &FleetSt
     });
     let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
     let lines = [format_coordinator(coordinator), output::table(&rows)];
-    let orders = [alarms_text(&fleet.alarms), closures_text(&fleet.closures), limits_text(&fleet.speed_limits)];
-    let orders = orders.into_iter().filter(|text| !text.is_empty());
-    lines.into_iter().chain(orders).collect::<Vec<_>>().join("\n")
+    let rest = [
+        alarms_text(&fleet.alarms),
+        closures_text(&fleet.closures),
+        limits_text(&fleet.speed_limits),
+        chargers_text(&fleet.chargers),
+    ];
+    let rest = rest.into_iter().filter(|text| !text.is_empty());
+    lines.into_iter().chain(rest).collect::<Vec<_>>().join("\n")
+}
+
+/// Formats chargers, a line for each: `Dock is leased to ada; waiting: bob, cyd`.
+fn chargers_text(chargers: &[ChargerView]) -> String {
+    let line = |ChargerView { charger, lease, waiting }: &ChargerView| {
+        let leased = lease.as_ref().map_or("is not leased".to_owned(), |lease| format!("is leased to {}", lease.robot));
+        let names: Vec<&str> = waiting.iter().map(|robot| robot.as_str()).collect();
+        let waiting = if names.is_empty() { String::new() } else { format!("; waiting: {}", names.join(", ")) };
+        format!("{charger} {leased}{waiting}")
+    };
+    chargers.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// Formats values: `dust_g 12.5, door open`.

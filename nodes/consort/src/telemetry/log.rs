@@ -63,6 +63,8 @@ fn level(event: &Event) -> Level {
         | EventKind::TaskBegan { .. }
         | EventKind::TaskEnded { .. }
         | EventKind::TaskSkipped { .. }
+        | EventKind::ChargerLeased { .. }
+        | EventKind::ChargerFreed { .. }
         | EventKind::Sent { .. }
         | EventKind::Received { .. }
         | EventKind::StaleSignal { .. } => Level::DEBUG,

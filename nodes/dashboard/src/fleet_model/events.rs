@@ -88,6 +88,8 @@ impl FleetModel {
             | EventKind::RobotOrders { .. }
             | EventKind::AlarmChanged { .. }
             | EventKind::ClosureChanged { .. }
+            | EventKind::ChargerLeased { .. }
+            | EventKind::ChargerFreed { .. }
             | EventKind::OccurrenceSubmitted { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. }

@@ -2,6 +2,7 @@
 
 use super::audit_trail::AuditTrail;
 use super::branch::Branch;
+use super::charger_lease::ChargerLease;
 use super::command::{Command, CommandOutcome, ReleaseCause};
 use super::command_error::CommandError;
 use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, later_ms};
@@ -92,6 +93,8 @@ impl Ledger {
             Command::EndOrders { robots } => Ok(self.end_orders(&robots, at)),
             Command::ChangeMission { mission, order } => self.change_mission(&mission, &order),
             Command::CancelMissions { order } => self.cancel_missions(order, at),
+            Command::LeaseCharger { charger, robot, at_ms } => self.lease_charger(charger, robot, at_ms, at),
+            Command::FreeCharger { charger, epoch } => self.free_charger(&charger, epoch),
             Command::RaiseWireVersion { wire, .. } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
         };
@@ -290,6 +293,15 @@ impl Ledger {
 
     pub(super) fn trail_mut(&mut self) -> &mut AuditTrail {
         &mut self.versioned.trail
+    }
+
+    /// Returns the leases of chargers.
+    pub fn charger_leases(&self) -> &BTreeMap<PlaceId, ChargerLease> {
+        &self.versioned.chargers
+    }
+
+    pub(super) fn charger_leases_mut(&mut self) -> &mut BTreeMap<PlaceId, ChargerLease> {
+        &mut self.versioned.chargers
     }
 
     pub(super) fn order_book(&self) -> &OrderBook {

@@ -5,7 +5,7 @@ use crate::slug;
 use bytes::Bytes;
 use consort_protocol::codec::{self, VersionedMessage};
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Availability, Record};
+use consort_protocol::knowledge::{Availability, Charging, Record};
 use consort_protocol::message::{Exchange, RecordUpdate};
 
 /// Change of each record that a node receives.
@@ -16,6 +16,7 @@ pub(super) fn record_bug(mutant: Mutant) -> Option<RecordBug> {
     match mutant {
         Mutant::ClaimsHidden => Some(hide_claim),
         Mutant::HoldersUnfit => Some(hide_fitness),
+        Mutant::LeaseIgnored => Some(hide_lease),
         _ => None,
     }
 }
@@ -52,6 +53,14 @@ fn hide_claim(record: &mut Record) {
     if let Some(robot) = &mut record.knowledge.robot {
         // A place without a charger.
         (robot.place, robot.charging) = (slug("Laboratory"), None);
+    }
+}
+
+/// Hides at which charger a robot is that has its lease.
+fn hide_lease(record: &mut Record) {
+    let charging = record.knowledge.robot.as_ref().and_then(|robot| robot.charging.as_ref());
+    if charging.and_then(Charging::claim).is_some_and(|claim| claim.lease.is_some()) {
+        hide_claim(record);
     }
 }
 

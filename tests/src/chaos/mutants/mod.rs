@@ -101,11 +101,13 @@ pub enum Mutant {
     ClosureIgnored,
     /// Nodes count robots that hold a role as out of service, so the coordinator releases their promises.
     HoldersUnfit,
+    /// Nodes do not receive which robots use a charger by a lease.
+    LeaseIgnored,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 34] = [
+    pub const ALL: [Mutant; 35] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -140,6 +142,7 @@ impl Mutant {
         Mutant::ClaimsHidden,
         Mutant::ClosureIgnored,
         Mutant::HoldersUnfit,
+        Mutant::LeaseIgnored,
     ];
 
     /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
@@ -187,6 +190,7 @@ impl Mutant {
             Mutant::ClaimsHidden => "claims-hidden",
             Mutant::ClosureIgnored => "closure-ignored",
             Mutant::HoldersUnfit => "holders-unfit",
+            Mutant::LeaseIgnored => "lease-ignored",
         }
     }
 }

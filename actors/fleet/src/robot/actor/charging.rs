@@ -1,10 +1,12 @@
 //! The robot actor charges: it performs the decisions of [`ChargeControl`].
 
 use super::state::RobotState;
+use crate::charger_users::charger_users;
 use crate::robot::charging::{ChargeControl, OtherRobot, Situation};
 use crate::robot::skill_runner::SkillOutcome;
 use consort_gossip::SharedKnowledge;
-use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::chargers::ChargerUser;
+use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::Availability;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::NodeTime;
@@ -23,7 +25,9 @@ impl RobotState {
             return Ok(());
         }
         let context = self.driver.estimate_context();
+        let has_coordinator = self.lease.has_coordinator(now);
         let Some(control) = &mut self.charging else { return Ok(()) };
+        control.set_has_coordinator(has_coordinator);
         let (robot, estimator) = (&self.settings.robot, &self.settings.pricing.estimator);
         let worker = self.driver.worker();
         let (place, battery) = (&worker.place, worker.battery);
@@ -57,6 +61,14 @@ impl RobotState {
                 self.check_charging_task(now);
                 Ok(())
             }
+        }
+    }
+
+    /// Receives the lease of a charger, by its position in the log.
+    pub(super) fn receive_charger_lease(&mut self, charger: PlaceId, lease: u64, now: NodeTime) {
+        if let Some(control) = &mut self.charging {
+            control.receive_lease(charger, lease);
+            self.sense(now);
         }
     }
 
@@ -127,19 +139,6 @@ impl RobotState {
 
 /// Returns the other robots. A robot that is down stands where it was, and claims no charger.
 fn other_robots(knowledge: &SharedKnowledge, own: &RobotId) -> Vec<OtherRobot> {
-    let own = NodeId::from(own.clone());
-    let known: Vec<(NodeId, OtherRobot)> = knowledge.read(|base| {
-        let others = base.iter().filter(|(node, _)| **node != own);
-        let other = others.filter_map(|(node, known)| {
-            let robot = known.record.knowledge.robot.as_ref()?;
-            let (place, charging) = (robot.place.clone(), robot.charging.clone());
-            Some((node.clone(), OtherRobot { robot: RobotId::from(node.clone()), place, charging }))
-        });
-        other.collect()
-    });
-    let alive = |(node, other): (NodeId, OtherRobot)| {
-        let charging = other.charging.filter(|_| knowledge.is_alive(&node));
-        OtherRobot { charging, ..other }
-    };
-    known.into_iter().map(alive).collect()
+    let others = charger_users(knowledge, &own.clone().into()).into_iter().filter(|user| user.robot != *own);
+    others.map(|ChargerUser { robot, place, charging, .. }| OtherRobot { robot, place, charging }).collect()
 }

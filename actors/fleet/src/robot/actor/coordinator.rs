@@ -2,6 +2,7 @@
 
 use super::message::{EndedReport, RobotMessage};
 use super::state::{RobotState, UnconfirmedNotice};
+use crate::robot::charging::ChargeControl;
 use crate::robot::leader_poll::{LeaderPoll, Standing};
 use consort_bus::{Author, Query, reply};
 use consort_protocol::ids::NodeId;
@@ -84,7 +85,7 @@ impl RobotState {
         let now = self.now();
         let change = self.leader_check.end_poll(&poll, now);
         if change.other_cluster {
-            self.orders.change_cluster(now);
+            self.change_cluster(now);
         } else if change.new_session {
             self.orders.change_session();
         }
@@ -99,6 +100,7 @@ impl RobotState {
                     self.follow_orders_of(standing, *orders, now);
                     self.refuse_notice(query);
                 }
+                AwardNotice::ChargerLeased { .. } if standing != Standing::Confirmed => self.refuse_notice(query),
                 notice if standing != Standing::Refuted => self.perform_notice(query, notice).await?,
                 _ => self.refuse_notice(query),
             }
@@ -107,6 +109,12 @@ impl RobotState {
         let Some(report) = self.unconfirmed_reply.take() else { return Ok(()) };
         let standing = self.leader_check.standing_after(&poll, &report.recipient, report.position(), now);
         self.end_report(report, standing).await
+    }
+
+    /// Counts the positions in the ledger anew: the robot follows the coordinator of another cluster.
+    pub(super) fn change_cluster(&mut self, now: NodeTime) {
+        self.orders.change_cluster(now);
+        self.charging.iter_mut().for_each(ChargeControl::change_cluster);
     }
 
     /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.

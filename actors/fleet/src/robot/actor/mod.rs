@@ -209,7 +209,7 @@ impl RobotState {
         if change.other_cluster {
             info!(robot = %self.settings.robot, %node, "follows the coordinator of another cluster");
             if !self.leader_check.has_certificates() {
-                self.orders.change_cluster(now);
+                self.change_cluster(now);
             }
         }
         if change.new_session {

@@ -35,11 +35,12 @@ impl RobotState {
     /// Performs a notice of the coordinator.
     pub(super) async fn perform_notice(&mut self, query: Query, notice: AwardNotice) -> Result<(), ActorProcessingErr> {
         let now = self.now();
-        let (mut give_way, mut returned, mut orders) = (None, None, None);
+        let (mut give_way, mut returned, mut orders, mut charger) = (None, None, None, None);
         match &notice {
             AwardNotice::GiveWay { epoch, to, for_now } => give_way = Some((*epoch, to.clone(), *for_now)),
             AwardNotice::Orders(latest) => orders = Some(latest.clone()),
             AwardNotice::Return { epoch, repeat, cause } => returned = Some((*epoch, *repeat, cause.clone())),
+            AwardNotice::ChargerLeased { charger: leased, epoch } => charger = Some((leased.clone(), epoch.index)),
             AwardNotice::Awarded(_) | AwardNotice::Revoked { .. } => {}
         }
         let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
@@ -54,6 +55,9 @@ impl RobotState {
         if let Some(orders) = orders {
             self.follow_orders(*orders, now);
             self.perform_actions(vec![]).await?;
+        }
+        if let Some((charger, lease)) = charger {
+            self.receive_charger_lease(charger, lease, now);
         }
         match event {
             Some(event) => self.handle_lease_event(event, now).await,

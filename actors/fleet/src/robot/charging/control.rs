@@ -1,7 +1,7 @@
 //! Charging of a robot: its activity, and the tasks that it executes for that.
 
 use super::RobotCharging;
-use super::policy::{Activity, Claim, OtherRobot, Situation};
+use super::policy::{Activity, Claim, LeaseOffer, OtherRobot, ReceivedLeases, Situation};
 use crate::robot::own_tasks::{OwnTask, dock_at, drive_to, nearest, places};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{ChargerClaim, Charging};
@@ -35,6 +35,9 @@ pub(in crate::robot) struct ChargeControl {
     rise: Option<Rise>,
     /// Places where a task has failed, until these times.
     avoided: BTreeMap<PlaceId, NodeTime>,
+    /// A coordinator is in contact: it leases chargers.
+    has_coordinator: bool,
+    leases: ReceivedLeases,
 }
 
 /// Rise of the charge at a charger.
@@ -55,7 +58,16 @@ struct Trip {
 impl ChargeControl {
     pub(in crate::robot) fn new(settings: RobotCharging) -> ChargeControl {
         let (activity, avoided) = (Activity::Idle, BTreeMap::new());
-        ChargeControl { settings, activity, trip: None, lacks_charge: false, rise: None, avoided }
+        ChargeControl {
+            settings,
+            activity,
+            trip: None,
+            lacks_charge: false,
+            rise: None,
+            avoided,
+            has_coordinator: false,
+            leases: ReceivedLeases::default(),
+        }
     }
 
     /// Returns the chargers that the robot may use.
@@ -66,6 +78,22 @@ impl ChargeControl {
     /// Records that the charge is too low for a role: the robot charges until it has enough or gets another role.
     pub(in crate::robot) fn note_lack(&mut self) {
         self.lacks_charge = true;
+    }
+
+    /// Records whether a coordinator is in contact.
+    pub(in crate::robot) fn set_has_coordinator(&mut self, has_coordinator: bool) {
+        self.has_coordinator = has_coordinator;
+    }
+
+    /// Receives the lease of a charger, by its position in the log. The robot claims it with its next decision, unless it
+    /// claims the charger already.
+    pub(in crate::robot) fn receive_lease(&mut self, charger: PlaceId, lease: u64) {
+        self.leases.receive(LeaseOffer { charger, lease }, &mut self.activity);
+    }
+
+    /// Accepts leases from any position on: those of another cluster are counted anew.
+    pub(in crate::robot) fn change_cluster(&mut self) {
+        self.leases = ReceivedLeases::default();
     }
 
     /// Checks whether the charge was too low for a role since the robot last had enough.
@@ -124,9 +152,12 @@ impl ChargeControl {
         let RobotCharging { thresholds, usable, all } = &self.settings;
         self.lacks_charge &= situation.battery < thresholds.until;
         self.avoided.retain(|_, until| situation.now < *until);
+        let mut drive_times = BTreeMap::new();
         let nearest_first = || {
             let chargers = usable.iter().filter(|charger| !self.avoided.contains_key(*charger));
-            nearest(estimator, context, chargers).into_iter().map(|drive| drive.to).collect::<Vec<_>>()
+            let drives = nearest(estimator, context, chargers);
+            drive_times.extend(drives.iter().map(|drive| (drive.to.clone(), drive.time)));
+            drives.into_iter().map(|drive| drive.to).collect::<Vec<_>>()
         };
         // A claim keeps the others away, so it ends when the robot can no longer reach the charger.
         let is_cut_off = |Claim { published: ChargerClaim { charger, .. }, .. }: &Claim| {
@@ -143,7 +174,13 @@ impl ChargeControl {
             Activity::Leaving if self.trip.is_none() => &idle,
             activity => activity,
         };
-        let next = thresholds.next(present, situation, all, nearest_first);
+        let offer = self.leases.take_offer();
+        let mut next = thresholds.next(present, situation, offer.as_ref(), all, nearest_first);
+        if let Activity::Claimed(claim) = &mut next {
+            let drive = drive_times.get(&claim.published.charger).copied();
+            claim.published.drive_s = claim.published.drive_s.or(drive);
+        }
+        self.leases.follow(&next);
         let changed = drives_elsewhere || next != self.activity;
         if changed {
             self.end_trip();
@@ -175,7 +212,7 @@ impl ChargeControl {
         now: NodeTime,
     ) -> Option<Trip> {
         match &self.activity {
-            Activity::Claimed(claim) if claim.is_settled(now) => {
+            Activity::Claimed(claim) if claim.may_act(self.has_coordinator, now) => {
                 let charger = claim.published.charger.clone();
                 let tasks = VecDeque::from([drive_to(&charger), dock_at(&charger)]);
                 Some(Trip { destination: charger, tasks, running: None })
@@ -245,6 +282,7 @@ impl ChargeControl {
     /// Ends the activity. Returns true if the robot was acting.
     pub(in crate::robot) fn stop(&mut self) -> bool {
         (self.activity, self.lacks_charge) = (Activity::Idle, false);
+        self.leases.take_offer();
         self.end_trip().is_some()
     }
 

@@ -1,7 +1,7 @@
 //! Charging: a free robot drives to a charger by itself, with or without a coordinator.
 //!
 //! ```text
-//!         less than `below`             drives once the claim is 2 s old, and docks
+//!         less than `below`             drives once it may act on the claim, and docks
 //!  Idle ───┬───────────────▶ Claimed ─────────────────────────────────────────────▶ Connected
 //!          │                  ▲   │ another claim prevails                             │ `until` is reached
 //!          │ all are taken    │   ▼                                                    ▼
@@ -22,6 +22,12 @@
 //! at the same time, the claim with less charge prevails, then the first name. A partition can hide a
 //! claim; the robots then meet at the charger, and one of them gives way once they receive each other's
 //! records.
+//!
+//! A coordinator leases the chargers by these records, to the robots with less charge first. A robot that has a lease adds
+//! it to its claim, which then prevails over all claims without, and over those with an earlier lease. While a coordinator
+//! is in contact, a robot acts on a claim without a lease only if the coordinator does not answer for 6 s. So the loss of
+//! the coordinator changes how long a robot waits, and not how robots exclude each other: each acts on a claim that the
+//! others have had 2 s to receive, and that prevails over all claims that it has received.
 //!
 //! The decisions are in `policy`, and the state of the robot in `control`. The actor performs them.
 

@@ -3,6 +3,7 @@
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::{AWAITED_MAX, ChargerClaim, Charging};
 use consort_protocol::units::{BatteryShare, NodeTime};
+use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -10,6 +11,11 @@ use std::time::Duration;
 /// has claimed at the same time; charging begins later. A guess: a record takes some milliseconds, and a
 /// lost record is repaired by anti-entropy within seconds.
 pub(super) const CLAIM_AGE: Duration = Duration::from_secs(2);
+
+/// Age of a claim without a lease at which the robot acts on it although there is a coordinator: the coordinator may lack
+/// the record of the robot, or may not lease chargers. Raised: such a robot charges later, and less often uses a charger
+/// out of turn. A guess.
+pub(super) const LEASE_WAIT: Duration = Duration::from_secs(6);
 
 /// Charges at which a robot begins and ends to charge.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,7 +35,7 @@ pub(super) enum Activity {
     Idle,
     /// The robot needs charge, and every charger that it can use is taken. These are the nearest.
     Waiting(BTreeSet<PlaceId>),
-    /// The robot has claimed a charger, and drives there once the claim is old enough.
+    /// The robot has claimed a charger, and drives there once it may act on the claim.
     Claimed(Claim),
     /// The robot is connected to a charger.
     Connected(Claim),
@@ -44,6 +50,51 @@ pub(super) struct Claim {
     /// Time of the claim.
     pub(super) since: NodeTime,
     pub(super) purpose: Purpose,
+}
+
+/// Lease of a charger that the coordinator offers to this robot.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct LeaseOffer {
+    pub(super) charger: PlaceId,
+    /// Position of the grant in the log.
+    pub(super) lease: u64,
+}
+
+/// Leases of chargers that a robot has received.
+#[derive(Debug, Clone, Default)]
+pub(super) struct ReceivedLeases {
+    /// Lease that the robot may claim with its next decision.
+    offer: Option<LeaseOffer>,
+    /// Latest lease that the robot has claimed: a delayed notice of an earlier one has no effect.
+    latest: Option<u64>,
+}
+
+impl ReceivedLeases {
+    /// Receives a lease. A robot that claims the charger adds it to its claim.
+    pub(super) fn receive(&mut self, offer: LeaseOffer, activity: &mut Activity) {
+        if self.latest >= Some(offer.lease) {
+            return;
+        }
+        match activity {
+            Activity::Claimed(claim) | Activity::Connected(claim) if claim.published.charger == offer.charger => {
+                claim.published.lease = Some(offer.lease);
+                self.follow(activity);
+            }
+            _ => self.offer = Some(offer),
+        }
+    }
+
+    /// Takes the lease for the next decision.
+    pub(super) fn take_offer(&mut self) -> Option<LeaseOffer> {
+        self.offer.take()
+    }
+
+    /// Adopts the lease of a claim.
+    pub(super) fn follow(&mut self, activity: &Activity) {
+        if let Activity::Claimed(claim) | Activity::Connected(claim) = activity {
+            self.latest = self.latest.max(claim.published.lease);
+        }
+    }
 }
 
 /// Reason to charge.
@@ -91,9 +142,11 @@ impl Activity {
 }
 
 impl Claim {
-    /// Checks whether the other robots have had time to receive the claim.
-    pub(super) fn is_settled(&self, now: NodeTime) -> bool {
-        now.since(self.since) >= CLAIM_AGE
+    /// Checks whether the robot may act on the claim: the other robots have had time to receive it, and the coordinator,
+    /// if there is one, has leased the charger to the robot or has not answered.
+    pub(super) fn may_act(&self, has_coordinator: bool, now: NodeTime) -> bool {
+        let waits = has_coordinator && self.published.lease.is_none();
+        now.since(self.since) >= if waits { LEASE_WAIT } else { CLAIM_AGE }
     }
 }
 
@@ -104,12 +157,13 @@ impl ChargeThresholds {
         battery >= if lacked_charge { self.until } else { least }
     }
 
-    /// Returns the next activity of a free robot. `all` are the chargers of the fleet, and `nearest_first`
-    /// returns those that the robot can use, in the order of preference.
+    /// Returns the next activity of a free robot. `offer` is a lease that it has just received, `all` are the chargers of
+    /// the fleet, and `nearest_first` returns those that the robot can use, in the order of preference.
     pub(super) fn next(
         &self,
         activity: &Activity,
         situation: &Situation<'_>,
+        offer: Option<&LeaseOffer>,
         all: &BTreeSet<PlaceId>,
         nearest_first: impl FnOnce() -> Vec<PlaceId>,
     ) -> Activity {
@@ -126,12 +180,13 @@ impl ChargeThresholds {
                 is_there && situation.battery < self.until && situation.keeps(activity) && !situation.yields(claim)
             }
         };
-        if goes_on { activity.clone() } else { self.begin(situation, all, nearest_first) }
+        if goes_on { activity.clone() } else { self.begin(situation, offer, all, nearest_first) }
     }
 
     fn begin(
         &self,
         situation: &Situation<'_>,
+        offer: Option<&LeaseOffer>,
         all: &BTreeSet<PlaceId>,
         nearest_first: impl FnOnce() -> Vec<PlaceId>,
     ) -> Activity {
@@ -141,9 +196,13 @@ impl ChargeThresholds {
             !situation.is_taken(charger) && (purpose == Purpose::Need || !situation.is_awaited(charger))
         };
         let claim = purpose.and_then(|purpose| {
-            let charger = chargers.iter().find(|charger| may_claim(charger, purpose))?.clone();
-            let published = ChargerClaim { charger, battery: situation.battery };
-            Some(Claim { published, since: situation.now, purpose })
+            let leased = offer.map(|offer| situation.claim_of(&offer.charger, Some(offer.lease)));
+            let leased = leased.filter(|claim| chargers.contains(&claim.charger) && situation.may_take(claim));
+            let unleased = || {
+                let charger = chargers.iter().find(|charger| may_claim(charger, purpose))?;
+                Some(situation.claim_of(charger, None))
+            };
+            Some(Claim { published: leased.or_else(unleased)?, since: situation.now, purpose })
         });
         if let Some(claim) = claim {
             return Activity::Claimed(claim);
@@ -177,6 +236,17 @@ impl Situation<'_> {
             Charging::Bound(_) | Charging::Connected(_) | Charging::Leaving { .. } => false,
         };
         self.others.iter().filter_map(|other| other.charging.as_ref()).any(awaits)
+    }
+
+    fn claim_of(&self, charger: &PlaceId, lease: Option<u64>) -> ChargerClaim {
+        ChargerClaim { charger: charger.clone(), battery: self.battery, lease, drive_s: None }
+    }
+
+    /// Checks whether a new claim with a lease would prevail, and no other robot stands at the charger.
+    fn may_take(&self, claim: &ChargerClaim) -> bool {
+        let own = Charging::Bound(claim.clone());
+        self.others.iter().all(|other| other.place != claim.charger)
+            && self.claims_to(&claim.charger).all(|other| prevails((self.robot, &own), other))
     }
 
     fn yields(&self, claim: &Claim) -> bool {
@@ -224,14 +294,15 @@ impl OtherRobot {
     }
 }
 
-/// Checks which of two claims to a charger prevails: that of a connected robot, then that with less charge, then
-/// that of the first robot by name. Of two different robots exactly one prevails.
+/// Checks which of two claims to a charger prevails: that of a connected robot, then that with the later lease, then that
+/// with less charge, then that of the first robot by name. Of two different robots exactly one prevails.
 pub(super) fn prevails(one: (&RobotId, &Charging), other: (&RobotId, &Charging)) -> bool {
     let order = |charging: &Charging| {
-        let battery = charging.claim().map_or(BatteryShare::FULL, |claim| claim.battery);
-        (!matches!(charging, Charging::Connected(_)), battery.get())
+        let (lease, battery) =
+            charging.claim().map_or((None, BatteryShare::FULL), |claim| (claim.lease, claim.battery));
+        ((!matches!(charging, Charging::Connected(_)), Reverse(lease)), battery.get())
     };
-    let ((one_apart, one_charge), (other_apart, other_charge)) = (order(one.1), order(other.1));
-    let by_charge = one_apart.cmp(&other_apart).then(one_charge.total_cmp(&other_charge));
+    let ((one_rank, one_charge), (other_rank, other_charge)) = (order(one.1), order(other.1));
+    let by_charge = one_rank.cmp(&other_rank).then(one_charge.total_cmp(&other_charge));
     by_charge.then_with(|| one.0.cmp(other.0)).is_lt()
 }

@@ -1,18 +1,27 @@
 use super::control::ChargeControl;
-use super::policy::{Activity, CLAIM_AGE, ChargeThresholds, Claim, OtherRobot, Purpose, Situation, prevails};
+use super::policy::{
+    Activity, CLAIM_AGE, ChargeThresholds, Claim, LEASE_WAIT, LeaseOffer, OtherRobot, Purpose, ReceivedLeases,
+    Situation, prevails,
+};
 use super::reserve::ChargerReserve;
 use super::{Charger, ChargingSettings, RobotCharging};
 use crate::robot::test_values::at;
 use consort_protocol::auction::{BidLimits, RefusalReason};
+use consort_protocol::chargers::{ChargerAction, ChargerLeases, ChargerUser};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::{Attributes, Availability, ChargerClaim, Charging, RobotKnowledge};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond};
+use consort_protocol::versions::VersionRange;
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
 use consort_skills::environment::{Edge, Environment, Passages, Routes, SpeedLimits, TopologicalMap};
 use proptest::collection::vec;
+use proptest::option;
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// Charge below which the robots of these tests charge.
 const BELOW: f64 = 0.3;
@@ -38,7 +47,7 @@ fn thresholds() -> ChargeThresholds {
 }
 
 fn claim(charger: &str, battery: f64) -> ChargerClaim {
-    ChargerClaim { charger: place(charger), battery: share(battery) }
+    ChargerClaim { charger: place(charger), battery: share(battery), lease: None, drive_s: None }
 }
 
 fn own_claim(charger: &str, battery: f64, since: NodeTime, purpose: Purpose) -> Claim {
@@ -53,6 +62,15 @@ fn waiting(chargers: &[&str]) -> Charging {
     Charging::Waiting { chargers: places(chargers) }
 }
 
+/// Returns what a robot publishes, without the estimate of its drive.
+fn published_by(control: &ChargeControl) -> Option<Charging> {
+    let mut published = control.published();
+    if let Some(Charging::Bound(claim) | Charging::Connected(claim)) = &mut published {
+        claim.drive_s = None;
+    }
+    published
+}
+
 /// Decides for robot `m` in a fleet with the chargers `P` and `Q`; it prefers `P`.
 fn decide(activity: &Activity, battery: f64, at_place: &str, others: &[OtherRobot]) -> Activity {
     let (robot, at_place) = (robot("m"), place(at_place));
@@ -64,7 +82,7 @@ fn decide(activity: &Activity, battery: f64, at_place: &str, others: &[OtherRobo
         others,
         now: at(5_000),
     };
-    thresholds().next(activity, &situation, &places(&["P", "Q"]), || vec![place("P"), place("Q")])
+    thresholds().next(activity, &situation, None, &places(&["P", "Q"]), || vec![place("P"), place("Q")])
 }
 
 #[test]
@@ -101,7 +119,7 @@ fn a_robot_that_can_use_no_charger_does_not_wait_for_one() {
             others,
             now: at(5_000),
         };
-        thresholds().next(&Activity::Idle, &situation, &places(&["P"]), Vec::new)
+        thresholds().next(&Activity::Idle, &situation, None, &places(&["P"]), Vec::new)
     };
     assert_eq!(stands_at.each_ref().map(|at_place| next(at_place, &[])), [Activity::Idle, Activity::Idle]);
     assert_eq!(stands_at.each_ref().map(|at_place| next(at_place, &waits)), [Activity::Idle, Activity::Leaving]);
@@ -122,7 +140,7 @@ fn a_robot_that_waits_makes_room_at_a_charger_that_it_may_not_use() {
             now: at(5_000),
         };
         let usable = usable.iter().map(|charger| place(charger)).collect();
-        thresholds().next(&Activity::Idle, &situation, &all, || usable)
+        thresholds().next(&Activity::Idle, &situation, None, &all, || usable)
     };
     assert_eq!(next("P", &["Q"], &["P"]), Activity::Leaving);
     assert_eq!(next("Hall", &["Q"], &["P"]), Activity::Waiting(places(&["Q"])), "it has made room");
@@ -164,7 +182,7 @@ fn a_robot_charges_after_its_charge_was_too_low_for_a_role() {
         let (battery, lacked_charge) = (share(battery), control.lacks_charge());
         let situation = Situation { robot: &own, place: &at_c, battery, lacked_charge, others: &[], now: at(0) };
         control.decide(&situation, &estimator, &context);
-        let published = control.published();
+        let published = published_by(&control);
         control.stop();
         published
     };
@@ -194,9 +212,75 @@ fn a_claim_with_less_charge_prevails() {
     assert_eq!(decide(&own, 0.25, "Hall", &stands), next, "another robot stands at the charger");
 }
 
+#[test]
+fn a_claim_with_the_later_lease_prevails() {
+    let leased = |lease| ChargerClaim { lease: Some(lease), ..claim("P", 0.29) };
+    let keeps = |own: ChargerClaim, charging: Charging| {
+        let activity = Activity::Claimed(Claim { published: own, since: at(4_000), purpose: Purpose::Need });
+        decide(&activity, 0.29, "Hall", &[other("a", "Hall", Some(charging))]) == activity
+    };
+    assert!(keeps(leased(7), Charging::Bound(claim("P", 0.1))));
+    assert!(keeps(leased(7), Charging::Bound(leased(6))));
+    assert!(!keeps(leased(7), Charging::Bound(leased(8))));
+    assert!(!keeps(leased(7), Charging::Connected(claim("P", 0.9))), "a connected robot stays");
+    assert!(!keeps(claim("P", 0.29), Charging::Bound(ChargerClaim { lease: Some(1), ..claim("P", 0.3) })));
+}
+
+#[test]
+fn a_robot_with_a_coordinator_waits_for_its_lease() {
+    let unleased = own_claim("P", 0.2, at(0), Purpose::Need);
+    let mut leased = unleased.clone();
+    leased.published.lease = Some(7);
+    let acts_from = |claim: &Claim, has_coordinator| {
+        [CLAIM_AGE, LEASE_WAIT].into_iter().find(|age| claim.may_act(has_coordinator, NodeTime::ZERO + *age))
+    };
+    assert_eq!(acts_from(&unleased, false), Some(CLAIM_AGE));
+    assert_eq!(acts_from(&unleased, true), Some(LEASE_WAIT));
+    assert_eq!(acts_from(&leased, true), Some(CLAIM_AGE));
+    assert!(!leased.may_act(true, at(1_999)), "the others may lack its claim");
+}
+
+#[test]
+fn a_waiting_robot_claims_the_charger_that_it_is_offered() {
+    let (own, hall) = (robot("m"), place("Hall"));
+    let offer = LeaseOffer { charger: place("P"), lease: 7 };
+    let next = |others: &[OtherRobot], battery: f64| {
+        let battery = share(battery);
+        let situation = Situation { robot: &own, place: &hall, battery, lacked_charge: false, others, now: at(5_000) };
+        let waits = Activity::Waiting(places(&["P", "Q"]));
+        thresholds().next(&waits, &situation, Some(&offer), &places(&["P", "Q"]), || vec![place("Q"), place("P")])
+    };
+    let mut claimed = own_claim("P", 0.2, at(5_000), Purpose::Need);
+    claimed.published.lease = Some(7);
+    let bound = |claim| [other("a", "Hall", Some(Charging::Bound(claim)))];
+    assert_eq!(next(&[], 0.2), Activity::Claimed(claimed.clone()), "although Q is nearer");
+    assert_eq!(next(&bound(claim("P", 0.1)), 0.2), Activity::Claimed(claimed));
+    let unleased = Activity::Claimed(own_claim("Q", 0.2, at(5_000), Purpose::Need));
+    assert_eq!(next(&bound(ChargerClaim { lease: Some(8), ..claim("P", 0.3) }), 0.2), unleased);
+    assert_eq!(next(&[other("a", "P", None)], 0.2), unleased, "another robot stands there");
+    assert_eq!(next(&[], 0.9), Activity::Idle, "it needs no charge any more");
+}
+
+#[test]
+fn a_delayed_notice_of_an_earlier_lease_has_no_effect() {
+    let offer = |lease| LeaseOffer { charger: place("P"), lease };
+    let mut leases = ReceivedLeases::default();
+    let mut activity = Activity::Claimed(own_claim("P", 0.2, at(0), Purpose::Need));
+    leases.receive(offer(7), &mut activity);
+    let lease = |activity: &Activity| activity.published()?.claim()?.lease;
+    assert_eq!(lease(&activity), Some(7));
+    leases.receive(offer(6), &mut activity);
+    assert_eq!(lease(&activity), Some(7));
+    let mut waits = Activity::Waiting(places(&["P"]));
+    leases.receive(offer(7), &mut waits);
+    assert_eq!(leases.take_offer(), None, "it has used this lease");
+    leases.receive(offer(8), &mut waits);
+    assert_eq!(leases.take_offer(), Some(offer(8)));
+}
+
 fn any_charging() -> impl Strategy<Value = Charging> {
-    (any::<bool>(), 0..4_u8).prop_map(|(connected, charge)| {
-        let claim = claim("P", f64::from(charge) / 4.0);
+    (any::<bool>(), 0..4_u8, option::of(0..2_u64)).prop_map(|(connected, charge, lease)| {
+        let claim = ChargerClaim { lease, ..claim("P", f64::from(charge) / 4.0) };
         if connected { Charging::Connected(claim) } else { Charging::Bound(claim) }
     })
 }
@@ -209,29 +293,70 @@ struct Simulated {
     battery: BatteryShare,
     activity: Activity,
     has_charged: bool,
+    leases: ReceivedLeases,
+    /// A coordinator is in contact.
+    has_coordinator: bool,
+    /// Rounds for which it has driven to the charger, and those that a drive takes beyond the first.
+    driven: usize,
+    drive: usize,
 }
 
 impl Simulated {
+    fn new(number: usize, at_place: PlaceId, battery: f64) -> Simulated {
+        Simulated {
+            id: robot(&format!("r{number}")),
+            place: at_place,
+            battery: share(battery),
+            activity: Activity::Idle,
+            has_charged: false,
+            leases: ReceivedLeases::default(),
+            has_coordinator: false,
+            driven: 0,
+            drive: 0,
+        }
+    }
+
     fn record(&self) -> OtherRobot {
         OtherRobot { robot: self.id.clone(), place: self.place.clone(), charging: self.activity.published() }
     }
 
+    fn user(&self) -> ChargerUser {
+        let OtherRobot { robot, place, charging } = self.record();
+        ChargerUser { robot, place, battery: self.battery, charging, is_alive: true }
+    }
+
+    /// Decides by the records of all robots.
+    fn decide(&mut self, records: Vec<OtherRobot>, chargers: &[PlaceId], nearest_first: Vec<PlaceId>, now: NodeTime) {
+        let others: Vec<OtherRobot> = records.into_iter().filter(|other| other.robot != self.id).collect();
+        let (robot, place, battery) = (&self.id, &self.place, self.battery);
+        let situation = Situation { robot, place, battery, lacked_charge: false, others: &others, now };
+        let (offer, all) = (self.leases.take_offer(), chargers.iter().cloned().collect());
+        let next = thresholds().next(&self.activity, &situation, offer.as_ref(), &all, || nearest_first);
+        self.leases.follow(&next);
+        if next != self.activity {
+            (self.activity, self.driven) = (next, 0);
+        }
+    }
+
     /// Returns the charger that the robot drives to or is connected to.
     fn used_charger(&self, now: NodeTime) -> Option<PlaceId> {
+        let drives = |claim: &Claim| self.driven > 0 || claim.may_act(self.has_coordinator, now);
         match &self.activity {
-            Activity::Claimed(claim) if claim.is_settled(now) => Some(claim.published.charger.clone()),
+            Activity::Claimed(claim) if drives(claim) => Some(claim.published.charger.clone()),
             Activity::Connected(claim) => Some(claim.published.charger.clone()),
             Activity::Idle | Activity::Waiting(_) | Activity::Claimed(_) | Activity::Leaving => None,
         }
     }
 
-    /// Lets the robot act for a round: it arrives, charges by a quarter of the battery, or loses a thousandth.
+    /// Lets the robot act for a round: it drives, charges by a quarter of the battery, or loses a thousandth.
     fn act(&mut self, number: usize, now: NodeTime) {
         let change = if matches!(self.activity, Activity::Connected(_)) { 0.25 } else { -0.001 };
         self.battery = share((self.battery.get() + change).clamp(0.0, 1.0));
         match (self.used_charger(now), self.activity.clone()) {
+            (Some(_), Activity::Claimed(_)) if self.driven < self.drive => self.driven += 1,
             (Some(charger), Activity::Claimed(claim)) => {
                 (self.place, self.activity, self.has_charged) = (charger, Activity::Connected(claim), true);
+                self.driven = 0;
             }
             (None, Activity::Leaving) => {
                 (self.place, self.activity) = (place(&format!("Park {number}")), Activity::Idle);
@@ -244,6 +369,99 @@ impl Simulated {
 /// Rounds of a simulated fleet. Each of at most 5 robots with a single charger needs at most 4 rounds to charge, 2 to
 /// leave, and 3 until the next robot has a settled claim.
 const ROUNDS: usize = 5 * (4 + 2 + 3);
+
+fn simulated_fleet(charges: &[f64], chargers: &[PlaceId], at_charger: bool) -> Vec<Simulated> {
+    let robot = |(number, battery): (usize, &f64)| {
+        let at_place = if number == 0 && at_charger { chargers[0].clone() } else { place(&format!("Park {number}")) };
+        Simulated::new(number, at_place, *battery)
+    };
+    charges.iter().enumerate().map(robot).collect()
+}
+
+fn uses_are_exclusive(fleet: &[Simulated], now: NodeTime) -> bool {
+    let used: Vec<PlaceId> = fleet.iter().filter_map(|robot| robot.used_charger(now)).collect();
+    used.iter().collect::<BTreeSet<_>>().len() == used.len()
+}
+
+/// Time in which a record reaches all robots: a quarter of the age of a claim on which a robot acts.
+const ROUND: Duration = Duration::from_millis(500);
+
+const UNSETTLED_ROUNDS: usize = 80;
+
+/// Rounds within which every robot charges: the last of 4000 fleets needed 51 in all.
+const SETTLED_ROUNDS: usize = 60;
+
+/// A round with leases.
+#[derive(Debug, Clone)]
+struct Round {
+    is_led: bool,
+    /// Robots that count the coordinator as in contact.
+    contact: [bool; 5],
+    /// Rounds for which the notices of this round are delayed.
+    delay: usize,
+    /// The robots decide in turn, and not by the records of the previous round.
+    in_turn: bool,
+}
+
+fn any_round() -> impl Strategy<Value = Round> {
+    let delay = prop_oneof![Just(0_usize), Just(1_usize), 2..40_usize];
+    (any::<bool>(), any::<[bool; 5]>(), delay, any::<bool>()).prop_map(|(is_led, contact, delay, in_turn)| Round {
+        is_led,
+        contact,
+        delay,
+        in_turn,
+    })
+}
+
+/// Coordinators of a simulated fleet that follow each other, and their ledger.
+struct SimulatedCoordinator {
+    ledger: Ledger,
+    entries: u64,
+    session: ChargerLeases,
+    /// Notices under way, with the rounds of their arrival.
+    notices: Vec<(usize, RobotId, LeaseOffer)>,
+}
+
+impl SimulatedCoordinator {
+    fn new() -> SimulatedCoordinator {
+        let (ledger, session) = (Ledger::default(), ChargerLeases::default());
+        let mut coordinator = SimulatedCoordinator { ledger, entries: 0, session, notices: vec![] };
+        coordinator.apply(Command::first_wire_version(VersionRange::OWN.newest));
+        coordinator
+    }
+
+    fn apply(&mut self, command: Command) {
+        self.entries += 1;
+        self.ledger.apply(Epoch { term: 1, index: self.entries }, command);
+    }
+
+    /// Performs what is due. A round without a coordinator ends the session.
+    fn act(&mut self, round: &Round, users: &[ChargerUser], number: usize, now: NodeTime) {
+        if !round.is_led {
+            self.session = ChargerLeases::default();
+            return;
+        }
+        for action in self.session.due(self.ledger.charger_leases(), users, now) {
+            match action {
+                ChargerAction::Lease { charger, robot } => {
+                    self.apply(Command::LeaseCharger { charger, robot, at_ms: 0 });
+                }
+                ChargerAction::Free { charger, epoch, .. } => self.apply(Command::FreeCharger { charger, epoch }),
+                ChargerAction::Notify { charger, robot, epoch } => {
+                    self.notices.push((number + round.delay, robot, LeaseOffer { charger, lease: epoch.index }));
+                }
+            }
+        }
+    }
+
+    /// Takes the notices that arrive in a round.
+    fn take_notices(&mut self, number: usize) -> Vec<(RobotId, LeaseOffer)> {
+        let (arrived, under_way) = std::mem::take(&mut self.notices).into_iter().partition(|(at, ..)| *at <= number);
+        self.notices = under_way;
+        let arrived: Vec<(usize, RobotId, LeaseOffer)> = arrived;
+        arrived.into_iter().map(|(_, robot, offer)| (robot, offer)).collect()
+    }
+}
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(500))]
@@ -263,31 +481,58 @@ proptest! {
         in_turn in vec(any::<bool>(), ROUNDS),
     ) {
         let chargers: Vec<PlaceId> = (0..chargers).map(|number| place(&format!("Charger {number}"))).collect();
-        let all: BTreeSet<PlaceId> = chargers.iter().cloned().collect();
-        let mut fleet: Vec<Simulated> = charges.iter().enumerate().map(|(number, battery)| Simulated {
-            id: robot(&format!("r{number}")),
-            place: if number == 0 && at_charger { chargers[0].clone() } else { place(&format!("Park {number}")) },
-            battery: share(*battery),
-            activity: Activity::Idle,
-            has_charged: false,
-        }).collect();
+        let mut fleet = simulated_fleet(&charges, &chargers, at_charger);
         for (round, in_turn) in in_turn.into_iter().enumerate() {
             let now = NodeTime::ZERO + CLAIM_AGE * u32::try_from(round).unwrap();
             let before: Vec<OtherRobot> = fleet.iter().map(Simulated::record).collect();
             for number in 0..fleet.len() {
                 let records = if in_turn { fleet.iter().map(Simulated::record).collect() } else { before.clone() };
-                let own = &fleet[number];
-                let others: Vec<OtherRobot> = records.into_iter().filter(|other| other.robot != own.id).collect();
-                let (robot, place, battery) = (&own.id, &own.place, own.battery);
-                let situation = Situation { robot, place, battery, lacked_charge: false, others: &others, now };
                 let mut nearest_first = chargers.clone();
                 nearest_first.rotate_left(number % chargers.len());
-                let next = thresholds().next(&own.activity, &situation, &all, || nearest_first);
-                fleet[number].activity = next;
+                fleet[number].decide(records, &chargers, nearest_first, now);
             }
-            let used: Vec<PlaceId> = fleet.iter().filter_map(|robot| robot.used_charger(now)).collect();
-            let distinct: BTreeSet<&PlaceId> = used.iter().collect();
-            prop_assert_eq!(distinct.len(), used.len(), "round {}: {:?}", round, fleet);
+            prop_assert!(uses_are_exclusive(&fleet, now), "round {round}: {fleet:?}");
+            fleet.iter_mut().enumerate().for_each(|(number, robot)| robot.act(number, now));
+        }
+        for (robot, charge) in fleet.iter().zip(&charges) {
+            prop_assert!(robot.has_charged || *charge >= BELOW, "{robot:?} of {fleet:?}");
+        }
+    }
+
+    /// Coordinators come and go, robots notice it at different times, and notices of leases are delayed. Then all robots
+    /// have a coordinator, or none has.
+    #[test]
+    fn leases_come_and_go_and_no_two_robots_use_the_same_charger(
+        charges in vec(0.05..0.95, 2..=5),
+        at_charger in any::<bool>(),
+        chargers in 1..=3_usize,
+        unsettled in vec(any_round(), UNSETTLED_ROUNDS),
+        is_led_at_last in any::<bool>(),
+    ) {
+        let chargers: Vec<PlaceId> = (0..chargers).map(|number| place(&format!("Charger {number}"))).collect();
+        let mut fleet = simulated_fleet(&charges, &chargers, at_charger);
+        fleet.iter_mut().enumerate().for_each(|(number, robot)| robot.drive = number % 3);
+        let mut coordinator = SimulatedCoordinator::new();
+        let contact = if is_led_at_last { [true; 5] } else { [false; 5] };
+        let settled = Round { is_led: is_led_at_last, contact, delay: 0, in_turn: true };
+        let rounds = unsettled.into_iter().chain(std::iter::repeat_n(settled, SETTLED_ROUNDS));
+        for (number, round) in rounds.enumerate() {
+            let now = NodeTime::ZERO + ROUND * u32::try_from(number).unwrap();
+            let before: Vec<OtherRobot> = fleet.iter().map(Simulated::record).collect();
+            let users: Vec<ChargerUser> = fleet.iter().map(Simulated::user).collect();
+            coordinator.act(&round, &users, number, now);
+            for (robot, offer) in coordinator.take_notices(number) {
+                let receiver = fleet.iter_mut().find(|known| known.id == robot).expect("a robot of the fleet");
+                receiver.leases.receive(offer, &mut receiver.activity);
+            }
+            for own in 0..fleet.len() {
+                let records = if round.in_turn { fleet.iter().map(Simulated::record).collect() } else { before.clone() };
+                let mut nearest_first = chargers.clone();
+                nearest_first.rotate_left(own % chargers.len());
+                fleet[own].has_coordinator = round.contact[own];
+                fleet[own].decide(records, &chargers, nearest_first, now);
+            }
+            prop_assert!(uses_are_exclusive(&fleet, now), "round {number}: {fleet:?}");
             fleet.iter_mut().enumerate().for_each(|(number, robot)| robot.act(number, now));
         }
         for (robot, charge) in fleet.iter().zip(&charges) {
@@ -364,11 +609,11 @@ fn a_robot_gives_up_a_charger_when_the_way_to_it_is_closed() {
     let arrived = Situation { place: &at_a, ..situation(at(2_500)) };
     let beside = EstimateContext { place: place("A"), pose: Some(Pose::new(0.5, 0.0, 0.0)), ..closed(&["A"]) };
     assert!(!control.decide(&arrived, &estimator, &beside), "it is there");
-    assert_eq!(control.published(), bound("A"));
+    assert_eq!(published_by(&control), bound("A"));
     assert!(control.decide(&situation(at(3_000)), &estimator, &closed(&["A"])));
-    assert_eq!((control.published(), control.is_acting()), (bound("C"), false));
+    assert_eq!((published_by(&control), control.is_acting()), (bound("C"), false));
     assert!(control.decide(&situation(at(4_000)), &estimator, &closed(&["A", "C"])));
-    assert_eq!(control.published(), None, "it keeps no other robot away");
+    assert_eq!(published_by(&control), None, "it keeps no other robot away");
 }
 
 fn knowledge(attributes: &[(&str, &str)]) -> RobotKnowledge {
@@ -413,7 +658,7 @@ fn a_robot_drives_and_docks_once_its_claim_is_old_enough() {
     let situation =
         |now| Situation { robot: &own, place: &at_c, battery: share(0.2), lacked_charge: false, others: &[], now };
     assert!(control.decide(&situation(at(0)), &estimator, &context));
-    assert_eq!(control.published(), Some(Charging::Bound(claim("A", 0.2))));
+    assert_eq!(published_by(&control), Some(Charging::Bound(claim("A", 0.2))));
     assert!(!control.decide(&situation(at(1_999)), &estimator, &context));
     assert_eq!(control.next_task(&[], &estimator, &context, at(1_999)), None);
     let mut task = || {
@@ -423,7 +668,7 @@ fn a_robot_drives_and_docks_once_its_claim_is_old_enough() {
     };
     assert_eq!(task(), Some(("navigation".to_owned(), vec!["A".to_owned()])));
     assert_eq!(task(), Some(("dock".to_owned(), vec!["A".to_owned()])));
-    assert_eq!(control.published(), Some(Charging::Connected(claim("A", 0.2))));
+    assert_eq!(published_by(&control), Some(Charging::Connected(claim("A", 0.2))));
     assert!(!control.is_acting());
 }
 
@@ -438,9 +683,9 @@ fn a_robot_avoids_a_charger_for_a_minute_after_a_failure() {
     control.next_task(&[], &estimator, &context, at(2_000)).expect("the drive");
     control.task_failed(at(10_000));
     control.decide(&situation(at(69_999)), &estimator, &context);
-    assert_eq!(control.published(), None);
+    assert_eq!(published_by(&control), None);
     control.decide(&situation(at(70_000)), &estimator, &context);
-    assert_eq!(control.published(), Some(Charging::Bound(claim("A", 0.2))));
+    assert_eq!(published_by(&control), Some(Charging::Bound(claim("A", 0.2))));
 }
 
 /// Robot `m` at the only charger `A`.
@@ -463,7 +708,7 @@ impl AtCharger {
         let situation = Situation { robot: &own, place: &at_a, battery, lacked_charge: false, others, now };
         let changed = self.control.decide(&situation, &self.estimator, &self.context);
         self.control.next_task(others, &self.estimator, &self.context, now);
-        (changed, self.control.published())
+        (changed, published_by(&self.control))
     }
 }
 
@@ -501,7 +746,7 @@ fn a_robot_leaves_a_charger_that_gives_no_current() {
         robot.control.task_succeeded();
         robot.decide(battery, &[], now);
         robot.control.task_succeeded();
-        (problem, robot.control.published())
+        (problem, published_by(&robot.control))
     };
     let connected = || (None, Some(Charging::Connected(claim("A", 0.2))));
     assert_eq!(published(0.2, 0), (None, Some(Charging::Bound(claim("A", 0.2)))));
