@@ -3,6 +3,7 @@
 use crate::slug;
 use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
 use consort_protocol::units::{BatteryShare, WattHours, Watts};
+use std::collections::BTreeSet;
 
 /// Chargers of a fleet, and the batteries of its mobile robots.
 #[derive(Debug, Clone)]
@@ -31,7 +32,7 @@ impl ChargingSetup {
         let thresholds = ChargeThresholds { below: share(below), until: share(Self::UNTIL), opportunistic: None };
         let chargers = places.iter().map(|place| Charger { place: slug(place), eligible: None }).collect();
         ChargingSetup {
-            settings: ChargingSettings { thresholds, chargers },
+            settings: ChargingSettings { thresholds, chargers, parking: BTreeSet::new() },
             power: Watts::new(power_w).expect("a power"),
             capacity: WattHours::new(Self::CAPACITY_WH).expect("a capacity"),
         }

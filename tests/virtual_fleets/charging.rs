@@ -265,6 +265,29 @@ fn a_lease_outlasts_the_coordinator_and_not_its_robot() {
 }
 
 #[test]
+fn idle_robots_park_at_different_places() {
+    const PARKING: [&str; 2] = ["IC Room 1", "IC Room 4"];
+    for_each_seed(SEEDS, async |seed| {
+        let robots = ["fern", "gorse"].map(|name| carrier(name, ROOMS[1], UNTIL)).to_vec();
+        let mut charging = setup(BELOW);
+        charging.settings.parking = BTreeSet::from(PARKING.map(slug));
+        let adjust = Box::new(|_: &mut NodeSettings| ());
+        let mut fleet = Fleet::hospital_with_chargers(seed, robots, &["aster"], charging, adjust).await;
+        let place =
+            |fleet: &Fleet, robot| fleet.knowledge_of("aster", &slug(robot)).map(|robot| robot.place.to_string());
+        let parked = |fleet: &Fleet| {
+            let places: BTreeSet<_> = ["fern", "gorse"].into_iter().filter_map(|robot| place(fleet, robot)).collect();
+            places == BTreeSet::from(PARKING.map(str::to_owned))
+        };
+        fleet.wait_until("two parked robots", SOON, parked).await;
+        for robot in ["fern", "gorse"] {
+            fleet.wait_for_rest(robot).await;
+        }
+        fleet.assert_never("a move", Duration::from_secs(15), |fleet| !parked(fleet)).await;
+    });
+}
+
+#[test]
 fn an_award_ends_charging() {
     for_each_seed(SEEDS, async |seed| {
         // A drive from the charger to the room (36 m) and back needs 12 %, and the reserve is 8 %.

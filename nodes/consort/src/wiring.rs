@@ -179,7 +179,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
 /// Returns the chargers of a fleet on its map.
 ///
 /// # Errors
-/// [`Diagnostics`] of unknown places, or of the lack of any charger.
+/// [`Diagnostics`] of unknown places, of the lack of any charger, or of a charger for parking.
 fn chargers(charging: &ChargingConfig, floor: &LoadedMap) -> Result<Vec<ChargerConfig>, Diagnostics> {
     let of_map = floor.map.iter().flat_map(Map::places).filter(|place| place.kind == PlaceKind::Charger);
     let chargers = charging.chargers(of_map.map(|place| &place.id), &floor.topology.places.keys().collect());

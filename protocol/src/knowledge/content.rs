@@ -99,9 +99,9 @@ pub enum Charging {
     Bound(ChargerClaim),
     /// The robot is connected to a charger.
     Connected(ChargerClaim),
-    /// The robot leaves a charger for another robot.
+    /// The robot leaves a charger for another robot, or parks.
     Leaving {
-        /// Place to which it drives: other robots that leave drive elsewhere.
+        /// Place to which it drives: other robots that leave or park drive elsewhere.
         to: PlaceId,
     },
 }

@@ -23,6 +23,10 @@ pub struct ChargingConfig {
     /// charge only below `below`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub opportunistic: Option<BatteryShare>,
+    /// Places to which free robots drive that have enough charge, a robot to each, so that they leave chargers and
+    /// corridors free. Default: none, and idle robots stay where they are.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub parking: Vec<PlaceId>,
     /// Chargers at places that are not of kind `charger` on the map, and chargers with other settings than the
     /// defaults.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -47,7 +51,8 @@ pub struct ChargerConfig {
 impl Default for ChargingConfig {
     fn default() -> Self {
         let share = |share| BatteryShare::new(share).expect("a default from 0 to 1");
-        ChargingConfig { below: share(0.3), until: share(0.9), opportunistic: None, charger: vec![] }
+        let (below, until) = (share(0.3), share(0.9));
+        ChargingConfig { below, until, opportunistic: None, parking: vec![], charger: vec![] }
     }
 }
 
@@ -70,6 +75,9 @@ impl ChargingConfig {
             ));
         }
         let mut seen = BTreeSet::new();
+        let again = self.parking.iter().filter(|place| !seen.insert(*place));
+        problems.extend(again.map(|place| format!("charging.parking {place}: is listed twice")));
+        let mut seen = BTreeSet::new();
         for charger in &self.charger {
             let place = &charger.place;
             if !seen.insert(place) {
@@ -86,17 +94,19 @@ impl ChargingConfig {
     /// places of the map.
     ///
     /// # Errors
-    /// Descriptions of unknown places, or of the lack of any charger.
+    /// Descriptions of unknown places, of the lack of any charger, or of a charger for parking.
     pub(crate) fn chargers<'a>(
         &self,
         chargers: impl IntoIterator<Item = &'a PlaceId>,
         places: &BTreeSet<&PlaceId>,
     ) -> Result<Vec<ChargerConfig>, Vec<String>> {
-        let unknown = self.charger.iter().map(|charger| &charger.place).filter(|place| !places.contains(place));
+        let of_chargers = self.charger.iter().map(|charger| ("charging.charger: place", &charger.place));
+        let of_parking = self.parking.iter().map(|place| ("charging.parking", place));
+        let unknown = of_chargers.chain(of_parking).filter(|(_, place)| !places.contains(place));
         let problems: Vec<String> = unknown
-            .map(|place| {
+            .map(|(key, place)| {
                 let allowed = AllowedNames::suggest_for(place.as_str(), places.iter().copied());
-                format!("charging.charger: place: {:?} is not on the fleet's map; {allowed}", place.as_str())
+                format!("{key}: {:?} is not on the fleet's map; {allowed}", place.as_str())
             })
             .collect();
         if !problems.is_empty() {
@@ -111,7 +121,10 @@ impl ChargingConfig {
                            charger on the map";
             return Err(vec![problem.to_owned()]);
         }
-        Ok(all.into_values().collect())
+        match self.parking.iter().find(|place| all.contains_key(*place)) {
+            Some(charger) => Err(vec![format!("charging.parking: {charger} is a charger; name other places")]),
+            None => Ok(all.into_values().collect()),
+        }
     }
 
     /// Returns the settings of nodes, with these chargers.
@@ -121,6 +134,7 @@ impl ChargingConfig {
         ChargingSettings {
             thresholds: ChargeThresholds { below, until, opportunistic },
             chargers: chargers.into_iter().map(charger).collect(),
+            parking: self.parking.iter().cloned().collect(),
         }
     }
 }
@@ -148,6 +162,7 @@ mod tests {
                 vec!["charging.opportunistic is 0.2, allowed is 0.3 (charging.below) to 0.9 (charging.until)"],
             ),
             ("opportunistic = 0.9".to_owned(), vec![]),
+            ("parking = ['Hall', 'Hall']".to_owned(), vec!["charging.parking Hall: is listed twice"]),
             (
                 format!("{charger}'robot.name in [\"ada\"]'\n[[charger]]\nplace = \"Dock\""),
                 vec!["charging.charger Dock: is declared twice"],
@@ -175,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_charger_needs_a_place_of_the_map() {
+    fn chargers_and_parking_need_places_of_the_map() {
         let known = places(&["Dock", "Hall"]);
         let known = known.iter().collect();
         let problems = config("[[charger]]\nplace = \"Dok\"").chargers(&BTreeSet::new(), &known).unwrap_err();
@@ -183,6 +198,10 @@ mod tests {
             problems[0].starts_with("charging.charger: place: \"Dok\" is not on the fleet's map; "),
             "{problems:?}"
         );
+        let problems = config("parking = ['Hal']").chargers(&places(&["Dock"]), &known).unwrap_err();
+        assert!(problems[0].starts_with("charging.parking: \"Hal\" is not on the fleet's map; "), "{problems:?}");
+        let problems = config("parking = ['Dock', 'Hall']").chargers(&places(&["Dock"]), &known).unwrap_err();
+        assert_eq!(problems, ["charging.parking: Dock is a charger; name other places"]);
         let problems = config("").chargers(&BTreeSet::new(), &known).unwrap_err();
         assert!(problems[0].starts_with("charging: the fleet has no charger; "), "{problems:?}");
     }

@@ -24,6 +24,10 @@ const RISE_TIME: Duration = Duration::from_secs(15 * 60);
 /// Rise of the charge that counts, as a share of a full battery. A guess: above the noise of a battery sensor.
 const RISE_MIN: f64 = 0.005;
 
+/// Node time for which a robot must have been idle before it drives to a parking place. Raised: it is in the way for
+/// longer, and drives less often in vain before its next role. A guess: auctions take less.
+const PARK_DELAY: Duration = Duration::from_secs(10);
+
 /// State of a robot with respect to its charge.
 pub(in crate::robot) struct ChargeControl {
     settings: RobotCharging,
@@ -38,6 +42,8 @@ pub(in crate::robot) struct ChargeControl {
     /// A coordinator is in contact: it leases chargers.
     has_coordinator: bool,
     leases: ReceivedLeases,
+    /// Time since which the robot has been idle elsewhere than at a parking place.
+    idle_since: Option<NodeTime>,
 }
 
 /// Rise of the charge at a charger.
@@ -67,6 +73,7 @@ impl ChargeControl {
             avoided,
             has_coordinator: false,
             leases: ReceivedLeases::default(),
+            idle_since: None,
         }
     }
 
@@ -118,7 +125,7 @@ impl ChargeControl {
     pub(in crate::robot) fn depends_on_others(&self, situation: &Situation<'_>) -> bool {
         let is_enough = self.settings.thresholds.is_enough(situation.battery, situation.lacked_charge);
         let stays = self.activity == Activity::Idle && is_enough;
-        !stays || self.settings.all.contains(situation.place)
+        !stays || self.settings.all.contains(situation.place) || self.is_parking_due(situation.now)
     }
 
     /// Checks that the charge of a connected robot rises. Returns the problem if it does not: the charger is avoided.
@@ -149,7 +156,7 @@ impl ChargeControl {
         estimator: &Estimator,
         context: &EstimateContext,
     ) -> bool {
-        let RobotCharging { thresholds, usable, all } = &self.settings;
+        let RobotCharging { thresholds, usable, all, parking } = &self.settings;
         self.lacks_charge &= situation.battery < thresholds.until;
         self.avoided.retain(|_, until| situation.now < *until);
         let mut drive_times = BTreeMap::new();
@@ -181,12 +188,22 @@ impl ChargeControl {
             claim.published.drive_s = claim.published.drive_s.or(drive);
         }
         self.leases.follow(&next);
+        let may_park = next == Activity::Idle && situation.battery >= thresholds.below && !parking.is_empty();
+        let is_in_the_way = may_park && !parking.contains(situation.place);
+        self.idle_since = is_in_the_way.then(|| self.idle_since.unwrap_or(situation.now));
+        if self.is_parking_due(situation.now) {
+            next = Activity::Leaving;
+        }
         let changed = drives_elsewhere || next != self.activity;
         if changed {
             self.end_trip();
             self.activity = next;
         }
         changed
+    }
+
+    fn is_parking_due(&self, now: NodeTime) -> bool {
+        self.idle_since.is_some_and(|since| now.since(since) >= PARK_DELAY)
     }
 
     /// Returns the task to be started now, if any.
@@ -223,7 +240,12 @@ impl ChargeControl {
                     let is_taken = |other: &OtherRobot| other.place == **place || other.leaves_to() == Some(*place);
                     !is_avoided && !others.iter().any(is_taken)
                 };
-                let drives = nearest(estimator, context, places(estimator).filter(is_free));
+                let parking = nearest(estimator, context, self.settings.parking.iter().filter(is_free));
+                let elsewhere = || match self.settings.all.contains(&context.place) {
+                    true => nearest(estimator, context, places(estimator).filter(is_free)),
+                    false => vec![],
+                };
+                let drives = if parking.is_empty() { elsewhere() } else { parking };
                 let destination = drives.into_iter().next()?.to;
                 let tasks = VecDeque::from([drive_to(&destination)]);
                 Some(Trip { destination, tasks, running: None })
@@ -283,6 +305,7 @@ impl ChargeControl {
     pub(in crate::robot) fn stop(&mut self) -> bool {
         (self.activity, self.lacks_charge) = (Activity::Idle, false);
         self.leases.take_offer();
+        self.idle_since = None;
         self.end_trip().is_some()
     }
 

@@ -10,7 +10,8 @@
 //!
 //! A robot that waits publishes the chargers that it may use. A robot that stands at one of them makes room if it needs no
 //! charge, or may not use that charger itself: it drives to the nearest place to which no other robot leaves. A robot
-//! whose charge does not rise at a charger tries another.
+//! whose charge does not rise at a charger tries another. A robot that has been idle for some seconds elsewhere than at a
+//! parking place drives to one in the same way; a robot that leaves a charger drives to a parking place if any is free.
 //!
 //! An award, a hold, an alarm and maintenance end each of these activities. After a start of its node a robot begins
 //! only when it has received its orders, or after 10 s. A robot bids at any charge that suffices for the role
@@ -55,6 +56,8 @@ pub struct ChargingSettings {
     pub thresholds: ChargeThresholds,
     /// Chargers.
     pub chargers: Vec<Charger>,
+    /// Places to which free robots with enough charge drive.
+    pub parking: BTreeSet<PlaceId>,
 }
 
 impl From<&ChargingSettings> for ChargingView {
@@ -82,6 +85,8 @@ pub(crate) struct RobotCharging {
     pub(super) usable: BTreeSet<PlaceId>,
     /// All chargers of the fleet.
     pub(super) all: BTreeSet<PlaceId>,
+    /// Places for parking.
+    pub(super) parking: BTreeSet<PlaceId>,
 }
 
 impl RobotCharging {
@@ -98,6 +103,7 @@ impl RobotCharging {
         let place = |charger: &Charger| charger.place.clone();
         let usable: BTreeSet<PlaceId> = settings.chargers.iter().filter(may_use).map(place).collect();
         let all = settings.chargers.iter().map(place).collect();
-        (!usable.is_empty()).then_some(RobotCharging { thresholds: settings.thresholds, usable, all })
+        let (thresholds, parking) = (settings.thresholds, settings.parking.clone());
+        (!usable.is_empty()).then_some(RobotCharging { thresholds, usable, all, parking })
     }
 }

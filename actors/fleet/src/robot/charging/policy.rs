@@ -39,7 +39,7 @@ pub(super) enum Activity {
     Claimed(Claim),
     /// The robot is connected to a charger.
     Connected(Claim),
-    /// The robot drives away from a charger for which another robot waits, until the drive has ended.
+    /// The robot drives away from a charger for which another robot waits, or parks, until the drive has ended.
     Leaving,
 }
 

@@ -62,6 +62,16 @@ fn waiting(chargers: &[&str]) -> Charging {
     Charging::Waiting { chargers: places(chargers) }
 }
 
+/// Returns the charging of a robot in a fleet with these chargers.
+fn control(usable: BTreeSet<PlaceId>) -> ChargeControl {
+    parking_control(usable, &[])
+}
+
+fn parking_control(usable: BTreeSet<PlaceId>, parking: &[&str]) -> ChargeControl {
+    let all = usable.clone();
+    ChargeControl::new(RobotCharging { thresholds: thresholds(), usable, all, parking: places(parking) })
+}
+
 /// Returns what a robot publishes, without the estimate of its drive.
 fn published_by(control: &ChargeControl) -> Option<Charging> {
     let mut published = control.published();
@@ -173,7 +183,7 @@ fn a_robot_charges_until_it_has_enough() {
 #[test]
 fn a_robot_charges_after_its_charge_was_too_low_for_a_role() {
     let usable = places(&["A"]);
-    let mut control = ChargeControl::new(RobotCharging { thresholds: thresholds(), all: usable.clone(), usable });
+    let mut control = control(usable);
     let (estimator, context, own, at_c) = (estimator(), context("C"), robot("m"), place("C"));
     let mut published = |battery: f64, lacks: bool| {
         if lacks {
@@ -513,7 +523,7 @@ proptest! {
         let mut fleet = simulated_fleet(&charges, &chargers, at_charger);
         fleet.iter_mut().enumerate().for_each(|(number, robot)| robot.drive = number % 3);
         let mut coordinator = SimulatedCoordinator::new();
-        let contact = if is_led_at_last { [true; 5] } else { [false; 5] };
+        let contact = [is_led_at_last; 5];
         let settled = Round { is_led: is_led_at_last, contact, delay: 0, in_turn: true };
         let rounds = unsettled.into_iter().chain(std::iter::repeat_n(settled, SETTLED_ROUNDS));
         for (number, round) in rounds.enumerate() {
@@ -593,7 +603,7 @@ fn a_bid_needs_the_charge_to_reach_the_nearest_charger() {
 #[test]
 fn a_robot_gives_up_a_charger_when_the_way_to_it_is_closed() {
     let usable = places(&["A", "C"]);
-    let mut control = ChargeControl::new(RobotCharging { thresholds: thresholds(), all: usable.clone(), usable });
+    let mut control = control(usable);
     let (estimator, open, own, at_b) = (estimator(), context("B"), robot("m"), place("B"));
     let closed = |names: &[&str]| EstimateContext {
         closed: names.iter().map(|name| (place(name), place(name))).collect(),
@@ -638,7 +648,7 @@ fn a_robot_uses_the_chargers_for_which_it_is_eligible() {
     let charger =
         |name: &str, eligible: Option<&str>| Charger { place: place(name), eligible: eligible.map(str::to_owned) };
     let chargers = vec![charger("A", Some("robot.attributes.plug == 'a'")), charger("B", Some("robot.name == 'bob'"))];
-    let settings = ChargingSettings { thresholds: thresholds(), chargers };
+    let settings = ChargingSettings { thresholds: thresholds(), chargers, parking: BTreeSet::new() };
     let usable = |name: &str, worker: RobotKnowledge| {
         RobotCharging::of(&settings, &robot(name), &worker).map(|charging| charging.usable)
     };
@@ -653,7 +663,7 @@ fn a_robot_uses_the_chargers_for_which_it_is_eligible() {
 #[test]
 fn a_robot_drives_and_docks_once_its_claim_is_old_enough() {
     let usable = places(&["A"]);
-    let mut control = ChargeControl::new(RobotCharging { thresholds: thresholds(), all: usable.clone(), usable });
+    let mut control = control(usable);
     let (estimator, context, own, at_c) = (estimator(), context("C"), robot("m"), place("C"));
     let situation =
         |now| Situation { robot: &own, place: &at_c, battery: share(0.2), lacked_charge: false, others: &[], now };
@@ -675,7 +685,7 @@ fn a_robot_drives_and_docks_once_its_claim_is_old_enough() {
 #[test]
 fn a_robot_avoids_a_charger_for_a_minute_after_a_failure() {
     let usable = places(&["A"]);
-    let mut control = ChargeControl::new(RobotCharging { thresholds: thresholds(), all: usable.clone(), usable });
+    let mut control = control(usable);
     let (estimator, context, own, at_c) = (estimator(), context("C"), robot("m"), place("C"));
     let situation =
         |now| Situation { robot: &own, place: &at_c, battery: share(0.2), lacked_charge: false, others: &[], now };
@@ -698,7 +708,7 @@ struct AtCharger {
 impl AtCharger {
     fn new() -> AtCharger {
         let usable = places(&["A"]);
-        let control = ChargeControl::new(RobotCharging { thresholds: thresholds(), all: usable.clone(), usable });
+        let control = control(usable);
         AtCharger { control, estimator: estimator(), context: context("A") }
     }
 
@@ -733,6 +743,48 @@ fn a_robot_that_finds_no_place_charges_when_no_other_waits_any_more() {
     assert_eq!(robot.decide(0.5, &awaited, at(0)), (true, None));
     assert_eq!(robot.decide(0.5, &awaited, at(0)), (false, None));
     assert_eq!(robot.decide(0.5, &[b, c], at(0)), (true, Some(Charging::Bound(claim("A", 0.5)))));
+}
+
+#[test]
+fn an_idle_robot_parks_where_no_other_robot_is() {
+    let leaves = |to: &str| Some(Charging::Leaving { to: place(to) });
+    let (estimator, context, own, at_c) = (estimator(), context("C"), robot("m"), place("C"));
+    let parks_with = |(charger, battery): (&str, f64), parking: &[&str], others: &[OtherRobot], ms: u64| {
+        let mut control = parking_control(places(&[charger]), parking);
+        let mut decide = |now| {
+            let battery = share(battery);
+            let situation = Situation { robot: &own, place: &at_c, battery, lacked_charge: false, others, now };
+            let depends = control.depends_on_others(&situation);
+            control.decide(&situation, &estimator, &context);
+            let task = control.next_task(others, &estimator, &context, now);
+            assert!(depends || task.is_none(), "it must know the others");
+        };
+        decide(at(0));
+        decide(at(ms));
+        published_by(&control)
+    };
+    let parks = |parking: &[&str], others: &[OtherRobot], ms| parks_with(("A", 0.9), parking, others, ms);
+    assert_eq!(parks(&["B", "D"], &[], 9_999), None);
+    assert_eq!(parks(&["B", "D"], &[], 10_000), leaves("B"), "there is no way to D");
+    assert_eq!(parks(&["B", "C"], &[], 10_000), None, "it stands at a parking place");
+    assert_eq!(parks(&[], &[], 10_000), None);
+    assert_eq!(parks(&["B"], &[other("a", "B", None)], 10_000), None);
+    assert_eq!(parks(&["B"], &[other("a", "D", leaves("B"))], 10_000), None);
+    assert_eq!(parks_with(("D", 0.3), &["B"], &[], 10_000), leaves("B"));
+    assert_eq!(parks_with(("D", 0.29), &["B"], &[], 10_000), None, "it has too little charge, and reaches no charger");
+}
+
+#[test]
+fn a_robot_that_leaves_a_charger_parks_if_it_can() {
+    let waits = other("w", "D", Some(waiting(&["A"])));
+    let leaves = |parking: &[&str], others: &[OtherRobot]| {
+        let control = parking_control(places(&["A"]), parking);
+        let mut robot = AtCharger { control, ..AtCharger::new() };
+        robot.decide(0.95, others, at(0)).1
+    };
+    let to = |name: &str| Some(Charging::Leaving { to: place(name) });
+    assert_eq!(leaves(&["C"], std::slice::from_ref(&waits)), to("C"), "although B is nearer");
+    assert_eq!(leaves(&["C"], &[waits, other("a", "C", None)]), to("B"), "parking is taken");
 }
 
 #[test]
