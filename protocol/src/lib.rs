@@ -46,6 +46,7 @@ pub mod auction;
 mod bounds;
 pub mod cause;
 pub mod chargers;
+pub mod charging_curve;
 pub mod codec;
 pub mod ensemble;
 pub mod event;

@@ -2,6 +2,7 @@
 
 use crate::slug;
 use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
+use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::units::{BatteryShare, WattHours, Watts};
 use std::collections::BTreeSet;
 
@@ -30,9 +31,14 @@ impl ChargingSetup {
     pub fn new(places: &[&str], below: f64, power_w: f64) -> ChargingSetup {
         let share = |share| BatteryShare::new(share).expect("a share");
         let thresholds = ChargeThresholds { below: share(below), until: share(Self::UNTIL), opportunistic: None };
-        let chargers = places.iter().map(|place| Charger { place: slug(place), eligible: None }).collect();
+        let chargers = places.iter().map(|place| Charger { place: slug(place), eligible: None, power: None }).collect();
         ChargingSetup {
-            settings: ChargingSettings { thresholds, chargers, parking: BTreeSet::new() },
+            settings: ChargingSettings {
+                thresholds,
+                chargers,
+                parking: BTreeSet::new(),
+                curve: ChargingCurve::default(),
+            },
             power: Watts::new(power_w).expect("a power"),
             capacity: WattHours::new(Self::CAPACITY_WH).expect("a capacity"),
         }

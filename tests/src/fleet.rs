@@ -341,6 +341,7 @@ impl Fleet {
                 worker: member.worker(map),
                 estimator: Arc::new(descriptors.resolve(environment).expect("routes are there")),
                 library: Arc::new(library),
+                capacity: None,
             }
         });
         let settings = self.node(name, true, Some(robot));

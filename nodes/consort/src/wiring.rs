@@ -254,6 +254,7 @@ pub(crate) fn robot_node_with(
         worker: worker(robot, &equipment.places)?,
         estimator: Arc::clone(&equipment.estimator),
         library: Arc::clone(&equipment.library),
+        capacity: robot.capacity_wh,
     };
     let driver_server = robot.driver.clone().map(|driver| process_driver(driver, robot, equipment, extensions));
     let driver_server = driver_server.transpose()?;
@@ -370,6 +371,7 @@ pub(crate) fn build_world(
         people: world.person.clone(),
         objects: world.object.clone(),
         chargers: chargers.into_iter().map(|charger| (charger.place, charger.power_w)).collect(),
+        charging_curve: fleet.charging.as_ref().map(|charging| charging.curve.clone()).unwrap_or_default(),
         doors: world.door.clone(),
         obstacles: world.obstacle.clone(),
         durations: world.durations,

@@ -208,7 +208,8 @@ impl<'s> TrialRun<'s> {
         let names: Vec<NodeId> = robots.iter().map(|(name, _)| NodeId::from(name.clone())).collect();
         for (name, worker) in robots {
             let (estimator, library) = (Arc::clone(&self.setup.estimator), Arc::clone(&self.setup.library));
-            let settings = self.node(name.as_str(), false, Some(RobotPart { worker, estimator, library }));
+            let settings =
+                self.node(name.as_str(), false, Some(RobotPart { worker, estimator, library, capacity: None }));
             self.start(settings).await;
         }
         let end = Instant::now() + READY_WITHIN;

@@ -447,7 +447,7 @@ impl Assembly {
             skill_tick_interval: Duration::from_millis(100),
         };
         let charging = self.fleet.charging.as_ref();
-        let charging = charging.and_then(|settings| RobotCharging::of(settings, &robot, &part.worker));
+        let charging = charging.and_then(|settings| RobotCharging::of(settings, &robot, &part.worker, part.capacity));
         let settings = RobotSettings {
             robot,
             incarnation,

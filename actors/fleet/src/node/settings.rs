@@ -14,6 +14,7 @@ use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{AlarmPlan, HistoryLimits};
 use consort_protocol::mission::Domain;
 use consort_protocol::timing::Timing;
+use consort_protocol::units::WattHours;
 use consort_protocol::versions::VersionRange;
 use consort_protocol::view::MapView;
 use consort_raft::store::NodeStore;
@@ -119,6 +120,8 @@ pub struct RobotPart {
     pub estimator: Arc<Estimator>,
     /// Skills of the robot.
     pub library: Arc<SkillLibrary>,
+    /// Capacity of its battery, if it is known.
+    pub capacity: Option<WattHours>,
 }
 
 /// The driver server of a node.

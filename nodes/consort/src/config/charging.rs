@@ -1,6 +1,7 @@
 //! Charging in the fleet file.
 
 use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
+use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ensemble::Eligibility;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{BatteryShare, Watts};
@@ -27,6 +28,10 @@ pub struct ChargingConfig {
     /// corridors free. Default: none, and idle robots stay where they are.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub parking: Vec<PlaceId>,
+    /// Charging curve of the robots' batteries: the share of its full power with which a battery charges from each charge
+    /// on. The simulator and the forecasts of robots use it. Default: full power up to the end.
+    #[serde(skip_serializing_if = "ChargingCurve::is_empty")]
+    pub curve: ChargingCurve,
     /// Chargers at places that are not of kind `charger` on the map, and chargers with other settings than the
     /// defaults.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -39,7 +44,8 @@ pub struct ChargingConfig {
 pub struct ChargerConfig {
     /// Its place on the fleet's map.
     pub place: PlaceId,
-    /// Its power, in watts: simulated robots with `capacity_wh` charge with it. Default: unknown.
+    /// Its power, in watts: simulated robots with `capacity_wh` charge with it, and robots with `capacity_wh` in their
+    /// files forecast with it how long they charge. Default: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub power_w: Option<Watts>,
     /// Condition on the robots that may use it, in CEL, as `robot.attributes.plug == "a"` or `robot.name in ["ada"]`,
@@ -52,7 +58,8 @@ impl Default for ChargingConfig {
     fn default() -> Self {
         let share = |share| BatteryShare::new(share).expect("a default from 0 to 1");
         let (below, until) = (share(0.3), share(0.9));
-        ChargingConfig { below, until, opportunistic: None, parking: vec![], charger: vec![] }
+        let curve = ChargingCurve::default();
+        ChargingConfig { below, until, opportunistic: None, parking: vec![], curve, charger: vec![] }
     }
 }
 
@@ -130,11 +137,12 @@ impl ChargingConfig {
     /// Returns the settings of nodes, with these chargers.
     pub(crate) fn settings(&self, chargers: Vec<ChargerConfig>) -> ChargingSettings {
         let ChargingConfig { below, until, opportunistic, .. } = *self;
-        let charger = |charger: ChargerConfig| Charger { place: charger.place, eligible: charger.eligible };
+        let charger = |ChargerConfig { place, power_w, eligible }| Charger { place, eligible, power: power_w };
         ChargingSettings {
             thresholds: ChargeThresholds { below, until, opportunistic },
             chargers: chargers.into_iter().map(charger).collect(),
             parking: self.parking.iter().cloned().collect(),
+            curve: self.curve.clone(),
         }
     }
 }
@@ -172,6 +180,15 @@ mod tests {
         }
         let wrong = config(&format!("{charger}'robot.plug == 1'")).validate();
         assert!(wrong[0].starts_with("charging.charger Dock: eligible: "), "{wrong:?}");
+    }
+
+    #[test]
+    fn a_charging_curve_is_checked_as_it_is_read() {
+        let step = |above: f64, power: f64| format!("[[curve]]\nabove = {above}\npower = {power}\n");
+        let curve = config(&(step(0.8, 0.5) + &step(0.9, 0.2))).curve;
+        assert_eq!([0.7, 0.8, 0.95].map(|charge| curve.power_at(charge)), [1.0, 0.5, 0.2]);
+        let problem = toml::from_str::<ChargingConfig>(&step(0.8, 1.5)).unwrap_err().to_string();
+        assert!(problem.contains("power is 1.5, allowed is above 0 to 1"), "{problem}");
     }
 
     #[test]

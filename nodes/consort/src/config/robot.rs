@@ -7,7 +7,7 @@ use consort_driver::{DriverEndpoint, DriverSetting};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::Domain;
-use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WattHours};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -37,6 +37,10 @@ pub struct RobotConfig {
     /// Charge used per second of work, as a share. Default 0: mains power.
     #[serde(default = "nothing")]
     pub discharge_share_per_s: SharePerSecond,
+    /// Capacity of its battery, in watt-hours: with the powers of the chargers the basis of its forecast of the time to
+    /// charge, by which it selects a charger. Default: unknown, and it uses the nearest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub capacity_wh: Option<WattHours>,
     /// Charge below which it takes no work, as a share. Default 0.08, as in the published
     /// evaluation.
     #[serde(default = "useful_charge")]
@@ -99,6 +103,7 @@ impl RobotConfig {
             speed_mps: None,
             battery: full(),
             discharge_share_per_s: nothing(),
+            capacity_wh: None,
             useful_charge: useful_charge(),
             stationary: false,
             mains_powered: false,

@@ -14,6 +14,7 @@ use super::simulation::World;
 use super::systems;
 use crate::kinematics::{ChassisSettings, Kinematics, OwnSettings, build_chassis};
 use crate::map::Map;
+use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ids::PlaceId;
 use consort_skills::domain::standard_domain;
 use nalgebra::Isometry2;
@@ -39,6 +40,7 @@ impl WorldSetup {
             people,
             objects,
             chargers,
+            charging_curve: ChargingCurve::default(),
             doors,
             obstacles,
             seed,
@@ -69,7 +71,7 @@ impl World {
         let systems: Vec<_> = setup.systems.iter().filter_map(|name| setup.program.system(name)).collect();
         let actions = systems_of_actions(&setup.actions, &systems);
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
-        state.chargers = setup.chargers.clone();
+        (state.chargers, state.charging_curve) = (setup.chargers.clone(), setup.charging_curve.clone());
         state.own_chassis = setup.program.chassis();
         state.insert_resource(HandoverCount::default());
         let mut world = World::with(state, systems, actions);

@@ -12,6 +12,7 @@ use super::system_access::{ComponentType, RunningSystem, SystemIndex, SystemTime
 use crate::kinematics::NamedChassis;
 use crate::map::Map;
 use crate::space::WallGrid;
+use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Watts;
@@ -57,6 +58,8 @@ pub struct SimState {
     pub(crate) limits: WorldLimits,
     /// Chargers besides those of the map, with their powers.
     pub(crate) chargers: BTreeMap<PlaceId, Option<Watts>>,
+    /// Charging curve of all batteries.
+    pub(crate) charging_curve: ChargingCurve,
     /// Chassis of the program itself.
     pub(crate) own_chassis: &'static [NamedChassis],
     pub(crate) queue: EventQueue<ScheduledEvent>,
@@ -89,6 +92,7 @@ impl SimState {
             durations,
             limits,
             chargers: BTreeMap::new(),
+            charging_curve: ChargingCurve::default(),
             own_chassis: &[],
             queue: EventQueue::new(),
             commands: VecDeque::new(),

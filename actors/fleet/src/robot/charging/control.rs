@@ -2,7 +2,7 @@
 
 use super::RobotCharging;
 use super::policy::{Activity, Claim, LeaseOffer, OtherRobot, ReceivedLeases, Situation};
-use crate::robot::own_tasks::{OwnTask, dock_at, drive_to, nearest, places};
+use crate::robot::own_tasks::{Drive, OwnTask, dock_at, drive_to, nearest, places};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{ChargerClaim, Charging};
 use consort_protocol::mission::TaskSpec;
@@ -156,13 +156,18 @@ impl ChargeControl {
         estimator: &Estimator,
         context: &EstimateContext,
     ) -> bool {
-        let RobotCharging { thresholds, usable, all, parking } = &self.settings;
+        let RobotCharging { thresholds, usable, all, parking, forecast } = &self.settings;
         self.lacks_charge &= situation.battery < thresholds.until;
         self.avoided.retain(|_, until| situation.now < *until);
+        let charged_after = |drive: &Drive| {
+            let left = (situation.battery.get() - drive.energy).clamp(0.0, 1.0);
+            drive.time.get() + forecast.time(&drive.to, left, thresholds.until).get()
+        };
         let mut drive_times = BTreeMap::new();
-        let nearest_first = || {
+        let soonest_first = || {
             let chargers = usable.iter().filter(|charger| !self.avoided.contains_key(*charger));
-            let drives = nearest(estimator, context, chargers);
+            let mut drives = nearest(estimator, context, chargers);
+            drives.sort_by(|one, other| charged_after(one).total_cmp(&charged_after(other)));
             drive_times.extend(drives.iter().map(|drive| (drive.to.clone(), drive.time)));
             drives.into_iter().map(|drive| drive.to).collect::<Vec<_>>()
         };
@@ -182,7 +187,7 @@ impl ChargeControl {
             activity => activity,
         };
         let offer = self.leases.take_offer();
-        let mut next = thresholds.next(present, situation, offer.as_ref(), all, nearest_first);
+        let mut next = thresholds.next(present, situation, offer.as_ref(), all, soonest_first);
         if let Activity::Claimed(claim) = &mut next {
             let drive = drive_times.get(&claim.published.charger).copied();
             claim.published.drive_s = claim.published.drive_s.or(drive);

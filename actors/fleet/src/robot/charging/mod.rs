@@ -43,11 +43,13 @@ pub use policy::ChargeThresholds;
 pub(super) use policy::{OtherRobot, Situation};
 pub use reserve::ChargerReserve;
 
+use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ensemble::Eligibility;
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::RobotKnowledge;
+use consort_protocol::units::{BatteryShare, Seconds, SharePerSecond, WattHours, Watts};
 use consort_protocol::view::ChargingView;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Charging in a fleet.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,6 +60,8 @@ pub struct ChargingSettings {
     pub chargers: Vec<Charger>,
     /// Places to which free robots with enough charge drive.
     pub parking: BTreeSet<PlaceId>,
+    /// Charging curve of the robots' batteries.
+    pub curve: ChargingCurve,
 }
 
 impl From<&ChargingSettings> for ChargingView {
@@ -69,12 +73,14 @@ impl From<&ChargingSettings> for ChargingView {
 }
 
 /// A charger.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Charger {
     /// Its place.
     pub place: PlaceId,
     /// Condition on the robots that may use it, in CEL; `None` for all robots.
     pub eligible: Option<String>,
+    /// Its power, if it is known.
+    pub power: Option<Watts>,
 }
 
 /// Charging of a single robot.
@@ -87,12 +93,33 @@ pub(crate) struct RobotCharging {
     pub(super) all: BTreeSet<PlaceId>,
     /// Places for parking.
     pub(super) parking: BTreeSet<PlaceId>,
+    pub(super) forecast: ChargingForecast,
+}
+
+/// Forecast of the time for which a robot charges.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct ChargingForecast {
+    /// Gain of the battery at each usable charger with full power; empty if a gain is unknown.
+    gains: BTreeMap<PlaceId, SharePerSecond>,
+    curve: ChargingCurve,
+}
+
+impl ChargingForecast {
+    /// Returns the time for which the robot charges at a charger. All chargers count as equal if a gain is unknown.
+    pub(super) fn time(&self, charger: &PlaceId, from: f64, to: BatteryShare) -> Seconds {
+        self.gains.get(charger).map_or(Seconds::ZERO, |gain| self.curve.time(from, to.get(), *gain))
+    }
 }
 
 impl RobotCharging {
-    /// Returns the charging of a robot with this record. Returns `None` for a robot without battery, for
-    /// a robot that does not drive, and without a charger that it may use.
-    pub(crate) fn of(settings: &ChargingSettings, robot: &RobotId, worker: &RobotKnowledge) -> Option<RobotCharging> {
+    /// Returns the charging of a robot with this record, and with a battery of this capacity, if it is known. Returns
+    /// `None` for a robot without battery, for a robot that does not drive, and without a charger that it may use.
+    pub(crate) fn of(
+        settings: &ChargingSettings,
+        robot: &RobotId,
+        worker: &RobotKnowledge,
+        capacity: Option<WattHours>,
+    ) -> Option<RobotCharging> {
         if worker.speed.is_none() || worker.discharge.get() == 0.0 {
             return None;
         }
@@ -101,9 +128,13 @@ impl RobotCharging {
             condition.is_none_or(|text| Eligibility::check_text(text, robot, worker).is_ok())
         };
         let place = |charger: &Charger| charger.place.clone();
-        let usable: BTreeSet<PlaceId> = settings.chargers.iter().filter(may_use).map(place).collect();
+        let usable: Vec<&Charger> = settings.chargers.iter().filter(may_use).collect();
+        let gain = |charger: &&Charger| Some((charger.place.clone(), charger.power?.fills(capacity?)));
+        let gains = usable.iter().map(gain).collect::<Option<_>>().unwrap_or_default();
+        let forecast = ChargingForecast { gains, curve: settings.curve.clone() };
+        let usable: BTreeSet<PlaceId> = usable.into_iter().map(place).collect();
         let all = settings.chargers.iter().map(place).collect();
         let (thresholds, parking) = (settings.thresholds, settings.parking.clone());
-        (!usable.is_empty()).then_some(RobotCharging { thresholds, usable, all, parking })
+        (!usable.is_empty()).then_some(RobotCharging { thresholds, usable, all, parking, forecast })
     }
 }

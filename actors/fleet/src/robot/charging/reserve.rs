@@ -25,7 +25,7 @@ impl ChargerReserve {
         robot: &RobotId,
         worker: &RobotKnowledge,
     ) -> Option<ChargerReserve> {
-        let charging = RobotCharging::of(settings, robot, worker)?;
+        let charging = RobotCharging::of(settings, robot, worker, None)?;
         Some(ChargerReserve::new(charging.usable, limits))
     }
 

@@ -6,6 +6,7 @@ use super::person::PersonSetup;
 use super::program_parts::ProgramParts;
 use super::robot::RobotSetup;
 use crate::map::Map;
+use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ids::{ActionName, PlaceId, TaskType};
 use consort_protocol::units::Watts;
 use consort_skills::domain_file::{ActionForm, DomainFile, ReadingForm};
@@ -27,6 +28,8 @@ pub struct WorldSetup {
     /// Places where robots charge, besides the chargers of the map, with their powers. A robot whose capacity or
     /// whose charger's power is unknown charges at its own rate.
     pub chargers: BTreeMap<PlaceId, Option<Watts>>,
+    /// Charging curve of all batteries.
+    pub charging_curve: ChargingCurve,
     /// Doors with settings other than the defaults.
     pub doors: Vec<DoorSetup>,
     /// Obstacles, with their times.

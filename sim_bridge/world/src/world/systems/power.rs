@@ -2,9 +2,10 @@
 //!
 //! While a robot has an active goal, its battery loses charge at the discharge rate, otherwise at
 //! that rate times the idle factor. Docked at a charger, it also gains charge: the power of the
-//! charger over the capacity of the battery, or the charging rate of the robot if either is unknown.
-//! Between two such changes the charge is linear, so the instant at which it crosses the stopping
-//! share is known in advance and is scheduled.
+//! charger over the capacity of the battery, or the charging rate of the robot if either is unknown,
+//! as far as the charging curve permits. Between two such changes the charge is linear, so the instant
+//! at which it crosses the stopping share or reaches the next step of the curve is known in advance and
+//! is scheduled.
 
 use crate::component_types;
 use crate::world::components::SimRobot;
@@ -36,12 +37,19 @@ pub(crate) struct Battery {
     rate: f64,
     /// False once the charge has fallen to the stopping share.
     pub(crate) able: bool,
-    depletion_timer: Option<TimerId>,
+    /// Timer of its depletion, or of the next step of the charging curve.
+    timer: Option<TimerId>,
+    /// Charge at the next step of the charging curve.
+    next_step: Option<f64>,
 }
+
+/// Numbers of the timers.
+const DEPLETION: u64 = 0;
+const CURVE_STEP: u64 = 1;
 
 impl Battery {
     pub(crate) fn new(charge: BatteryShare) -> Self {
-        Self { charge: charge.get(), since: 0.0, rate: 0.0, able: true, depletion_timer: None }
+        Self { charge: charge.get(), since: 0.0, rate: 0.0, able: true, timer: None, next_step: None }
     }
 
     /// Returns the charge at an instant after the latest change; never below empty.
@@ -60,6 +68,12 @@ impl Battery {
             true if self.rate <= 0.0 => None,
             true => Some(self.since + above / self.rate).filter(|time| time.is_finite()),
         }
+    }
+
+    /// Returns the instant at which the battery reaches the next step of the charging curve, if it does.
+    fn step_time(&self) -> Option<f64> {
+        let step = self.next_step.filter(|_| self.rate < 0.0)?;
+        Some(self.since + (self.charge - step) / self.rate).filter(|time| time.is_finite())
     }
 }
 
@@ -88,7 +102,10 @@ impl System for Power {
         if state.get::<Battery>(robot).able { Ok(()) } else { Err(state.low_battery_error(robot)) }
     }
 
-    fn on_timer(&self, state: &mut SimState, SystemTimer { entity: robot, .. }: SystemTimer) {
+    fn on_timer(&self, state: &mut SimState, SystemTimer { entity: robot, number }: SystemTimer) {
+        if number == CURVE_STEP {
+            return state.begin_curve_step(robot);
+        }
         state.deplete(robot);
         let error = state.low_battery_error(robot);
         state.abort_goal(robot, error);
@@ -141,20 +158,36 @@ impl SimState {
     /// Changes the discharge rate at the start or end of a goal.
     fn set_working(&mut self, robot: Entity, working: bool) {
         let docked = self.find::<Docked>(robot).is_some_and(|docked| docked.0);
-        let gain = if docked { self.charging_rate(robot).get() } else { 0.0 };
-        let rate = self.get::<SimRobot>(robot).0.rate(working).get() - gain;
         let now = self.now;
-        let (old, depletion_time) = {
+        let charge = self.get::<Battery>(robot).at(now).get();
+        let gain = if docked { self.charging_rate(robot).get() * self.charging_curve.power_at(charge) } else { 0.0 };
+        let rate = self.get::<SimRobot>(robot).0.rate(working).get() - gain;
+        let next_step = self.charging_curve.next_step(charge).filter(|_| docked);
+        let (old, next) = {
             let mut battery = self.get_mut::<Battery>(robot);
-            battery.charge = battery.at(now).get();
-            (battery.since, battery.rate) = (now, rate);
-            (battery.depletion_timer.take(), battery.depletion_time())
+            (battery.charge, battery.since, battery.rate, battery.next_step) = (charge, now, rate, next_step);
+            let depletion = battery.depletion_time().map(|time| (time, DEPLETION));
+            let next = depletion.or_else(|| battery.step_time().map(|time| (time, CURVE_STEP)));
+            (battery.timer.take(), next)
         };
         if let Some(timer) = old {
             self.queue.cancel(timer);
         }
-        let timer = depletion_time.map(|time| self.schedule(time, robot, 0));
-        self.get_mut::<Battery>(robot).depletion_timer = timer;
+        let timer = next.map(|(time, number)| self.schedule(time, robot, number));
+        self.get_mut::<Battery>(robot).timer = timer;
+    }
+
+    /// Begins the next step of the charging curve.
+    fn begin_curve_step(&mut self, robot: Entity) {
+        let (now, working) = (self.now, self.get::<GoalHistory>(robot).is_busy());
+        {
+            let mut battery = self.get_mut::<Battery>(robot);
+            battery.timer = None;
+            if let Some(step) = battery.next_step.take() {
+                (battery.charge, battery.since) = (step, now);
+            }
+        }
+        self.set_working(robot, working);
     }
 
     /// Returns the share per second that a docked robot gains.
@@ -192,7 +225,7 @@ impl SimState {
             let mut battery = self.get_mut::<Battery>(robot);
             battery.charge = battery.charge.min(STOPPING_SHARE);
             (battery.since, battery.able) = (now, false);
-            battery.depletion_timer = None;
+            battery.timer = None;
         }
         self.set_working(robot, false);
     }

@@ -1,6 +1,7 @@
 //! Chargers, turning on the spot, and waypoints.
 
 use super::*;
+use consort_protocol::charging_curve::CurveStep;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{WattHours, Watts};
 use consort_skills::actions::{Dock, FollowWaypoints, GoalProgress, NavigateToPose, Spin, Undock, Waypoint};
@@ -58,6 +59,19 @@ fn a_docked_robot_charges_with_the_power_of_its_charger() {
         let expected = 100.0 * (gain - 0.0001);
         assert!((charge(&world) - docked - expected).abs() < 1e-9, "{place_name}, {capacity:?}: {}", charge(&world));
     }
+}
+
+#[test]
+fn a_docked_robot_charges_along_the_charging_curve() {
+    let steps = vec![CurveStep { above: BatteryShare::new(0.6).unwrap(), power: 0.5 }];
+    let charging_curve = steps.try_into().unwrap();
+    let mut world = World::new(WorldSetup { charging_curve, ..yard().robot(half_full("r1", "Charger")) }).unwrap();
+    run_to_success(&mut world, "r1", 1, dock());
+    let at_step = world.now().as_secs() + (0.6 - charge(&world)) / (0.004 - 0.0001);
+    world.advance(at(at_step + 100.0));
+    assert!((charge(&world) - 0.6 - 100.0 * (0.002 - 0.0001)).abs() < 1e-9, "{}", charge(&world));
+    world.advance(at(10_000.0));
+    assert_eq!(charge(&world), 1.0);
 }
 
 #[test]
