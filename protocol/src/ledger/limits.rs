@@ -31,7 +31,7 @@ pub(super) const CAUSE_BYTES_MAX: usize = 1024;
 
 /// Maximum number of missions that are active or wait for a person. Raised: a snapshot may be too
 /// large for every replica.
-pub(super) const UNENDED_MAX: usize = 1400;
+pub(super) const UNENDED_MAX: usize = 1399;
 
 const _: () = assert!(
     (UNENDED_MAX + HistoryLimits::LARGEST.missions_max as usize) * MissionEntry::BYTES_MAX
