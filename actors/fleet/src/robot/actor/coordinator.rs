@@ -37,8 +37,8 @@ impl RobotState {
         None
     }
 
-    /// Follows the orders of a node with this standing. A hold and closures count for a short time although the voters
-    /// have not confirmed the node: a robot that reaches few voters must not act against them.
+    /// Follows the orders of a node with this standing. Holds, closures and speed limits count for a short time although
+    /// the voters have not confirmed the node: a robot that reaches few voters must not act against them.
     pub(super) fn follow_orders_of(&mut self, standing: Standing, orders: OrdersNotice, now: NodeTime) {
         match standing {
             Standing::Confirmed => self.follow_orders(orders, now),
@@ -124,7 +124,7 @@ impl RobotState {
         self.stop_if_held(now);
     }
 
-    /// Follows a hold and closures of a node that may be the coordinator.
+    /// Follows what keeps the robot from moving, for a node that may be the coordinator.
     fn follow_for_now(&mut self, orders: &OrdersNotice, now: NodeTime) {
         self.orders.receive_unconfirmed(orders, self.settings.lease_terms.lease, now);
         self.driver.set_map_orders(self.orders.map_orders(now));

@@ -16,7 +16,8 @@ use std::time::Duration;
 /// notice.
 const FIRST_NOTICE_WAIT: Duration = Duration::from_secs(10);
 
-/// Least time for which a robot follows a hold or a closure that is not confirmed. The coordinator repeats it more often.
+/// Least time for which a robot follows a hold, a closure or a speed limit that is not confirmed. The coordinator repeats it
+/// more often.
 const UNCONFIRMED_ORDER: Duration = Duration::from_secs(3);
 
 /// Orders of people to this robot.
@@ -33,6 +34,8 @@ pub(super) struct StandingOrders {
     unconfirmed_closures: Vec<StandingClosure>,
     stay: Option<StandingOrder>,
     speed_limits: Vec<StandingSpeedLimit>,
+    /// Speed limits by such a node.
+    unconfirmed_limits: Vec<StandingSpeedLimit>,
     alarm: Option<StandingAlarm>,
     /// Time from which the robot may act without a role.
     acts_alone_from: NodeTime,
@@ -141,13 +144,14 @@ impl StandingOrders {
         };
     }
 
-    /// Receives orders from a node that may be the coordinator: for a short time a hold or a new alarm lets the robot
-    /// stand still, and closures count, but nothing else. They outlast the `lease` that the robot may have received
-    /// with them.
+    /// Receives orders from a node that may be the coordinator: for a short time a hold, a new alarm, or an alarm that stops
+    /// robots lets the robot stand still, and closures and speed limits count, but nothing else. They outlast the `lease`
+    /// that the robot may have received with them.
     pub(super) fn receive_unconfirmed(&mut self, notice: &OrdersNotice, lease: Duration, now: NodeTime) {
         let end = now + UNCONFIRMED_ORDER.max(lease);
         let is_new = self.alarm_in_force(now).is_none();
-        let alarm = notice.alarm.as_ref().filter(|_| is_new).map(|alarm| &alarm.order);
+        let stops = |alarm: &&AlarmNotice| is_new || alarm.places.is_empty();
+        let alarm = notice.alarm.as_ref().filter(stops).map(|alarm| &alarm.order);
         let hold = notice.hold.as_ref().or(alarm);
         self.unconfirmed_hold = hold.cloned().map(|hold| StandingOrder::new(hold, now));
         let is_other = |closure: &&ClosureNotice| self.closures.iter().all(|known| known.part != closure.part);
@@ -155,6 +159,9 @@ impl StandingOrders {
         self.unconfirmed_closures = others.map(|closure| StandingClosure::new(closure, now)).collect();
         let of_closures = self.unconfirmed_closures.iter_mut().map(|closure| &mut closure.order);
         self.unconfirmed_hold.iter_mut().chain(of_closures).for_each(|order| end_by(&mut order.until, end));
+        let limits = notice.speed_limits.iter().cloned().map(|limit| StandingSpeedLimit::new(limit, now));
+        self.unconfirmed_limits = limits.collect();
+        self.unconfirmed_limits.iter_mut().for_each(|limit| end_by(&mut limit.until, end));
     }
 
     /// Accepts any position from now on: the ledger of a new leader contains everything that was committed before, and
@@ -217,7 +224,8 @@ impl StandingOrders {
 
     /// Returns the orders about the map.
     pub(super) fn map_orders(&self, now: NodeTime) -> MapOrders {
-        let limits = self.speed_limits.iter().filter(|limit| is_before_end(limit.until, now));
+        let limits = self.speed_limits.iter().chain(&self.unconfirmed_limits);
+        let limits = limits.filter(|limit| is_before_end(limit.until, now));
         let of_limit = |limit: &StandingSpeedLimit| {
             let speed = limit.speed;
             limit.part.pairs().into_iter().map(move |lane| (lane, speed))

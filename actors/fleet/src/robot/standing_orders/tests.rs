@@ -202,6 +202,9 @@ fn an_unconfirmed_alarm_stops_for_a_short_time_and_moves_nothing() {
     orders.receive(OrdersNotice { alarm: alarm(&["Dock"]), ..notice(5, None) }, at(4_000));
     orders.receive_unconfirmed(&unconfirmed, LEASE, at(4_000));
     assert!(orders.assembly_places(at(4_000)).is_some(), "a repetition of the confirmed alarm");
+    orders.receive_unconfirmed(&OrdersNotice { alarm: alarm(&[]), ..notice(6, None) }, LEASE, at(4_000));
+    assert!(orders.assembly_places(at(6_999)).is_none() && orders.is_held(at(6_999)), "another alarm stops it");
+    assert!(orders.assembly_places(at(7_000)).is_some());
 }
 
 #[test]
@@ -246,6 +249,28 @@ fn a_speed_limit_lasts_to_its_end_or_to_another_notice() {
     assert_eq!([99_999, 100_000].map(|ms| on(&orders, "A", "B", ms)), [Some(0.5), None], "it had no end");
     orders.receive(notice(6, None), at(90_500));
     assert!(orders.map_orders(at(90_500)).limits.is_empty());
+}
+
+#[test]
+fn an_unconfirmed_notice_limits_the_speed_for_a_short_time_and_clears_nothing() {
+    let ward: PlaceId = "Ward".parse().unwrap();
+    let limited = |index, speed| {
+        let speed = MetresPerSecond::new(speed).unwrap();
+        let limit = SpeedLimitNotice { part: MapPart::Place(ward.clone()), speed, remaining_ms: None };
+        OrdersNotice { speed_limits: vec![limit], ..notice(index, None) }
+    };
+    let on_ward =
+        |orders: &StandingOrders, ms| orders.map_orders(at(ms)).limits.on(&ward, &ward).map(MetresPerSecond::get);
+    let mut orders = StandingOrders::default();
+    orders.receive_unconfirmed(&limited(7, 0.3), LEASE, at(0));
+    assert_eq!([2_999, 3_000].map(|ms| on_ward(&orders, ms)), [Some(0.3), None]);
+    orders.receive(limited(7, 0.4), at(5_000));
+    orders.receive_unconfirmed(&notice(8, None), LEASE, at(5_000));
+    assert_eq!(on_ward(&orders, 60_000), Some(0.4));
+    orders.receive_unconfirmed(&limited(9, 0.5), LEASE, at(60_000));
+    assert_eq!(on_ward(&orders, 60_000), Some(0.4), "the lowest limit counts");
+    orders.receive(notice(9, None), at(61_000));
+    assert_eq!(on_ward(&orders, 61_000), None);
 }
 
 #[test]
