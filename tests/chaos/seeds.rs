@@ -2,16 +2,16 @@
 
 use crate::{jobs, once};
 use consort_skills::workload::Workload;
-use consort_tests::chaos::{ChaosFleet, FIRST_SEED_WITH_CLOSURES, FaultKind, RunConfig, SeedSweep, generate};
+use consort_tests::chaos::{ChaosFleet, FIRST_SEED_WITH_ALARMS, FaultKind, RunConfig, SeedSweep, generate};
 use std::ops::RangeInclusive;
 
 /// Seeds of open fleets. More seeds find more, and make the check in CI longer; sweeps of thousands of seeds are run
 /// with `consort-lab chaos`.
 const OPEN_SEEDS: RangeInclusive<u64> = 1..=45;
 
-/// Seeds of closed fleets with all faults. The last 70 have schedules, the last 40 of them orders of people to robots and
-/// chargers, and the last 10 closures.
-const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_CLOSURES + 9;
+/// Seeds of closed fleets with all faults. The last 100 have schedules, the last 70 of them orders of people to robots
+/// and chargers, the last 40 closures, and the last 10 alarms, speed limits, zones and changes of missions.
+const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_ALARMS + 9;
 
 /// Seeds with missions that cannot be completed as the only faults.
 const POISON_SEEDS: RangeInclusive<u64> = 1..=20;

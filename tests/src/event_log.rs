@@ -45,7 +45,7 @@ pub enum Observation {
         /// The mission of the request.
         mission: MissionId,
     },
-    /// The coordinator acknowledged an order of a person, to robots or as a closure.
+    /// The coordinator acknowledged an order of a person, unless it cancels missions.
     OrderAcknowledged {
         /// The client.
         node: NodeId,

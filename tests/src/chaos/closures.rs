@@ -1,7 +1,8 @@
 //! Closures of places and lanes by a person, which some runs contain.
 
 use super::fault_kind::FaultKind;
-use super::schedule::{ChaosAction, ClosureAction, ScheduledAction};
+use super::person_action::ClosureAction;
+use super::schedule::{ChaosAction, ScheduledAction};
 use crate::slug;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::keys::ApiCall;
@@ -15,7 +16,7 @@ use std::ops::{Range, RangeInclusive};
 
 /// First seed with closures. Smaller seeds keep their schedules: mutation checks, the scoreboard and the sweeps of
 /// closed fleets use them.
-pub const FIRST_SEED: u64 = 151;
+pub(super) const FIRST_SEED: u64 = 151;
 
 /// Share of the runs with closures, and their number.
 const RUNS: f64 = 0.7;
@@ -29,8 +30,8 @@ const WITH_END: f64 = 0.3;
 const OPENED: f64 = 0.5;
 
 /// Durations. A robot may ignore a closure for some seconds, and its end is uncertain by some seconds, since clocks drift.
-const CLOSE_S: RangeInclusive<u32> = 45..=120;
-const OPEN_AFTER_MS: RangeInclusive<u64> = 20_000..=90_000;
+pub(super) const CLOSE_S: RangeInclusive<u32> = 45..=120;
+pub(super) const OPEN_AFTER_MS: RangeInclusive<u64> = 20_000..=90_000;
 
 /// Longest times by which a room is closed before and after its request: the mission waits, or its robot is on its way.
 const BEFORE_REQUEST_MS: u64 = 20_000;
@@ -83,13 +84,18 @@ pub(super) fn parts_of_map() -> Vec<MapPart> {
     places.chain(map.edges.into_iter().map(|edge| MapPart::of_lane(edge.a, edge.b))).collect()
 }
 
-/// Returns the request of a person for a change of a closure.
-pub(super) fn request(part: &MapPart, change: ClosureAction) -> (ApiCall, Value) {
-    let mut request = match part {
+/// Returns the fields of a request that name a zone, a place or a lane.
+pub(super) fn named(part: &MapPart) -> Value {
+    match part {
         MapPart::Zone(zone) => json!({ "places": [zone.name] }),
         MapPart::Place(place) => json!({ "places": [place] }),
         MapPart::Lane(a, b) => json!({ "lanes": [[a, b]] }),
-    };
+    }
+}
+
+/// Returns the request of a person for a change of a closure.
+pub(super) fn request(part: &MapPart, change: ClosureAction) -> (ApiCall, Value) {
+    let mut request = named(part);
     match change {
         ClosureAction::Close { for_s } => {
             request["reason"] = json!("a spill");

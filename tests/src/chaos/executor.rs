@@ -1,22 +1,24 @@
 //! Executes the actions of a schedule on a fleet.
 
+use super::alarms;
 use super::chaos_fleet::{ChaosFleet, DATE_MS, WORLD};
 use super::closures;
 use super::fault_injector::FaultInjector;
 use super::hostile::{HOSTILE, HostileNode};
+use super::mission_changes;
 use super::orders;
 use super::recurring;
 use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
-use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, ClosureAction, DiskAfterCrash, OrderAction, Schedule};
+use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash};
+use super::speed_limits;
 use crate::disk::DiskFault;
 use crate::history::{Acknowledged, History, Reader, RecordingClient};
-use crate::{EventLog, Fleet, Observation, slug};
+use crate::{Fleet, Observation, slug};
 use consort_bus::LinkModel;
 use consort_protocol::api::SubmitRequest;
 use consort_protocol::ids::{MissionId, NodeId};
-use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{Ledger, MapPart};
+use consort_protocol::ledger::Ledger;
 use consort_protocol::units::BatteryShare;
 use consort_protocol::versions::VersionRange;
 use consort_skills::actions::RobotBackend as _;
@@ -24,7 +26,7 @@ use consort_skills::workload::Workload;
 use consort_world::SharedWorld;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -32,7 +34,7 @@ use std::time::Duration;
 use tokio::sync::watch;
 
 /// Interval at which people look for missions that need intervention.
-const RESOLVE_INTERVAL: Duration = Duration::from_secs(10);
+pub(super) const RESOLVE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Time after which a robot whose driver server is gone stops by itself, as the watchdog of its base requires.
 const BASE_WATCHDOG: Duration = Duration::from_millis(500);
@@ -41,9 +43,6 @@ const BASE_WATCHDOG: Duration = Duration::from_millis(500);
 /// each repetition.
 const REPEATED: f64 = 0.5;
 const REPEATED_AFTER_S: RangeInclusive<u64> = 10..=120;
-
-/// Request of a person for a change of orders or closures.
-type PersonRequest = (ApiCall, Value);
 
 /// Executor of actions, with the active faults and the state that ends each of them.
 pub(super) struct ActionExecutor {
@@ -153,6 +152,16 @@ impl ActionExecutor {
             }
             ChaosAction::Order { robot, change } => self.order(fleet, number, orders::request(robot, *change)),
             ChaosAction::Closure { part, change } => self.order(fleet, number, closures::request(part, *change)),
+            ChaosAction::Alarm { alarm, change } => self.order(fleet, number, alarms::request(alarm, *change)),
+            ChaosAction::SpeedLimit { part, change } => self.order(fleet, number, speed_limits::request(part, *change)),
+            ChaosAction::ChangeMission { request, change } => self.change_mission(fleet, number, request, change),
+            ChaosAction::CancelMissions { selection } => {
+                let known = self.acknowledged();
+                let request = mission_changes::cancelation(selection, |request| known.get(request).cloned());
+                if let Some(request) = request {
+                    self.order(fleet, number, request);
+                }
+            }
             ChaosAction::Crash { node, disk, .. } => {
                 let node = if node == "coordinator" {
                     let Some(coordinator) = fleet.coordinating() else { return };
@@ -469,7 +478,7 @@ impl ActionExecutor {
         }
     }
 
-    fn client(&self, fleet: &Fleet) -> RecordingClient {
+    pub(super) fn client(&self, fleet: &Fleet) -> RecordingClient {
         RecordingClient { bus: Arc::clone(&fleet.requests), keys: fleet.keys.clone(), history: self.history.clone() }
     }
 
@@ -490,42 +499,6 @@ impl ActionExecutor {
                 tokio::time::sleep(RESOLVE_INTERVAL).await;
             }
         });
-    }
-
-    /// Starts people who end all orders to robots and all closures of the schedule, if it has any, again and again: a
-    /// request of the schedule that was delayed may give an order later.
-    pub(super) fn spawn_order_enders(&self, fleet: &Fleet, schedule: &Schedule) {
-        if schedule.has_orders() {
-            let ends = [("release", OrderAction::Release), ("end", OrderAction::EndMaintenance)];
-            let end = |(what, change): (&str, _)| (what.to_owned(), orders::request(ALL_ROBOTS, change));
-            self.spawn_order_ender(fleet, ends.map(end).into());
-        }
-        let open = |part: MapPart| {
-            let request = closures::request(&part, ClosureAction::Open);
-            (format!("opening of {part}"), request)
-        };
-        let ends: Vec<(String, PersonRequest)> = schedule.closed_parts().into_iter().map(open).collect();
-        if !ends.is_empty() {
-            self.spawn_order_ender(fleet, ends);
-        }
-    }
-
-    fn spawn_order_ender(&self, fleet: &Fleet, ends: Vec<(String, PersonRequest)>) {
-        let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
-        tokio::spawn(async move {
-            for number in 1.. {
-                for (what, request) in &ends {
-                    give_order(&client, &event_log, &format!("final {what} {number}"), request.clone()).await;
-                }
-                tokio::time::sleep(RESOLVE_INTERVAL).await;
-            }
-        });
-    }
-
-    /// Lets a person, named by the number of the action, give an order.
-    fn order(&self, fleet: &Fleet, number: usize, request: PersonRequest) {
-        let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
-        tokio::spawn(async move { give_order(&client, &event_log, &format!("person {number}"), request).await });
     }
 
     fn submit(&self, fleet: &Fleet, request: &str, body: &SubmitRequest) {
@@ -563,13 +536,6 @@ impl ActionExecutor {
                 client.cancel(&slug(&known)).await;
             }
         });
-    }
-}
-
-/// Changes the orders to robots or the closures, and records the acknowledgement.
-async fn give_order(client: &RecordingClient, event_log: &EventLog, person: &str, (call, request): PersonRequest) {
-    if let Some(by) = client.order(call, request, person).await {
-        event_log.add(Observation::OrderAcknowledged { node: slug("client"), by });
     }
 }
 

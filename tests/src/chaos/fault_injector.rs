@@ -4,6 +4,7 @@ use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::generate::lease_terms;
 use super::mutants::Mutant;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
+use super::zones::zones;
 use crate::AdjustNode;
 use crate::disk::VirtualDisk;
 use consort_bus::BootInstant;
@@ -11,6 +12,7 @@ use consort_bus::clock::Clock;
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::ledger::HistoryLimits;
+use consort_protocol::mission::Domain;
 use consort_protocol::units::{Seconds, WorldTime};
 use consort_protocol::versions::VersionRange;
 use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus};
@@ -52,6 +54,8 @@ struct Parts {
     mission_limits: (u32, usize),
     /// The nodes that start from now on run the latest program.
     is_upgraded: bool,
+    /// The fleet declares zones.
+    has_zones: bool,
     /// Period in which the date of a node is wrong, and the error in milliseconds.
     wrong_dates: BTreeMap<String, (Period, i64)>,
     /// Periods that the clocks of the nodes do not count, for a mutation check.
@@ -113,6 +117,7 @@ impl FaultInjector {
             log_retention,
             mission_limits,
             is_upgraded,
+            has_zones: schedule.names_zones(),
             wrong_dates,
             uncounted,
             disks,
@@ -140,6 +145,9 @@ impl FaultInjector {
         settings.fleet.lease_terms = lease_terms(parts.seed);
         if !parts.is_upgraded {
             settings.supported_versions = VersionRange::OWN.up_to(VersionRange::OWN.newest - 1);
+        }
+        if parts.has_zones {
+            settings.fleet.domain = Arc::new(Domain::clone(&settings.fleet.domain).with_zones(zones()));
         }
         settings.clock = Clock::virtual_at(date).drifting(parts.rates.get(&node).copied().unwrap_or(1.0));
         if let Some(((from, until), ahead_ms)) = parts.wrong_dates.get(&node) {

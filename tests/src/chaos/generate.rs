@@ -1,14 +1,18 @@
 //! Generation of schedules from a seed.
 
+use super::alarms::{self, add_alarms};
 use super::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::chargers::charger_count;
 use super::closures::add_closures;
 use super::control_flow::replace_missions;
 use super::fault_kind::FaultKind;
+use super::mission_changes::add_mission_changes;
 use super::orders::add_orders;
 use super::poison::replace_poison;
 use super::recurring::add_schedule;
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule, ScheduledAction, SkillFault};
+use super::speed_limits::add_speed_limits;
+use super::zones::add_zone_orders;
 use crate::disk::DiskFault;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::trust::NodeRole;
@@ -126,6 +130,12 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
     add_schedule(seed, kinds, draw.end_ms, &mut draw.steps);
     add_orders(seed, kinds, composition, FIRST_MS..draw.end_ms, &mut draw.steps);
     add_closures(seed, kinds, FIRST_MS..draw.end_ms, &mut draw.steps);
+    if seed >= alarms::FIRST_SEED && kinds != [FaultKind::Poison] {
+        add_zone_orders(seed, FIRST_MS..draw.end_ms, &mut draw.steps);
+        add_alarms(seed, FIRST_MS..draw.end_ms, &mut draw.steps);
+        add_speed_limits(seed, FIRST_MS..draw.end_ms, &mut draw.steps);
+        add_mission_changes(seed, composition, FIRST_MS..draw.end_ms, &mut draw.steps);
+    }
     let chargers = charger_count(seed, kinds, &draw.steps);
     let schedule = Schedule::of(draw.steps).in_order();
     Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, chargers, ..schedule }

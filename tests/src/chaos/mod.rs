@@ -10,6 +10,7 @@
 //! Limits: a pause leaves the timers of a node running, unlike a stopped process. The bus is not
 //! Zenoh. Other tests use real processes, real files and real hosts.
 
+mod alarms;
 pub mod chaos_fleet;
 mod chargers;
 mod closures;
@@ -20,9 +21,12 @@ mod fault_kind;
 pub mod generate;
 mod hostile;
 pub(crate) mod invariants;
+mod mission_changes;
 pub mod mutants;
 pub mod mutation_checks;
 mod orders;
+mod people;
+mod person_action;
 mod poison;
 mod quiet_thread;
 mod recurring;
@@ -37,13 +41,16 @@ pub mod scoreboard;
 mod scripted;
 pub mod seed_sweep;
 pub mod shrink;
+mod speed_limits;
+mod zones;
 
+pub use alarms::FIRST_SEED as FIRST_SEED_WITH_ALARMS;
 pub use chaos_fleet::{ChaosFleet, SHIFT_ARMS, SHIFT_CARRIERS, UserParticipants, user_missions};
-pub use closures::FIRST_SEED as FIRST_SEED_WITH_CLOSURES;
 pub use fault_kind::{FaultKind, UnknownFaultKind};
 pub use generate::generate;
+pub use person_action::{CancelSelection, ClosureAction, MissionAction, OrderAction, SpeedLimitAction};
 pub use run::{FaultyShift, RunConfig, RunOutcome, Violation, run, run_shift};
-pub use schedule::{ChaosAction, ClosureAction, OrderAction, Schedule, ScheduledAction};
+pub use schedule::{ChaosAction, Schedule, ScheduledAction};
 pub use schedule_check::{ScheduleError, ScheduleProblem};
 pub use seed_sweep::SeedSweep;
 pub use shrink::shrink;

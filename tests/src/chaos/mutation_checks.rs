@@ -1,5 +1,6 @@
 //! The checks: one injected bug at a time, which chaos must find under the usual generated faults.
 
+use super::alarms::FIRST_SEED as FIRST_SEED_WITH_ALARMS;
 use super::chaos_fleet::ChaosFleet;
 use super::closures::FIRST_SEED as FIRST_SEED_WITH_CLOSURES;
 use super::control_flow::FIRST_SEED;
@@ -45,6 +46,11 @@ impl MutantCheck {
         MutantCheck::without_faults(FIRST_SEED_WITH_CLOSURES, mutant, seeds)
     }
 
+    /// Creates a check over `seeds` seeds whose runs may also have alarms and speed limits, without faults.
+    const fn with_alarms(mutant: Mutant, seeds: u64) -> MutantCheck {
+        MutantCheck::without_faults(FIRST_SEED_WITH_ALARMS, mutant, seeds)
+    }
+
     /// Creates a check over `seeds` seeds from the first on, without faults.
     const fn without_faults(first_seed: u64, mutant: Mutant, seeds: u64) -> MutantCheck {
         MutantCheck { first_seed, ..MutantCheck::under(mutant, &[FaultKind::None], first_seed + seeds - 1) }
@@ -65,7 +71,7 @@ pub(crate) const NODES: usize = 7;
 /// All injected bugs with the seeds within which chaos must find each: about three times
 /// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
 /// repeats the request under the same name. Half of the runs with schedules have none, and the numbers for bugs that
-/// need orders of people, chargers, closures or promises are guesses.
+/// need orders of people, chargers, closures, alarms, speed limits or promises are guesses.
 pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::new(Mutant::SkipFsync, 20),
     MutantCheck::new(Mutant::DoubleVote, 20),
@@ -100,6 +106,8 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::with_orders(Mutant::OrderForgotten, 6),
     MutantCheck::with_orders(Mutant::ClaimsHidden, 20),
     MutantCheck::with_closures(Mutant::ClosureIgnored, 15),
+    MutantCheck::with_alarms(Mutant::AlarmIgnored, 12),
+    MutantCheck::with_alarms(Mutant::LimitIgnored, 15),
     MutantCheck::under(Mutant::HoldersUnfit, &[FaultKind::None], 12),
     MutantCheck::with_orders(Mutant::LeaseIgnored, 20),
 ];
@@ -178,6 +186,7 @@ mod tests {
                     with_orders
                 }
                 Mutant::ClosureIgnored => is_from(FIRST_SEED_WITH_CLOSURES),
+                Mutant::AlarmIgnored | Mutant::LimitIgnored => is_from(FIRST_SEED_WITH_ALARMS),
                 _ => without,
             };
             assert!(is_expected, "{check:?}");

@@ -2,7 +2,8 @@
 
 use super::chaos_fleet::ChaosFleet;
 use super::fault_kind::FaultKind;
-use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, OrderAction, ScheduledAction};
+use super::person_action::{ALL_ROBOTS, IN_ZONE, OrderAction};
+use super::schedule::{CARRIER_OF, ChaosAction, ScheduledAction};
 use consort_protocol::keys::ApiCall;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -21,12 +22,12 @@ const MAINTAINED: f64 = 0.3;
 /// Number of holds in such a run, and their durations. A robot may act for some seconds after a hold, and its end is
 /// uncertain by some seconds, since clocks drift.
 const HOLDS: RangeInclusive<usize> = 1..=4;
-const HOLD_S: RangeInclusive<u32> = 30..=90;
+pub(super) const HOLD_S: RangeInclusive<u32> = 30..=90;
 
 /// Shares of the holds of all robots, of the carrier of a request, and of those that are released before their end.
 const OF_ALL: f64 = 0.2;
 const OF_CARRIER: f64 = 0.5;
-const RELEASED: f64 = 0.4;
+pub(super) const RELEASED: f64 = 0.4;
 
 /// Time from a request to the hold of its carrier, which is on its way then.
 const AFTER_REQUEST_MS: RangeInclusive<u64> = 1_000..=8_000;
@@ -82,9 +83,13 @@ pub(super) fn add_orders(
     }
 }
 
-/// Returns the request of a person for a change of the orders to a robot or to all robots.
+/// Returns the request of a person for a change of the orders to a robot, to the robots in a zone, or to all robots.
 pub(super) fn request(robot: &str, change: OrderAction) -> (ApiCall, Value) {
-    let robots = if robot == ALL_ROBOTS { json!("all") } else { json!([robot]) };
+    let robots = match robot.strip_prefix(IN_ZONE) {
+        Some(zone) => json!({ "zone": zone }),
+        None if robot == ALL_ROBOTS => json!("all"),
+        None => json!([robot]),
+    };
     match change {
         OrderAction::Hold { for_s } => {
             (ApiCall::Hold, json!({ "robots": robots, "for_s": for_s, "reason": "a spill" }))
@@ -146,7 +151,7 @@ mod tests {
     #[test]
     fn requests_are_those_of_the_api() {
         use OrderAction::{BeginMaintenance, EndMaintenance, Hold, Release};
-        for robot in [ALL_ROBOTS, ARM] {
+        for robot in [ALL_ROBOTS, ARM, "zone icu"] {
             serde_json::from_value::<HoldRequest>(request(robot, Hold { for_s: 30 }).1).unwrap();
             serde_json::from_value::<ReleaseRequest>(request(robot, Release).1).unwrap();
             for change in [BeginMaintenance, EndMaintenance] {

@@ -1,12 +1,12 @@
 //! Schedules of actions as plain data that can be stored, shrunk and replayed.
 
 use super::chaos_fleet::{MISSIONS, ROOMS_WITHOUT_NURSE};
+use super::person_action::{CancelSelection, ClosureAction, MissionAction, OrderAction, SpeedLimitAction};
 use crate::disk::{CrashEffect, DiskFault};
-use consort_protocol::api::ScheduleAction;
+use consort_protocol::api::{AlarmAction, ScheduleAction};
 use consort_protocol::ledger::{MapPart, MissedOccurrences};
 use consort_protocol::trust::NodeRole;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
 
 /// All actions on a fleet, ordered by time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -86,9 +86,6 @@ pub struct ScheduledAction {
 /// that instant, as in `carrier of r0`.
 pub(super) const CARRIER_OF: &str = "carrier of ";
 
-/// Name that stands for all robots in an order of a person.
-pub(super) const ALL_ROBOTS: &str = "*";
-
 /// Names of the requests in a circular wait.
 pub(super) const WAITING: [&str; 2] = ["w0", "w1"];
 
@@ -132,17 +129,43 @@ pub enum ChaosAction {
     },
     /// A person changes the orders to robots, and repeats this until it receives a reply.
     Order {
-        /// The robot; `*` for all.
+        /// The robot; `*` for all, `zone icu` for those in a zone.
         robot: String,
         /// The change.
         change: OrderAction,
     },
-    /// A person closes or opens a place or a lane, and repeats this until it receives a reply.
+    /// A person closes or opens a zone, a place or a lane, and repeats this until it receives a reply.
     Closure {
-        /// The place or lane.
+        /// The zone, place or lane.
         part: MapPart,
         /// The change.
         change: ClosureAction,
+    },
+    /// A person raises or clears an alarm of the fleet, and repeats this until it receives a reply.
+    Alarm {
+        /// The alarm.
+        alarm: String,
+        /// The change.
+        change: AlarmAction,
+    },
+    /// A person sets or clears the speed limit of a zone, a place or a lane, and repeats this until it receives a reply.
+    SpeedLimit {
+        /// The zone, place or lane.
+        part: MapPart,
+        /// The change.
+        change: SpeedLimitAction,
+    },
+    /// A person changes the mission of an acknowledged request, and repeats this until it receives a reply.
+    ChangeMission {
+        /// Name of the request.
+        request: String,
+        /// The change.
+        change: MissionAction,
+    },
+    /// A person cancels several missions at once, and repeats this until it receives a reply.
+    CancelMissions {
+        /// The missions.
+        selection: CancelSelection,
     },
     /// A node is killed and restarted later.
     Crash {
@@ -315,37 +338,6 @@ fn default_mission() -> String {
     MISSIONS[0].to_owned()
 }
 
-/// Change of the orders to robots.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum OrderAction {
-    /// They stand still.
-    Hold {
-        /// Seconds after which the hold ends by itself.
-        for_s: u32,
-    },
-    /// Their holds end.
-    Release,
-    /// They get no other role, without a time limit.
-    BeginMaintenance,
-    /// Their maintenance ends.
-    EndMaintenance,
-}
-
-/// Change of a closure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ClosureAction {
-    /// No robot enters the place, or drives the lane.
-    Close {
-        /// Seconds after which the closure ends by itself; no end if absent.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        for_s: Option<u32>,
-    },
-    /// The closure ends.
-    Open,
-}
-
 /// State of a disk after a crash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -405,6 +397,10 @@ impl ChaosAction {
             | ChaosAction::ChangeSchedule { .. }
             | ChaosAction::Order { .. }
             | ChaosAction::Closure { .. }
+            | ChaosAction::Alarm { .. }
+            | ChaosAction::SpeedLimit { .. }
+            | ChaosAction::ChangeMission { .. }
+            | ChaosAction::CancelMissions { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -461,6 +457,10 @@ impl ChaosAction {
                 | ChaosAction::ChangeSchedule { .. }
                 | ChaosAction::Order { .. }
                 | ChaosAction::Closure { .. }
+                | ChaosAction::Alarm { .. }
+                | ChaosAction::SpeedLimit { .. }
+                | ChaosAction::ChangeMission { .. }
+                | ChaosAction::CancelMissions { .. }
         )
     }
 
@@ -492,6 +492,10 @@ impl ChaosAction {
             | ChaosAction::ChangeSchedule { .. }
             | ChaosAction::Order { .. }
             | ChaosAction::Closure { .. }
+            | ChaosAction::Alarm { .. }
+            | ChaosAction::SpeedLimit { .. }
+            | ChaosAction::ChangeMission { .. }
+            | ChaosAction::CancelMissions { .. }
             | ChaosAction::Remove { .. }
             | ChaosAction::Upgrade { .. }
             | ChaosAction::Drift { .. }
@@ -514,20 +518,6 @@ impl Schedule {
         let is_request =
             |action: &ChaosAction| matches!(action, ChaosAction::Submit { .. } | ChaosAction::Cancel { .. });
         self.steps.iter().all(|step| is_request(&step.action)) && self.steps.iter().any(|step| step.action.is_poison())
-    }
-
-    /// Checks whether people give orders to robots.
-    pub(super) fn has_orders(&self) -> bool {
-        self.steps.iter().any(|step| matches!(step.action, ChaosAction::Order { .. }))
-    }
-
-    /// Returns the places and lanes that a person closes.
-    pub(super) fn closed_parts(&self) -> BTreeSet<MapPart> {
-        let of = |step: &ScheduledAction| match &step.action {
-            ChaosAction::Closure { part, change: ClosureAction::Close { .. } } => Some(part.clone()),
-            _ => None,
-        };
-        self.steps.iter().filter_map(of).collect()
     }
 
     /// Sorts the actions by time; actions of the same instant keep their order.

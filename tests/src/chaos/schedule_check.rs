@@ -1,10 +1,12 @@
 //! Check of a schedule against its fleet.
 
+use super::alarms::ALARMS;
 use super::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE};
-use super::closures::parts_of_map;
 use super::control_flow::CONTROL_FLOW_MISSIONS;
+use super::person_action::{ALL_ROBOTS, IN_ZONE, MissionAction};
 use super::poison::POISON_MISSIONS;
-use super::schedule::{ALL_ROBOTS, CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
+use super::schedule::{CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
+use super::zones::{parts_with_zones, zone_names};
 use consort_skills::workload::Workload;
 
 impl Schedule {
@@ -31,6 +33,7 @@ impl Schedule {
                     check_known(step, mission, &MISSIONS, &own)?;
                 }
                 ChaosAction::Cancel { .. }
+                | ChaosAction::CancelMissions { .. }
                 | ChaosAction::ChangeSchedule { .. }
                 | ChaosAction::Blackout { .. }
                 | ChaosAction::Upgrade { .. }
@@ -64,12 +67,24 @@ impl Schedule {
                         return Err(step.invalid(ScheduleProblem::ClockRate));
                     }
                 }
-                ChaosAction::Closure { part, .. } => {
-                    let known: Vec<String> = parts_of_map().iter().map(ToString::to_string).collect();
+                ChaosAction::Closure { part, .. } | ChaosAction::SpeedLimit { part, .. } => {
+                    let known: Vec<String> = parts_with_zones().iter().map(ToString::to_string).collect();
                     let known: Vec<&str> = known.iter().map(String::as_str).collect();
                     check_known(step, &part.to_string(), &known, &[])?;
                 }
-                ChaosAction::Order { robot, .. } => check_known(step, robot, &robots, &[ALL_ROBOTS])?,
+                ChaosAction::Alarm { alarm, .. } => check_known(step, alarm, &ALARMS, &[])?,
+                ChaosAction::ChangeMission { change, .. } => match change {
+                    MissionAction::Reassign { to: Some(robot), .. } | MissionAction::Pin { robot } => {
+                        check_known(step, robot, &robots, &[])?;
+                    }
+                    MissionAction::Prioritize { .. }
+                    | MissionAction::Reassign { to: None, .. }
+                    | MissionAction::Unpin => {}
+                },
+                ChaosAction::Order { robot, .. } => match robot.strip_prefix(IN_ZONE) {
+                    Some(zone) => check_known(step, zone, &zone_names(), &[])?,
+                    None => check_known(step, robot, &robots, &[ALL_ROBOTS])?,
+                },
                 ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {
                     check_known(step, robot, &robots, &[])?;
                 }

@@ -1,10 +1,11 @@
 //! Text of schedules, with a line for each action.
 
-use super::schedule::{
-    ALL_ROBOTS, ChaosAction, ClosureAction, DiskAfterCrash, OrderAction, Schedule, ScheduledAction, SkillFault,
+use super::person_action::{
+    ALL_ROBOTS, CancelSelection, ClosureAction, IN_ZONE, MissionAction, OrderAction, SpeedLimitAction,
 };
+use super::schedule::{ChaosAction, DiskAfterCrash, Schedule, ScheduledAction, SkillFault};
 use crate::disk::DiskFault;
-use consort_protocol::api::ScheduleAction;
+use consort_protocol::api::{AlarmAction, ScheduleAction};
 use consort_protocol::trust::NodeRole;
 use std::fmt::{self, Display};
 use std::time::Duration;
@@ -56,7 +57,8 @@ impl Display for ChaosAction {
                 ScheduleAction::Remove => f.write_str("the schedule is removed"),
             },
             ChaosAction::Order { robot, change } => {
-                let robot = if robot == ALL_ROBOTS { "every robot" } else { robot.as_str() };
+                let in_zone = robot.strip_prefix(IN_ZONE).map(|zone| format!("every robot in zone {zone}"));
+                let robot = if robot == ALL_ROBOTS { "every robot" } else { in_zone.as_deref().unwrap_or(robot) };
                 match change {
                     OrderAction::Hold { for_s } => write!(f, "{robot} is held for {for_s} s"),
                     OrderAction::Release => write!(f, "{robot} is released"),
@@ -68,6 +70,37 @@ impl Display for ChaosAction {
                 ClosureAction::Close { for_s: None } => write!(f, "{part} is closed"),
                 ClosureAction::Close { for_s: Some(for_s) } => write!(f, "{part} is closed for {for_s} s"),
                 ClosureAction::Open => write!(f, "{part} is opened"),
+            },
+            ChaosAction::Alarm { alarm, change } => match change {
+                AlarmAction::Raise => write!(f, "alarm {alarm} is raised"),
+                AlarmAction::Clear => write!(f, "alarm {alarm} is cleared"),
+            },
+            ChaosAction::SpeedLimit { part, change } => match change {
+                SpeedLimitAction::Set { speed_mps, for_s: None } => write!(f, "{part} is limited to {speed_mps} m/s"),
+                SpeedLimitAction::Set { speed_mps, for_s: Some(for_s) } => {
+                    write!(f, "{part} is limited to {speed_mps} m/s for {for_s} s")
+                }
+                SpeedLimitAction::Clear => write!(f, "the speed limit of {part} is cleared"),
+            },
+            ChaosAction::ChangeMission { request, change } => match change {
+                MissionAction::Prioritize { priority } => {
+                    write!(f, "request {request} has priority {priority} from now on")
+                }
+                MissionAction::Reassign { to, repeat } => {
+                    let to = to.as_deref().unwrap_or("another robot");
+                    let repeat = if *repeat { ", which may repeat tasks" } else { "" };
+                    write!(f, "the carrier's role of request {request} is reassigned to {to}{repeat}")
+                }
+                MissionAction::Pin { robot } => {
+                    write!(f, "the carrier's role of request {request} is pinned to {robot}")
+                }
+                MissionAction::Unpin => write!(f, "the order about the carrier's role of request {request} ends"),
+            },
+            ChaosAction::CancelMissions { selection } => match selection {
+                CancelSelection::Requests(requests) => {
+                    write!(f, "the requests {} are canceled together", requests.join(", "))
+                }
+                CancelSelection::Named(mission) => write!(f, "every mission {mission} is canceled"),
             },
             ChaosAction::Crash { node, disk, for_ms } => {
                 write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms))

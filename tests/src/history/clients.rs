@@ -23,6 +23,9 @@ const UPGRADE_INTERVAL: Duration = Duration::from_secs(2);
 /// Delay before a request is repeated.
 const RETRY_INTERVAL: Duration = Duration::from_millis(700);
 
+/// Members of the replies to orders of people, each to another order.
+const ORDERED: [&str; 6] = ["robots", "closures", "speed_limits", "alarms", "priority", "phase"];
+
 /// Missions of acknowledged requests, by request.
 pub type Acknowledged = watch::Sender<BTreeMap<String, String>>;
 
@@ -114,16 +117,16 @@ impl RecordingClient {
         }
     }
 
-    /// Changes the orders to robots, or the closures, again and again until there is a definite reply. Each attempt names
-    /// another person, so the audit trail shows which were executed. Returns the person of the acknowledged attempt; `None`
-    /// if the order is refused.
+    /// Sends the request of a person, again and again until there is a definite reply. Each attempt names another person, so
+    /// the audit trail shows which were executed. Returns the person of the acknowledged attempt; `None` if the request is
+    /// refused, or cancels missions: such a request has an entry in the log only if it finds missions.
     pub async fn order(&self, call: ApiCall, mut request: Value, person: &str) -> Option<String> {
         for attempt in 1.. {
             let by = format!("{person}, attempt {attempt}");
             request["by"] = json!(by);
             let (mut is_acknowledged, mut is_definite) = (false, false);
             let each = |reply: Value| {
-                is_acknowledged |= ["robots", "closures"].iter().any(|member| reply.get(member).is_some());
+                is_acknowledged |= ORDERED.iter().any(|member| reply.get(member).is_some());
                 is_definite |= reply.get("retry_after_ms").is_none();
             };
             self.query_each(&Key::Api(call), &request, ServiceSelection::All, CALL_TIMEOUT, each).await;

@@ -1,20 +1,23 @@
-//! Every order of a person, to robots or as a closure, is in the audit trail exactly once.
+//! Every order of a person is in the audit trail exactly once: to robots, about the map, an alarm, a change of a mission, and
+//! for each mission a cancelation.
 //!
 //! An acknowledged order is in the log, no order is executed twice, and at the end the trail of the coordinator has an
-//! entry for each order that has changed anything. Each order is given by another person.
+//! entry for each order that has changed anything. Each order is given by another person, except for the cancelations of
+//! single missions.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
+use consort_protocol::ids::MissionId;
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{AuditAction, Command, Ledger};
+use consort_protocol::ledger::{AuditAction, Command, Ledger, MissionState};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Audited {
     reference: ReferenceLedger,
-    /// How often the order of each person has changed the orders to robots, or the closures.
+    /// How often the orders of each person have changed anything.
     changes: BTreeMap<String, usize>,
 }
 
@@ -23,34 +26,90 @@ fn person(by: &str) -> &str {
     by.split(", according to ").next().unwrap_or(by)
 }
 
+/// The order of a person in a command.
+struct Order<'a> {
+    by: &'a str,
+    subjects: Subjects<'a>,
+    /// The person gives other orders of the kind.
+    is_one_of_many: bool,
+}
+
+/// What an order may change.
+enum Subjects<'a> {
+    /// The orders to robots, about the map, and the alarms.
+    Orders,
+    /// The priority of a mission, and the orders about its roles.
+    Terms(&'a MissionId),
+    /// The states of missions.
+    States(Vec<&'a MissionId>),
+}
+
+impl Order<'_> {
+    fn of(command: &Command) -> Option<Order<'_>> {
+        let (by, subjects) = match command {
+            Command::OrderRobots { order, .. } => (&order.by, Subjects::Orders),
+            Command::ChangeClosures { order, .. } => (&order.by, Subjects::Orders),
+            Command::ChangeSpeedLimits { order, .. } => (&order.by, Subjects::Orders),
+            Command::ChangeAlarms { order } => (&order.by, Subjects::Orders),
+            Command::ChangeMission { mission, order } => (&order.by, Subjects::Terms(mission)),
+            Command::CancelMissions { order } => (&order.by, Subjects::States(order.change.missions.keys().collect())),
+            Command::Cancel { mission, by, .. } => (by, Subjects::States(vec![mission])),
+            _ => return None,
+        };
+        Some(Order { by, subjects, is_one_of_many: matches!(command, Command::Cancel { .. }) })
+    }
+}
+
+impl Subjects<'_> {
+    /// Returns the states of what the order may change, as text.
+    fn texts(&self, ledger: &Ledger) -> Vec<String> {
+        match self {
+            Subjects::Orders => {
+                let (robots, closures) = (ledger.robot_orders().collect::<Vec<_>>(), ledger.closures());
+                let (limits, alarms) = (ledger.speed_limits().collect::<Vec<_>>(), ledger.alarms());
+                let about_map = (closures.collect::<Vec<_>>(), limits, alarms.collect::<Vec<_>>());
+                vec![format!("{robots:?} {about_map:?}")]
+            }
+            Subjects::Terms(mission) => {
+                let terms = ledger.mission(mission).map(|entry| (entry.submission.priority, entry.role_orders()));
+                vec![format!("{terms:?}")]
+            }
+            // Only open missions are canceled. The state of another may be shortened or forgotten meanwhile.
+            Subjects::States(missions) => {
+                let is_open =
+                    |state: Option<&MissionState>| matches!(state, Some(MissionState::Pending | MissionState::Running));
+                missions.iter().map(|mission| is_open(ledger.mission_state(mission)).to_string()).collect()
+            }
+        }
+    }
+}
+
 impl Audited {
     fn apply(&mut self, at: Epoch, commands: &[Command]) -> Result<(), InvariantViolation> {
         if !self.reference.is_new(at) {
             return Ok(());
         }
         for command in commands {
-            let before = self.changed();
-            self.reference.apply_command(at, command);
-            let by = match command {
-                Command::OrderRobots { order, .. } => &order.by,
-                Command::ChangeClosures { order, .. } => &order.by,
-                _ => continue,
+            let Some(order) = Order::of(command) else {
+                self.reference.apply_command(at, command);
+                continue;
             };
-            let has_changed = self.changed() != before;
-            let changes = self.changes.entry(person(by).to_owned()).or_default();
-            *changes += usize::from(has_changed);
-            if *changes > 1 {
-                return Err(format!("the order of {by} was executed twice").into());
+            let before = order.subjects.texts(&self.reference.ledger);
+            self.reference.apply_command(at, command);
+            let after = order.subjects.texts(&self.reference.ledger);
+            let mut changed = before.iter().zip(&after).filter(|(before, after)| before != after).count();
+            // An earlier ledger has no trail.
+            if self.reference.ledger.history_limits().is_none() {
+                changed = 0;
             }
+            let changes = self.changes.entry(person(order.by).to_owned()).or_default();
+            if *changes > 0 && changed > 0 && !order.is_one_of_many {
+                return Err(format!("the order of {} was executed twice", order.by).into());
+            }
+            *changes += changed;
         }
         self.reference.index = at.index;
         Ok(())
-    }
-
-    /// Returns the orders to all robots and the closures, as text.
-    fn changed(&self) -> String {
-        let ledger = &self.reference.ledger;
-        format!("{:?}", (ledger.robot_orders().collect::<Vec<_>>(), ledger.closures().collect::<Vec<_>>()))
     }
 
     fn acknowledge(&self, by: &str) -> Result<(), InvariantViolation> {
@@ -87,6 +146,15 @@ fn is_order(action: AuditAction) -> bool {
             | AuditAction::EndMaintenance
             | AuditAction::Close
             | AuditAction::Open
+            | AuditAction::LimitSpeed
+            | AuditAction::ClearSpeedLimit
+            | AuditAction::RaiseAlarm
+            | AuditAction::ClearAlarm
+            | AuditAction::SetPriority
+            | AuditAction::Reassign
+            | AuditAction::Pin
+            | AuditAction::Unpin
+            | AuditAction::Cancel
     )
 }
 
@@ -111,8 +179,11 @@ impl Invariant for Audited {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chaos::invariants::test_missions::submit_rest;
     use crate::slug;
-    use consort_protocol::ledger::{ClosureChange, MapPart, OrderChange, OrderRequest};
+    use consort_protocol::ledger::{
+        AlarmChange, ClosureChange, MapPart, MissionCancelation, MissionChange, OrderChange, OrderRequest, Priority,
+    };
     use std::collections::BTreeSet;
 
     fn order(by: &str, at_ms: u64, change: OrderChange) -> Command {
@@ -157,5 +228,44 @@ mod tests {
         assert_eq!(violation, "the order of Nia was executed twice");
         let violation = applied(vec![close("Bea", 1), close("Bea", 2)]).map(|_| ()).unwrap_err().0;
         assert_eq!(violation, "the order of Bea was executed twice");
+    }
+
+    fn cancel(by: &str, missions: &[&str]) -> Command {
+        let missions = missions.iter().map(|mission| (slug(mission), BTreeMap::new())).collect();
+        let change = MissionCancelation { missions };
+        Command::CancelMissions { order: OrderRequest { change, by: by.to_owned(), at_ms: 9, request: None } }
+    }
+
+    fn prioritize(by: &str, priority: i64) -> Command {
+        let change = MissionChange::SetPriority(Priority::new(priority).unwrap());
+        let order = OrderRequest { change, by: by.to_owned(), at_ms: 9, request: None };
+        Command::ChangeMission { mission: slug("rest-1"), order }
+    }
+
+    #[test]
+    fn changes_of_missions_and_alarms_are_orders() {
+        let clear =
+            OrderRequest { change: AlarmChange::Clear { alarm: None }, by: "Eve".to_owned(), at_ms: 9, request: None };
+        let cancel_one = |mission: &str| {
+            let (mission, by) = (slug(mission), "Ida".to_owned());
+            Command::Cancel { mission, by, places: BTreeMap::new(), at_ms: 9 }
+        };
+        let state = applied(vec![
+            submit_rest("a"),
+            submit_rest("b"),
+            submit_rest("c"),
+            submit_rest("d"),
+            prioritize("Nia", 7),
+            Command::ChangeAlarms { order: clear },
+            cancel("Abe", &["rest-1", "rest-2"]),
+            cancel_one("rest-3"),
+            cancel_one("rest-4"),
+        ]);
+        let state = state.unwrap_or_else(|found| panic!("{found:?}"));
+        let changes = ["Nia", "Eve", "Abe", "Ida"].map(|by| state.changes[by]);
+        assert_eq!(changes, [1, 0, 2, 2]);
+        assert_eq!(state.check_trail(&state.reference.ledger), Ok(()));
+        let twice = applied(vec![submit_rest("a"), prioritize("Nia", 7), prioritize("Nia", 8)]);
+        assert_eq!(twice.map(|_| ()).unwrap_err().0, "the order of Nia was executed twice");
     }
 }

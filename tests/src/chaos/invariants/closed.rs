@@ -1,4 +1,5 @@
-//! No robot enters a closed place or drives a closed lane, and no task fails because of a closure.
+//! No robot enters a closed place or drives a closed lane, and no task fails because of a closure. An alarm closes parts of
+//! the map, too.
 //!
 //! A robot in a role has received a closure, or has stopped, once the lease that it may have had at that time is over:
 //! each later renewal contains the closure. Its body may then drive on for as long as the latest command permits. Whether a
@@ -25,7 +26,7 @@ const WAY_IS_CLOSED: &str = "the ways between them are closed";
 pub(super) struct Closed {
     lease: Duration,
     reference: ReferenceLedger,
-    /// Closures in the ledger, with the times of their latest changes.
+    /// Closures in the ledger, also those of alarms, with the times of their latest changes.
     closures: BTreeMap<MapPart, (RobotOrder, Duration)>,
     /// Times at which closures ended, by part.
     opened: BTreeMap<MapPart, Duration>,
@@ -45,8 +46,13 @@ impl Closed {
 
     /// Adopts the closures of the ledger.
     fn update(&mut self, at: Duration) {
-        let closures = self.reference.ledger.closures();
-        let closed: BTreeMap<MapPart, RobotOrder> = closures.map(|closure| (closure.part, closure.order)).collect();
+        let ledger = &self.reference.ledger;
+        let of_alarms = ledger.alarms().flat_map(|alarm| {
+            let order = &alarm.order;
+            alarm.plan.closes.iter().map(move |part| (part.clone(), order.clone()))
+        });
+        let closures = ledger.closures().map(|closure| (closure.part, closure.order));
+        let closed: BTreeMap<MapPart, RobotOrder> = of_alarms.chain(closures).collect();
         let is_kept = |part: &MapPart, order: &RobotOrder| closed.get(part) == Some(order);
         let (kept, ended): (BTreeMap<_, _>, BTreeMap<_, _>) =
             std::mem::take(&mut self.closures).into_iter().partition(|(part, (order, _))| is_kept(part, order));

@@ -5,13 +5,13 @@
 //! the hold; its own record then states it. Around the end of a hold the robot may move, since clocks drift.
 
 use super::active_goals::ActiveGoals;
+use super::informed::{Informed, stated_problem};
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::chaos::chaos_fleet::DATE_MS;
 use crate::order_bounds::stops_within;
 use crate::{Fleet, Observation};
-use consort_protocol::ids::{NodeId, RobotId};
-use consort_protocol::knowledge::Availability;
+use consort_protocol::ids::RobotId;
 use consort_protocol::ledger::RobotOrder;
 use consort_world::world::LoggedEvent;
 use std::collections::BTreeMap;
@@ -22,8 +22,8 @@ pub(super) struct Held {
     reference: ReferenceLedger,
     /// Holds in the ledger, with the times of their latest changes.
     holds: BTreeMap<RobotId, (RobotOrder, Duration)>,
-    /// Held robots without a role that state the hold in their record, and since when.
-    informed: BTreeMap<RobotId, Duration>,
+    /// Held robots that state the hold in their record.
+    informed: Informed,
     active: ActiveGoals,
 }
 
@@ -33,7 +33,7 @@ impl Held {
             lease,
             reference: ReferenceLedger::default(),
             holds: BTreeMap::new(),
-            informed: BTreeMap::new(),
+            informed: Informed::default(),
             active: ActiveGoals::default(),
         }
     }
@@ -49,13 +49,9 @@ impl Held {
         }
     }
 
-    /// Records which held robots without a role state the hold; `states_hold` reads the record of a robot.
+    /// Records which held robots state the hold; `states_hold` reads the record of a robot.
     fn inform(&mut self, at: Duration, states_hold: impl Fn(&RobotId) -> bool) {
-        let informed: Vec<RobotId> = self.holds.keys().filter(|robot| states_hold(robot)).cloned().collect();
-        self.informed.retain(|robot, _| informed.contains(robot));
-        for robot in informed {
-            self.informed.entry(robot).or_insert(at);
-        }
+        self.informed.follow(at, self.holds.keys().filter(|robot| states_hold(robot)).cloned().collect());
     }
 
     fn check(&self, at: Duration) -> Result<(), InvariantViolation> {
@@ -67,7 +63,7 @@ impl Held {
             for ((_, id), goal) in self.active.goals.iter().filter(|((other, _), _)| other == robot) {
                 let must_stand = match goal.in_role {
                     true => is_over(since),
-                    false => self.informed.get(robot).is_some_and(is_over),
+                    false => self.informed.since(robot).as_ref().is_some_and(is_over),
                 };
                 if must_stand {
                     let held_s = at.saturating_sub(*since).as_secs_f64();
@@ -120,13 +116,7 @@ impl Invariant for Held {
             self.informed.clear();
             return Ok(());
         }
-        self.inform(at, |robot| {
-            let record = fleet.knowledge_of(robot.as_str(), &NodeId::from(robot.clone()));
-            record.is_some_and(|record| match record.availability {
-                Availability::OutOfService { problem } => problem.starts_with("held by "),
-                _ => false,
-            })
-        });
+        self.inform(at, |robot| stated_problem(fleet, robot).is_some_and(|problem| problem.starts_with("held by ")));
         self.check(at)
     }
 }

@@ -5,10 +5,12 @@
 
 mod acknowledged;
 mod active_goals;
+mod alarm;
 mod alive;
 mod audited;
 mod authority;
 mod bounded;
+mod canceled;
 mod charged;
 mod closed;
 mod committed;
@@ -16,24 +18,31 @@ mod custody;
 mod deadlines;
 mod guarded;
 mod held;
+mod informed;
+mod limited;
 mod occurrences;
 mod one_holder;
 mod one_leader;
 mod one_per_charger;
+mod pinned;
 mod promised;
 mod reference_ledger;
 mod replayed;
 mod settled;
 mod signals;
 mod single_voter_change;
+#[cfg(test)]
+mod test_missions;
 mod under_lease;
 mod under_orders;
 
 pub(super) use occurrences::all_handled;
 pub(super) use reference_ledger::ReferenceLedger;
 
+use super::person_action::CancelSelection;
 use crate::{Fleet, Observation};
 use consort_world::world::LoggedEvent;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Description of the violation of an invariant.
@@ -83,7 +92,12 @@ pub(crate) trait Invariant {
 }
 
 /// Returns all invariants of a fleet that keeps `ended_missions_max` ended missions whole, with leases of this duration.
-pub(crate) fn all(ended_missions_max: usize, lease: Duration) -> Vec<Box<dyn Invariant>> {
+/// `cancelations` are the missions that people cancel at once, by the names of these people.
+pub(in crate::chaos) fn all(
+    ended_missions_max: usize,
+    lease: Duration,
+    cancelations: BTreeMap<String, CancelSelection>,
+) -> Vec<Box<dyn Invariant>> {
     vec![
         Box::new(alive::Alive),
         Box::<authority::Authority>::default(),
@@ -102,8 +116,12 @@ pub(crate) fn all(ended_missions_max: usize, lease: Duration) -> Vec<Box<dyn Inv
         Box::<occurrences::Occurrences>::default(),
         Box::new(held::Held::new(lease)),
         Box::new(closed::Closed::new(lease)),
+        Box::new(limited::Limited::new(lease)),
+        Box::new(alarm::UnderAlarm::new(lease)),
         Box::<under_orders::UnderOrders>::default(),
         Box::<audited::Audited>::default(),
+        Box::new(canceled::Canceled::new(cancelations)),
+        Box::<pinned::Pinned>::default(),
         Box::<one_per_charger::OnePerCharger>::default(),
         Box::<charged::Charged>::default(),
         Box::<promised::Promised>::default(),

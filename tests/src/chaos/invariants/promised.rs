@@ -129,7 +129,7 @@ impl Promised {
                     promised.robot == *robot && other.submission.priority > entry.submission.priority
                 });
                 let was_displaced = self.reprioritized_at.is_some_and(|at| now <= at + RELEASED_WITHIN);
-                match was_returned || was_unfit || is_displaced || was_displaced || ledger.orders_of(robot).is_some() {
+                match was_returned || was_unfit || is_displaced || was_displaced || ledger.is_under_orders(robot) {
                     true => Ok(()),
                     false => Err(format!("{of_role} was released, although the robot could take it: {cause}").into()),
                 }

@@ -2,22 +2,32 @@
 //!
 //! There are two parts. A robot begins tasks, sends signals and passes waits only while it is
 //! active in the role. And when a robot begins a role, the simulated robot of the previous holder
-//! is at rest. This is checked in the world, where messages in flight no longer matter.
+//! is at rest. This is checked in the world, where messages in flight no longer matter. A robot without a role may drive
+//! to an assembly place; such a drive belongs to no role.
 
+use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::mission::RoleKind;
+use consort_skills::actions::{Goal, NavigateToPose};
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
+
+/// Longest time after the all-clear in which a robot without a role may begin to drive to an assembly place: it may
+/// receive the all-clear only when the longest partition has ended.
+const ASSEMBLES_FOR: Duration = Duration::from_secs(60);
 
 type Part = (MissionId, RoleId);
 
 #[derive(Default)]
 pub(super) struct UnderLease {
+    reference: ReferenceLedger,
+    /// Latest time at which an alarm was in force.
+    alarm_at: Option<Duration>,
     active: BTreeSet<(NodeId, Part)>,
     /// Latest role of each robot.
     last: BTreeMap<String, Part>,
@@ -47,6 +57,15 @@ impl UnderLease {
         Ok(())
     }
 
+    /// Records a goal in the world.
+    fn pursues(&mut self, at: Duration, robot: &NodeId, id: u64, goal: &Goal) {
+        let is_drive = goal.is::<NavigateToPose>();
+        let may_assemble = is_drive && self.alarm_at.is_some_and(|alarm_at| at <= alarm_at + ASSEMBLES_FOR);
+        let is_of_role = |part: &Part| !may_assemble || self.active.contains(&(robot.clone(), part.clone()));
+        let part = self.last.get(robot.as_str()).cloned().filter(is_of_role);
+        self.at_work.insert((robot.to_string(), id), part);
+    }
+
     fn begins(&mut self, node: &NodeId, part: Part) -> Result<(), InvariantViolation> {
         let (mission, role) = &part;
         let other = self.at_work.iter().find(|((robot, _), of)| robot != node.as_str() && of.as_ref() == Some(&part));
@@ -66,7 +85,11 @@ impl Invariant for UnderLease {
         "under_lease"
     }
 
-    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
+    fn observe(&mut self, at: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), InvariantViolation> {
+        self.reference.observe(entry);
+        if self.reference.ledger.has_alarm() {
+            self.alarm_at = Some(at);
+        }
         let node = entry.node();
         if let Observation::TestAction { action: "killed" | "ended", .. } = entry {
             self.active.retain(|(who, _)| who != node);
@@ -103,11 +126,9 @@ impl Invariant for UnderLease {
         }
     }
 
-    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
+    fn observe_world(&mut self, at: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
         match &entry.event {
-            InWorld::GoalStarted { robot, id, .. } => {
-                self.at_work.insert((robot.to_string(), id.0), self.last.get(robot.as_str()).cloned());
-            }
+            InWorld::GoalStarted { robot, id, goal } => self.pursues(at, &NodeId::from(robot.clone()), id.0, goal),
             InWorld::GoalEnded { robot, id, .. } => {
                 self.at_work.remove(&(robot.to_string(), id.0));
             }
@@ -141,6 +162,8 @@ impl Invariant for UnderLease {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::pose::Pose;
+    use consort_skills::actions::Dock;
 
     #[test]
     fn roles_of_people_are_known_while_all_nodes_are_down() {
@@ -152,5 +175,28 @@ mod tests {
         assert!(state.acts(&node, part("nurse"), "goes on", true, None).is_ok());
         let violation = state.acts(&node, part("r1"), "goes on", true, None).unwrap_err();
         assert_eq!(violation.0, "garnet goes on as r1 of rounds-1, in which it is not active");
+    }
+
+    #[test]
+    fn a_drive_to_an_assembly_place_belongs_to_a_role_only_while_the_robot_has_it() {
+        let (garnet, hazel) = (NodeId::new("garnet").unwrap(), NodeId::new("hazel").unwrap());
+        let part: Part = ("rounds-1".parse().unwrap(), RoleId::new("r1").unwrap());
+        let drive = Goal::from(NavigateToPose::to(Pose::new(0.0, 0.0, 0.0), None));
+        let secs = Duration::from_secs;
+        // Garnet begins the role, and loses it or not; it drives at 100 s, and hazel begins the role.
+        let begins = |alarm_at: Option<Duration>, is_active: bool, goal: &Goal| {
+            let mut state = UnderLease { alarm_at, ..UnderLease::default() };
+            assert_eq!(state.begins(&garnet, part.clone()), Ok(()));
+            if !is_active {
+                state.active.clear();
+            }
+            state.pursues(secs(100), &garnet, 7, goal);
+            state.begins(&hazel, part.clone())
+        };
+        assert!(begins(None, false, &drive).is_err(), "there is no alarm");
+        assert!(begins(Some(secs(39)), false, &drive).is_err(), "the alarm is over");
+        assert_eq!(begins(Some(secs(40)), false, &drive), Ok(()));
+        assert!(begins(Some(secs(100)), true, &drive).is_err(), "it drives in its role");
+        assert!(begins(Some(secs(100)), false, &Dock { charger: None }.into()).is_err(), "it does not drive");
     }
 }

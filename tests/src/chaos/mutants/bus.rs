@@ -166,7 +166,7 @@ impl FaultyBus {
             (Mutant::AuthorsUnchecked, _) => Query { author: Author::UNKNOWN, ..query },
             (Mutant::GuardSkipped, Some(Key::Award(_))) => without_guards(query),
             (Mutant::CircularWaitKept, Some(Key::Award(_))) => without_giving_way(query),
-            (Mutant::HoldIgnored | Mutant::ClosureIgnored, Some(Key::Award(_))) => without_ignored(mutant, query),
+            (_, Some(Key::Award(_))) if ignores_orders(mutant) => without_ignored(mutant, query),
             (Mutant::OrderForgotten, Some(Key::Api(ApiCall::Hold | ApiCall::Release | ApiCall::Maintenance))) => {
                 let reply = json!({ "robots": {} }).to_string();
                 // The coordinator rejects a request without content.
@@ -205,11 +205,18 @@ fn without_giving_way(query: Query) -> Query {
     Query { payload: encoded(&ClusterEnvelope { cluster, payload }), ..query }
 }
 
+/// Checks whether robots ignore orders of people.
+fn ignores_orders(mutant: Mutant) -> bool {
+    matches!(mutant, Mutant::HoldIgnored | Mutant::ClosureIgnored | Mutant::AlarmIgnored | Mutant::LimitIgnored)
+}
+
 /// Removes the orders that the robots ignore.
 fn remove_ignored(mutant: Mutant, orders: &mut OrdersNotice) {
     match mutant {
         Mutant::HoldIgnored => orders.hold = None,
         Mutant::ClosureIgnored => orders.closures.clear(),
+        Mutant::AlarmIgnored => orders.alarm = None,
+        Mutant::LimitIgnored => orders.speed_limits.clear(),
         _ => {}
     }
 }
@@ -339,7 +346,7 @@ impl Bus for FaultyBus {
             (Mutant::LeaseNotChecked, Some(Key::Report(_))) => self.renew_without_reply(query).await,
             (Mutant::LostRelay, Some(Key::Gossip(peer))) => self.exchange_own_records(peer, query).await,
             (Mutant::WaitSkipped, Some(Key::Report(_))) => self.receive_all_signals(query).await,
-            (mutant @ (Mutant::HoldIgnored | Mutant::ClosureIgnored), Some(Key::Report(_))) => {
+            (mutant, Some(Key::Report(_))) if ignores_orders(mutant) => {
                 Ok(self.send(query).await?.map(move |reply| renewed_without_ignored(mutant, reply)))
             }
             (Mutant::ReleasedInMotion, Some(Key::Driver(_, DriverCall::Command))) => {

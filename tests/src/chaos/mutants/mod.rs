@@ -99,6 +99,10 @@ pub enum Mutant {
     ClaimsHidden,
     /// Robots ignore closures, in notices and in renewals of leases.
     ClosureIgnored,
+    /// Robots ignore alarms, in notices and in renewals of leases.
+    AlarmIgnored,
+    /// Robots ignore speed limits, in notices and in renewals of leases.
+    LimitIgnored,
     /// Nodes count robots that hold a role as out of service, so the coordinator releases their promises.
     HoldersUnfit,
     /// Nodes do not receive which robots use a charger by a lease.
@@ -107,7 +111,7 @@ pub enum Mutant {
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 35] = [
+    pub const ALL: [Mutant; 37] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -141,6 +145,8 @@ impl Mutant {
         Mutant::OrderForgotten,
         Mutant::ClaimsHidden,
         Mutant::ClosureIgnored,
+        Mutant::AlarmIgnored,
+        Mutant::LimitIgnored,
         Mutant::HoldersUnfit,
         Mutant::LeaseIgnored,
     ];
@@ -189,6 +195,8 @@ impl Mutant {
             Mutant::OrderForgotten => "order-forgotten",
             Mutant::ClaimsHidden => "claims-hidden",
             Mutant::ClosureIgnored => "closure-ignored",
+            Mutant::AlarmIgnored => "alarm-ignored",
+            Mutant::LimitIgnored => "limit-ignored",
             Mutant::HoldersUnfit => "holders-unfit",
             Mutant::LeaseIgnored => "lease-ignored",
         }

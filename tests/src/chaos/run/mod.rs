@@ -16,6 +16,7 @@ use super::fault_injector::FaultInjector;
 use super::generate::{LIFTED, lease_terms};
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
+use super::people::person;
 use super::requested_missions::workload_with;
 use super::run_counters::{RunCounters, millis};
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
@@ -137,7 +138,7 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
         members = chargers::with_small_batteries(members);
     }
     let fleet = Fleet::hospital_with(config.seed, members, &composition.stations, people, options).await;
-    let checker = Checker::new(injector.ended_missions_max(), lease_terms(config.seed).lease);
+    let checker = Checker::new(injector.ended_missions_max(), lease_terms(config.seed).lease, schedule);
     let executor = ActionExecutor::new(composition.clone(), injector, workload);
     let mut run = Run { fleet, executor, checker };
     for node in composition.nodes() {
@@ -457,10 +458,12 @@ struct Checker {
 const EVENT_LINES_MAX: usize = 80;
 
 impl Checker {
-    fn new(ended_missions_max: usize, lease: Duration) -> Checker {
+    fn new(ended_missions_max: usize, lease: Duration, schedule: &Schedule) -> Checker {
+        let cancelations = schedule.cancelations().into_iter();
+        let cancelations = cancelations.map(|(number, selection)| (person(number), selection)).collect();
         let grown = tokio::sync::watch::Sender::new(0).subscribe();
         Checker {
-            invariants: invariants::all(ended_missions_max, lease),
+            invariants: invariants::all(ended_missions_max, lease, cancelations),
             seen: 0,
             ended: BTreeSet::new(),
             grown,

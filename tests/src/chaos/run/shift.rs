@@ -89,7 +89,7 @@ async fn execute(setup: &ShiftSetup) -> FaultyShift {
     let people = work::nurses(&rooms);
     let fleet = Fleet::hospital_with(setup.seed, members, &composition.stations, people, options).await;
     let record = Rc::new(RefCell::new(ShiftRecord::new(&fleet, composition.carriers.iter().copied())));
-    let mut checker = Checker::new(injector.ended_missions_max(), lease_terms(setup.seed).lease);
+    let mut checker = Checker::new(injector.ended_missions_max(), lease_terms(setup.seed).lease, &schedule);
     checker.invariants.push(Box::new(Recorded {
         record: Rc::clone(&record),
         interval: setup.interval(),
@@ -223,7 +223,7 @@ impl Invariant for Recorded {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chaos::FIRST_SEED_WITH_CLOSURES;
+    use crate::chaos::FIRST_SEED_WITH_ALARMS;
     use crate::chaos::schedule::CARRIER_OF;
 
     #[test]
@@ -238,8 +238,8 @@ mod tests {
         let rooms = work::rooms(0);
         let composition = ChaosFleet::of_shift(12, 2);
         let (mut faults, mut of_carriers) = (0, 0);
-        // The later seeds generate orders of people and closures, too.
-        for seed in (1..=10).chain(FIRST_SEED_WITH_CLOSURES..FIRST_SEED_WITH_CLOSURES + 10) {
+        // The later seeds generate requests of people of all kinds, too.
+        for seed in (1..=10).chain(FIRST_SEED_WITH_ALARMS..FIRST_SEED_WITH_ALARMS + 10) {
             let setup = ShiftSetup { seed, ..setup };
             let mut chance = ChaCha8Rng::seed_from_u64(seed);
             let steps = schedule(&setup, &composition, work::draw_requests(&setup, &rooms, &mut chance)).steps;
@@ -255,6 +255,10 @@ mod tests {
                         | ChaosAction::ChangeSchedule { .. }
                         | ChaosAction::Order { .. }
                         | ChaosAction::Closure { .. }
+                        | ChaosAction::Alarm { .. }
+                        | ChaosAction::SpeedLimit { .. }
+                        | ChaosAction::ChangeMission { .. }
+                        | ChaosAction::CancelMissions { .. }
                         | ChaosAction::Battery { .. }
                         | ChaosAction::Remove { .. }
                         | ChaosAction::Hostile { .. }
