@@ -2,9 +2,9 @@
 
 use super::{readable, readable_or_default};
 use crate::ensemble::{ExchangedValue, Membership};
-use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
+use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType, ZoneId};
 use crate::knowledge::RobotKnowledge;
-use crate::ledger::{Alarm, Closure, RobotOrders, SpeedLimit};
+use crate::ledger::{Alarm, AlarmPlan, Closure, RobotOrders, SpeedLimit};
 use crate::scalar::Scalar;
 use crate::units::{BatteryShare, Seconds};
 use schemars::JsonSchema;
@@ -38,6 +38,20 @@ pub struct FleetView {
     /// Chargers that are leased, or for which robots wait, in the order of their names.
     #[serde(default, deserialize_with = "readable")]
     pub chargers: Vec<ChargerView>,
+    /// Names that people may use in orders, by the fleet file of the replying node.
+    #[serde(default, deserialize_with = "readable_or_default")]
+    pub declared: DeclarationsView,
+}
+
+/// What a fleet file declares for orders of people.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct DeclarationsView {
+    /// Alarms, with their plans.
+    #[serde(default)]
+    pub alarms: BTreeMap<AlarmId, AlarmPlan>,
+    /// Zones, with their places.
+    #[serde(default)]
+    pub zones: BTreeMap<ZoneId, BTreeSet<PlaceId>>,
 }
 
 /// Charging of a fleet by the robots themselves.

@@ -38,9 +38,9 @@ pub use auction::{AuctionView, AuctionsView};
 pub use audit::AuditView;
 pub use coordinator::{AutopilotView, CoordinatorView, VoterChange};
 pub use fleet::{
-    ChargerLeaseView, ChargerView, ChargingView, Contact, EnsembleKnowledgeView, EnsembleMember, EnsembleView,
-    EnsemblesView, FleetView, HeldRole, MemberKnowledge, NodeStatus, NodeTraits, NodeView, PromisedRoleView,
-    PublishedRecord, RobotView,
+    ChargerLeaseView, ChargerView, ChargingView, Contact, DeclarationsView, EnsembleKnowledgeView, EnsembleMember,
+    EnsembleView, EnsemblesView, FleetView, HeldRole, MemberKnowledge, NodeStatus, NodeTraits, NodeView,
+    PromisedRoleView, PublishedRecord, RobotView,
 };
 pub use health::{HealthFinding, HealthLevel, HealthView};
 pub use map::{DoorView, LaneView, LevelView, LiftView, MapBounds, MapView, PlaceView, WallView};

@@ -30,6 +30,7 @@ use consort_protocol::knowledge::{Attributes, Knowledge};
 use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::{BootstrapRequest, Exchange, FollowedLeader};
 use consort_protocol::timing::TimingParameters;
+use consort_protocol::view::DeclarationsView;
 use consort_raft::store::CheckpointStore;
 use consort_raft::{ApplyObserver, LeadershipView, LogStore, RaftSettings, Replica};
 use ractor::{Actor, ActorRef};
@@ -365,6 +366,10 @@ impl Assembly {
             exchanges: self.exchanges.clone(),
             map: self.fleet.map.clone(),
             charging: self.fleet.charging.as_deref().map(Into::into),
+            declared: DeclarationsView {
+                alarms: (*self.fleet.alarms).clone(),
+                zones: self.fleet.domain.zones().clone(),
+            },
             beacon_interval: self.times.beacon_interval,
         };
         Ok(views.serve(&mut self.tasks).await?)

@@ -209,6 +209,7 @@ impl ViewContext<'_> {
             alarms,
             charging: self.views.charging.clone(),
             chargers: self.chargers(),
+            declared: self.views.declared.clone(),
         }
     }
 

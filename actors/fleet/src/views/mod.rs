@@ -47,7 +47,7 @@ use consort_protocol::ids::{EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::units::NodeTime;
-use consort_protocol::view::{ChargingView, MapView, RobotView};
+use consort_protocol::view::{ChargingView, DeclarationsView, MapView, RobotView};
 use consort_raft::{RaftId, Replica};
 use draw::{DriverValues, ViewContext, json, millis};
 use ractor::ActorRef;
@@ -109,6 +109,8 @@ pub(crate) struct Views {
     pub(crate) map: Option<Arc<MapView>>,
     /// Charging by the robots themselves.
     pub(crate) charging: Option<ChargingView>,
+    /// Names that people may use in orders.
+    pub(crate) declared: DeclarationsView,
     /// Interval of a coordinator's beacons.
     pub(crate) beacon_interval: Duration,
 }

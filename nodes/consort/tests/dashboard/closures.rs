@@ -41,7 +41,7 @@ pub(crate) fn is_drawn(colour: &str, place: &str, (right, down): (i32, i32)) -> 
 }
 
 /// Returns an expression that is true if the map shows that a place is closed.
-fn sign(place: &str) -> String {
+pub(crate) fn sign(place: &str) -> String {
     is_drawn("bad", place, (0, -7))
 }
 
@@ -58,7 +58,7 @@ fn click_on_map(browser: &Browser, place: &str) {
 }
 
 /// Selects a place or lane in the choice; the choice gets the focus.
-fn select(browser: &Browser, part: &str) {
+pub(crate) fn select(browser: &Browser, part: &str) {
     browser.value(&format!(
         "((choice) => {{ choice.value = {part:?}; choice.dispatchEvent(new Event('change')); choice.focus(); }})(document.querySelector('#part'))"
     ));

@@ -5,6 +5,7 @@
 //! Screenshots are stored in `target/tmp/dashboard/`. With `CONSORT_PICTURES` set, the same tests
 //! also write the screenshots in `docs/`.
 
+mod alarms;
 mod browser;
 mod closed;
 mod closures;

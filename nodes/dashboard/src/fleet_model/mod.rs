@@ -33,11 +33,12 @@ pub use state::{
     ReachabilityState, RobotModel, Takeover,
 };
 
-use consort_protocol::ledger::Closure;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::ledger::{Alarm, AlarmPlan, Closure, SpeedLimit};
 use consort_protocol::view::{ChargingView, HealthFinding};
 use serde::Serialize;
 use serde_json::{Map, Value};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use tracked::TrackedMap;
 
@@ -51,8 +52,12 @@ pub mod bounds {
     pub(crate) const AUCTIONS: usize = 60;
     /// Bars of a mission on the chart.
     pub const BARS: usize = 200;
-    /// Closed zones, places and lanes. The ledger's limit is smaller.
+    /// Closures, and speed limits, each. The ledger's limits are smaller.
     pub(crate) const CLOSURES: usize = 1000;
+    /// Alarms in force, and alarms of the fleet file, each.
+    pub(crate) const ALARMS: usize = 16;
+    /// Zones of the fleet file.
+    pub(crate) const ZONES: usize = 1000;
     /// Promised roles of a robot.
     pub(crate) const NEXT_ROLES: usize = 64;
     /// Next occurrences of a schedule.
@@ -89,6 +94,14 @@ pub struct FleetModel {
     doors: TrackedMap<String, String>,
     /// Closed zones, places and lanes, by their texts, as `A – B`.
     closures: TrackedMap<String, Closure>,
+    /// Speed limits, by the texts of their zones, places and lanes.
+    speed_limits: TrackedMap<String, SpeedLimit>,
+    /// Alarms in force.
+    alarms: TrackedMap<String, Alarm>,
+    /// Plans of the alarms that people may raise.
+    declared_alarms: TrackedMap<String, AlarmPlan>,
+    /// Zones of the fleet file, with their places.
+    zones: TrackedMap<String, BTreeSet<PlaceId>>,
     missions: TrackedMap<String, MissionModel>,
     schedules: TrackedMap<String, ScheduleModel>,
     auctions: TrackedMap<String, AuctionModel>,
@@ -169,6 +182,10 @@ impl FleetModel {
         section("people", &mut self.people, drawn, &mut patch);
         section("doors", &mut self.doors, drawn, &mut patch);
         section("closures", &mut self.closures, drawn, &mut patch);
+        section("speed_limits", &mut self.speed_limits, drawn, &mut patch);
+        section("alarms", &mut self.alarms, drawn, &mut patch);
+        section("declared_alarms", &mut self.declared_alarms, drawn, &mut patch);
+        section("zones", &mut self.zones, drawn, &mut patch);
         section("missions", &mut self.missions, drawn, &mut patch);
         section("schedules", &mut self.schedules, drawn, &mut patch);
         section("auctions", &mut self.auctions, drawn, &mut patch);
@@ -185,6 +202,10 @@ impl FleetModel {
         self.people.mark_all_changed();
         self.doors.mark_all_changed();
         self.closures.mark_all_changed();
+        self.speed_limits.mark_all_changed();
+        self.alarms.mark_all_changed();
+        self.declared_alarms.mark_all_changed();
+        self.zones.mark_all_changed();
         self.missions.mark_all_changed();
         self.schedules.mark_all_changed();
         self.auctions.mark_all_changed();
@@ -225,6 +246,26 @@ impl FleetModel {
     /// Returns the log, by number.
     pub fn log(&self) -> &BTreeMap<u64, LogEntry> {
         &self.log
+    }
+
+    /// Returns the closures, by the texts of their zones, places and lanes.
+    pub fn closures(&self) -> &BTreeMap<String, Closure> {
+        &self.closures
+    }
+
+    /// Returns the alarms in force, by name.
+    pub fn alarms(&self) -> &BTreeMap<String, Alarm> {
+        &self.alarms
+    }
+
+    /// Returns the plans of the alarms that people may raise, by name.
+    pub fn declared_alarms(&self) -> &BTreeMap<String, AlarmPlan> {
+        &self.declared_alarms
+    }
+
+    /// Returns the zones of the fleet file, by name.
+    pub fn zones(&self) -> &BTreeMap<String, BTreeSet<PlaceId>> {
+        &self.zones
     }
 
     /// Returns the people, by name.

@@ -195,6 +195,14 @@ impl FleetModel {
         }
         let closures = view.closures.into_iter().take(bounds::CLOSURES);
         self.closures.replace(closures.map(|closure| (closure.part.to_string(), closure)).collect());
+        let limits = view.speed_limits.into_iter().take(bounds::CLOSURES);
+        self.speed_limits.replace(limits.map(|limit| (limit.part.to_string(), limit)).collect());
+        let alarms = view.alarms.into_iter().take(bounds::ALARMS);
+        self.alarms.replace(alarms.map(|alarm| (alarm.alarm.to_string(), alarm)).collect());
+        let declared = view.declared.alarms.into_iter().take(bounds::ALARMS);
+        self.declared_alarms.replace(declared.map(|(name, plan)| (name.to_string(), plan)).collect());
+        let zones = view.declared.zones.into_iter().take(bounds::ZONES);
+        self.zones.replace(zones.map(|(name, places)| (name.to_string(), places)).collect());
     }
 
     /// Applies the record of a robot, the orders of people to it, and the roles that it gets later.

@@ -41,6 +41,7 @@ assets! {
     "/gantt.js" "text/javascript; charset=utf-8" "assets/gantt.js",
     "/sprites.js" "text/javascript; charset=utf-8" "assets/sprites.js",
     "/schedule.js" "text/javascript; charset=utf-8" "assets/schedule.js",
+    "/alarms.js" "text/javascript; charset=utf-8" "assets/alarms.js",
     "/auctions.js" "text/javascript; charset=utf-8" "assets/auctions.js",
     "/fleet.js" "text/javascript; charset=utf-8" "assets/fleet.js",
     "/calendar.js" "text/javascript; charset=utf-8" "assets/calendar.js",

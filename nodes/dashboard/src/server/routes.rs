@@ -61,6 +61,8 @@ pub(super) fn router(
         .route("/api/maintenance", order(ApiCall::Maintenance))
         .route("/api/close", order(ApiCall::Close))
         .route("/api/open", order(ApiCall::Open))
+        .route("/api/limit", order(ApiCall::Limit))
+        .route("/api/alarm", order(ApiCall::Alarm))
         .route("/api/audit", guarded(required_scope(ApiCall::Audit), get(audit_trail)))
         .route("/api/audit.jsonl", guarded(required_scope(ApiCall::Audit), get(export_audit_trail)))
         .route("/api/requests", guarded(AccessScope::Read, get(requests)))
@@ -229,7 +231,7 @@ async fn change_schedule(
     Ok(reply_of(forwarder.act(ApiCall::Schedule, fields, client.as_ref()).await))
 }
 
-/// Forwards an order to robots, or the closure or opening of places and lanes.
+/// Forwards an order that names its subjects: robots, missions, roles, alarms, or places and lanes.
 async fn forward_order(
     State(shared): State<DashboardState>,
     Extension(call): Extension<ApiCall>,

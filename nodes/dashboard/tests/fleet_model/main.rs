@@ -410,6 +410,30 @@ fn closures_are_those_of_the_latest_view() {
 }
 
 #[test]
+fn alarms_and_speed_limits_are_those_of_the_latest_view() {
+    let mut model = model();
+    let mut view = fleet(json!([]));
+    let order = json!({ "by": "Nia", "reason": "smoke", "since_ms": 5, "until_ms": null });
+    let plan = json!({ "robots": "assemble", "places": ["Dock"], "closes": [{ "lane": ["A", "B"] }] });
+    view["alarms"] = json!([{ "alarm": "fire", "plan": plan, "order": order }]);
+    view["speed_limits"] = json!([{ "part": { "place": "IC Room 6" }, "speed_mps": 0.3, "order": order }]);
+    view["declared"] = json!({ "alarms": { "fire": plan }, "zones": { "icu": ["IC Room 5", "IC Room 6"] } });
+    model.apply_view(&Key::ViewFleet, &view, NOW);
+    let order = json!({ "by": "Nia", "reason": "smoke", "since_ms": 5 });
+    let rendered = model.to_json();
+    assert_eq!(rendered["alarms"], json!({ "fire": { "alarm": "fire", "plan": plan, "order": order } }));
+    let limit = json!({ "part": { "place": "IC Room 6" }, "speed_mps": 0.3, "order": order });
+    assert_eq!(rendered["speed_limits"], json!({ "IC Room 6": limit }));
+    assert_eq!(rendered["declared_alarms"], json!({ "fire": plan }));
+    assert_eq!(rendered["zones"], json!({ "icu": ["IC Room 5", "IC Room 6"] }));
+    model.apply_view(&Key::ViewFleet, &fleet(json!([])), NOW);
+    let rendered = model.to_json();
+    for section in ["alarms", "speed_limits", "declared_alarms", "zones"] {
+        assert_eq!(rendered[section], json!({}), "{section}");
+    }
+}
+
+#[test]
 fn consecutive_patches_equal_the_whole_model() {
     let mut model = model();
     let (mut drawn, mut seen) = (Value::Null, Value::Null);

@@ -1,5 +1,6 @@
 // Entry point: draws changed sections at most once per browser frame, and only in the open panel.
 
+import * as alarms from './alarms.js';
 import * as auctions from './auctions.js';
 import * as audit from './audit.js';
 import * as calendar from './calendar.js';
@@ -25,6 +26,9 @@ import * as theme from './theme.js';
 
 /** Minimum time between table updates, in milliseconds: faster updates cannot be read. */
 const TABLE_INTERVAL = 400;
+
+/** Sections that the map shows. */
+const ON_MAP = ['robots', 'people', 'doors', 'closures', 'alarms', 'charging', 'map'];
 
 const selected = { robot: undefined, part: undefined, mission: undefined };
 const dirty = new Set();
@@ -62,7 +66,7 @@ const connection = open({
       submit.setPlaces(model);
       closures.setMap(model.map);
     }
-    if (!patch || patch.robots || patch.people || patch.doors || patch.closures || patch.charging || patch.map) map.update(model, patch);
+    if (!patch || ON_MAP.some((section) => patch[section])) map.update(model, patch);
     markDirty(...(patch ? Object.keys(patch) : Object.keys(model)));
   },
   onState: () => tick(),
@@ -90,7 +94,8 @@ function draw() {
     updateRobot();
   }
   if (isDirty('robots', 'charging', 'map')) chargers.update(model);
-  if (isDirty('closures', 'map')) closures.update(model, selected.part);
+  if (isDirty('alarms', 'declared_alarms')) alarms.update(model);
+  if (isDirty('closures', 'alarms', 'map')) closures.update(model, selected.part);
   if ((isOpen('missions') || isOpen('history')) && isDirty('missions')) {
     missions.update(model, connection.now(), { mission: selected.mission, select: selectMission, cancel: submit.cancel, resolve: submit.resolve });
     dirty.delete('missions');
@@ -129,6 +134,7 @@ auctions.start(redrawAll);
 log.start(redrawAll);
 orderForm.start();
 orders.start();
+alarms.start();
 closures.start(selectPart);
 audit.start(() => isOpen('audit'));
 const openMission = (mission) => {

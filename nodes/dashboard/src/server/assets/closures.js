@@ -3,7 +3,7 @@
 import { byId, cells, make, moment, rows, setText } from './dom.js';
 import { valuesAhead } from './missions.js';
 import { ask, confirmOrder, orderText } from './order_form.js';
-import { closedNames, laneName, placesOf, reachable } from './places.js';
+import { closedNames, laneName, partName, placesOf, reachable } from './places.js';
 
 /** Effects of closures. */
 const OF_PLACE = 'No robot enters it, or drives a lane to it. A robot inside may leave.';
@@ -44,7 +44,11 @@ export function update(shown, part) {
   byId('part').value = parts.has(part) ? part : '';
   const closure = model.closures?.[part];
   const open = part ? 'No closure is known.' : 'Select a place or lane, here or on the map, to close it.';
-  const states = [closure && orderText('closed', closure.order), ...closedZonesWith(part).map((zone) => `in the closed ${zone}`)];
+  const states = [
+    closure && orderText('closed', closure.order),
+    ...closedZonesWith(part).map((zone) => `in the closed ${zone}`),
+    ...alarmsThatClose(part).map((alarm) => `closed by the alarm ${alarm}`),
+  ];
   setText(byId('part-head'), part ?? 'No place or lane is selected');
   setText(byId('part-state'), states.filter(Boolean).join('; ') || open);
   // An opened zone is on no map.
@@ -66,6 +70,11 @@ export function update(shown, part) {
 /** Returns the names of the closed zones with a place. */
 const closedZonesWith = (place) => Object.entries(model.closures ?? {}).filter(([, { part }]) => part.zone?.places.includes(place)).map(([name]) => name);
 
+/** Returns the names of the alarms that close a place or lane. */
+const alarmsThatClose = (name) => Object.entries(model.alarms ?? {})
+  .filter(([, { plan }]) => plan.closes.some((part) => partName(part) === name || placesOf(part).includes(name)))
+  .map(([alarm]) => alarm);
+
 /** Returns a place, lane or zone, which may be missing on the present map. */
 const partOf = (name) => model.closures?.[name]?.part ?? parts.get(name) ?? { place: name };
 
@@ -82,7 +91,7 @@ function affectedBy(name) {
   });
   // Only robots with a speed drive.
   const starts = robots.filter(([, robot]) => robot.alive && robot.speed).map(([, robot]) => robot.place);
-  const closed = closedNames(model.closures);
+  const closed = closedNames(model);
   const [before, after] = [closed, new Set([...closed, ...(part.lane ? [name] : within)])].map((all) => reachable(lanes, starts, all));
   const needed = Object.entries(model.missions ?? {}).filter(([, mission]) => !mission.ended).flatMap(([id, mission]) =>
     [...new Set(valuesAhead(mission))].flatMap((place) => {
@@ -98,9 +107,9 @@ function give(button) {
   const request = lane ? { lanes: [lane] } : { places: [zone?.name ?? place] };
   const title = `${button.textContent}: ${selected}`;
   if (button.dataset.order === 'open') {
-    const zones = closedZonesWith(selected);
-    const effect = zones.length ? `It stays closed while ${zones.join(' and ')} is closed.` : 'Robots may enter it again.';
-    confirmOrder(button, { title, effect, affected: [], path: '/api/open', request, done: zones.length ? `${selected} has no closure of its own` : `${selected} is open` });
+    const others = [...closedZonesWith(selected).map((zone) => `${zone} is closed`), ...alarmsThatClose(selected).map((alarm) => `the alarm ${alarm} lasts`)];
+    const effect = others.length ? `It stays closed while ${others.join(' and while ')}.` : 'Robots may enter it again.';
+    confirmOrder(button, { title, effect, affected: [], path: '/api/open', request, done: others.length ? `${selected} has no closure of its own` : `${selected} is open` });
     return;
   }
   const affected = affectedBy(selected);

@@ -3,7 +3,7 @@
 
 import { chargersOf } from './chargers.js';
 import { byId, make } from './dom.js';
-import { closedNames, laneName, placesOf } from './places.js';
+import { assemblyPlaces, closedNames, laneName, placesOf } from './places.js';
 import { sheet } from './sprites.js';
 
 const canvas = byId('map');
@@ -27,6 +27,8 @@ let doors = {};
 /** Closures by name, and the names of all closed places and lanes. */
 let closures = {};
 let closed = new Set();
+/** Assembly places of the alarms in force. */
+let assembly = new Set();
 /** Chargers with their robots, by place. */
 let chargers = new Map();
 let level;
@@ -129,8 +131,10 @@ export function update(model, patch) {
   people = model.people ?? {};
   doors = model.doors ?? {};
   closures = model.closures ?? {};
-  closed = closedNames(closures);
+  closed = closedNames(model);
   byId('closure-sign').hidden = closed.size === 0;
+  assembly = assemblyPlaces(model);
+  byId('assembly-sign').hidden = assembly.size === 0;
   chargers = chargersOf(model);
   byId('charger-sign').hidden = chargers.size === 0;
   const robots = model.robots ?? {};
@@ -277,6 +281,7 @@ function draw(now) {
   pen.restore();
   drawChargers();
   drawClosures();
+  drawAssemblyPlaces();
   for (const door of plan?.doors ?? []) if (door.level === level) for (const posts of door.posts) drawDoor(posts, doors[door.name]);
   const onLevel = [...moving].filter(([, { robot }]) => isOnLevel(robot));
   let interpolating = false;
@@ -356,6 +361,18 @@ function drawClosures() {
     pen.beginPath();
     pen.arc(x, y, 11, 0, 7);
     pen.stroke();
+  }
+}
+
+/** Draws a framed square behind the robots at each assembly place. */
+function drawAssemblyPlaces() {
+  for (const place of [...assembly].map((name) => places[name])) {
+    if (place?.level !== level) continue;
+    const [x, y] = at(place.x_m, place.y_m);
+    pen.fillStyle = colours.good;
+    pen.fillRect(x - 10, y - 10, 20, 20);
+    pen.fillStyle = colours.floor;
+    pen.fillRect(x - 5, y - 5, 10, 10);
   }
 }
 

@@ -23,7 +23,7 @@ const ORDERS = {
     role: 'is completed',
     done: 'taken out of service',
     end: 'until',
-    needsReason: true,
+    reason: 'required',
   },
   end: {
     path: '/api/maintenance',

@@ -1,14 +1,25 @@
-// Places, lanes and zones of the map, as closures name them.
+// Places, lanes and zones of the map, as orders name them.
 
 /** Returns the name of the lane between two places, the same in both directions. */
 export const laneName = (a, b) => (a < b ? `${a} – ${b}` : `${b} – ${a}`);
 
-/** Returns the places of a part of a closure: those of a zone, or the place; none for a lane. */
+/** Returns the name of a place, a lane or a zone in an order. */
+export const partName = ({ zone, place, lane }) => (zone ? `zone ${zone.name}` : place ?? laneName(...lane));
+
+/** Returns the places of a part of an order: those of a zone, or the place; none for a lane. */
 export const placesOf = ({ zone, place }) => zone?.places ?? (place === undefined ? [] : [place]);
 
-/** Returns the names of the closed lanes, and of the closed places, also of those in closed zones. */
-export const closedNames = (closures = {}) =>
-  new Set(Object.entries(closures).flatMap(([name, { part }]) => (part.lane ? [name] : placesOf(part))));
+/** Returns the names of the lanes that people or alarms have closed, and of the closed places, also of those in closed zones. */
+export function closedNames({ closures = {}, alarms = {} }) {
+  const parts = [...Object.values(closures).map(({ part }) => part), ...Object.values(alarms).flatMap(({ plan }) => plan.closes)];
+  return new Set(parts.flatMap((part) => (part.lane ? [partName(part)] : placesOf(part))));
+}
+
+/** Returns the assembly places of the alarms in force; none while an alarm lets all robots stand still. */
+export function assemblyPlaces({ alarms = {} }) {
+  const plans = Object.values(alarms).map(({ plan }) => plan);
+  return new Set(plans.every(({ robots }) => robots === 'assemble') ? plans.flatMap(({ places }) => places) : []);
+}
 
 /**
  * Returns the places that can be reached from others along lanes without entering a closed place or
