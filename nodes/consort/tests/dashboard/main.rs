@@ -13,6 +13,7 @@ mod demo_fleet;
 mod doors_and_interventions;
 mod many_robots;
 mod mission_files;
+mod mission_orders;
 mod orders;
 mod people;
 mod recording;

@@ -38,6 +38,7 @@ assets! {
     "/robot.js" "text/javascript; charset=utf-8" "assets/robot.js",
     "/robots.js" "text/javascript; charset=utf-8" "assets/robots.js",
     "/missions.js" "text/javascript; charset=utf-8" "assets/missions.js",
+    "/mission_orders.js" "text/javascript; charset=utf-8" "assets/mission_orders.js",
     "/gantt.js" "text/javascript; charset=utf-8" "assets/gantt.js",
     "/sprites.js" "text/javascript; charset=utf-8" "assets/sprites.js",
     "/schedule.js" "text/javascript; charset=utf-8" "assets/schedule.js",

@@ -4,13 +4,16 @@ import { enable } from './dom.js';
 import { send } from './request.js';
 import { announce } from './status.js';
 
-/** Asks `question`, and sends a request if the answer is yes. `done` announces its success. */
+/**
+ * Asks `question`, and sends a request if the answer is yes. `done` announces its success, or is a function that returns
+ * the announcement for a reply and throws what was not done.
+ */
 export async function confirmAndSend(button, question, path, value, done) {
   if (!confirm(question)) return;
   button.disabled = true;
   try {
-    await send('POST', path, value);
-    announce(done);
+    const reply = await send('POST', path, value);
+    announce(typeof done === 'function' ? done(reply) : done);
   } catch (problem) {
     announce(problem.message);
     alert(problem.message);

@@ -11,6 +11,7 @@ import * as fleet from './fleet.js';
 import { open } from './connection.js';
 import * as log from './log.js';
 import * as map from './map.js';
+import * as missionOrders from './mission_orders.js';
 import * as missions from './missions.js';
 import * as orderForm from './order_form.js';
 import * as orders from './orders.js';
@@ -88,6 +89,7 @@ function draw() {
   const { model } = connection;
   const isDirty = (...sections) => sections.some((section) => dirty.has(section));
   status.update(model);
+  missionOrders.update(model);
   if (isDirty('log')) log.alarms(model, replay.hasSeeked());
   if (isDirty('robots', 'people', 'doors')) {
     robots.update(model, selected.robot, selectRobot);
@@ -97,7 +99,7 @@ function draw() {
   if (isDirty('alarms', 'declared_alarms')) alarms.update(model);
   if (isDirty('closures', 'alarms', 'map')) closures.update(model, selected.part);
   if ((isOpen('missions') || isOpen('history')) && isDirty('missions')) {
-    missions.update(model, connection.now(), { mission: selected.mission, select: selectMission, cancel: submit.cancel, resolve: submit.resolve });
+    missions.update(model, connection.now(), { mission: selected.mission, select: selectMission, actions: { cancel: submit.cancel, resolve: submit.resolve, ...missionOrders } });
     dirty.delete('missions');
   }
   if (isOpen('schedule') && isDirty('missions', 'robots')) schedule.update(model, connection.now());
@@ -135,6 +137,7 @@ log.start(redrawAll);
 orderForm.start();
 orders.start();
 alarms.start();
+missions.start(() => markDirty('missions'));
 closures.start(selectPart);
 audit.start(() => isOpen('audit'));
 const openMission = (mission) => {

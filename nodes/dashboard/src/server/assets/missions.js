@@ -1,6 +1,6 @@
 // Missions: the list, and the selected mission with its tree, roles, steps and chart.
 
-import { byId, cells, clock, make, meter, note, numberCell, redraw, rows, since, span, state, readable } from './dom.js';
+import { byId, cells, clock, make, meter, note, numberCell, redraw, rows, setText, since, span, state, readable } from './dom.js';
 import { chart } from './gantt.js';
 
 const KINDS = { completed: 'good', running: 'work', pending: 'wait', failed: 'bad', canceled: 'warn', needs_intervention: 'bad' };
@@ -10,13 +10,35 @@ export const badge = (mission) => state(KINDS[mission.state] ?? 'wait', readable
 
 const latestFirst = (model) => Object.entries(model.missions ?? {}).sort(([, a], [, b]) => b.number - a.number);
 
-/** Shows the list and the selected mission; the default is the latest running mission. */
-export function update(model, now, { mission: selected, select, cancel, resolve }) {
+/** Calls `onChange` when the filter of the list has changed. */
+export function start(onChange) {
+  byId('missions-filter').oninput = onChange;
+  byId('missions-filter').onsubmit = (event) => event.preventDefault();
+}
+
+/** Checks whether a mission fits the filter of the list: its state, and a text in its id, its parameters or its robots. */
+function isListed([id, { state, ended, parameters, holders }]) {
+  const [wanted, text] = [byId('missions-state').value, byId('missions-text').value.trim().toLowerCase()];
+  const texts = [id, ...Object.values(parameters ?? {}), ...Object.values(holders ?? {})];
+  return (!wanted || wanted === state || (wanted === 'active' && !ended)) && texts.some((value) => value.toLowerCase().includes(text));
+}
+
+/**
+ * Shows the list and the selected mission; the default is the latest running mission. `actions` are those of the buttons:
+ * of the mission, of its roles, and of the list.
+ */
+export function update(model, now, { mission: selected, select, actions }) {
   const all = latestFirst(model);
-  byId('missions-none').hidden = all.length > 0;
-  byId('missions').hidden = all.length === 0;
+  const listed = all.filter(isListed).slice(0, 100);
+  setText(byId('missions-none'), all.length ? 'No mission fits the filter.' : 'No mission is known yet.');
+  byId('missions-none').hidden = listed.length > 0;
+  byId('missions').hidden = listed.length === 0;
+  const active = listed.filter(([, { ended }]) => !ended).map(([id]) => id);
+  const cancelListed = byId('cancel-listed');
+  cancelListed.disabled = active.length === 0;
+  cancelListed.onclick = () => actions.cancelAll(cancelListed, active);
   const current = all.find(([id]) => id === selected) ?? all.find(([, mission]) => mission.state === 'running') ?? all.find(([, mission]) => !mission.ended) ?? all[0];
-  const items = all.slice(0, 100).map(([key, mission]) => ({
+  const items = listed.map(([key, mission]) => ({
     key,
     state: mission.state,
     done: mission.done,
@@ -40,12 +62,12 @@ export function update(model, now, { mission: selected, select, cancel, resolve 
   history(all.filter(([, mission]) => mission.ended));
   const article = byId('mission');
   article.hidden = !current;
-  if (current) detail(article, ...current, now, { cancel, resolve });
+  if (current) detail(article, ...current, now, actions);
 }
 
 const holders = (holders) => Object.entries(holders ?? {}).map(([role, robot]) => `${robot} (${role})`).join(', ') || '–';
 
-function detail(article, id, mission, now, { cancel, resolve }) {
+function detail(article, id, mission, now, actions) {
   const shown = JSON.stringify([id, mission]);
   const figure = article.querySelector('.gantt');
   if (article.shown === shown && figure) {
@@ -54,18 +76,27 @@ function detail(article, id, mission, now, { cancel, resolve }) {
   }
   article.shown = shown;
   const head = make('header', {}, make('h3', {}, id), badge(mission));
+  const act = (key, text, className, action) => {
+    const button = make('button', { type: 'button', className, 'data-key': key }, text);
+    button.onclick = () => action(button);
+    return button;
+  };
   if (!mission.ended) {
-    const button = make('button', { type: 'button', className: 'danger' }, 'Cancel mission');
-    button.dataset.key = 'cancel';
-    button.onclick = () => cancel(id, button);
-    head.append(button);
+    head.append(
+      act('priority', 'Change priority', '', (button) => actions.changePriority(button, id)),
+      act('cancel', 'Cancel mission', 'danger', (button) => actions.cancel(button, id)),
+    );
   }
-  if (mission.state === 'needs_intervention') {
-    const button = make('button', { type: 'button', className: 'primary' }, 'Resolve');
-    button.dataset.key = 'resolve';
-    button.onclick = () => resolve(id, mission);
-    head.append(button);
-  }
+  if (mission.state === 'needs_intervention') head.append(act('resolve', 'Resolve', 'primary', () => actions.resolve(id, mission)));
+  /** Returns the buttons of a role of robots that has not ended. */
+  const orders = (name, { kind, phase, holder }) => {
+    if (mission.ended || kind === 'unmanaged' || phase === 'ended') return '–';
+    const order = (action, text) => act(`${action}-${name}`, text, '', (button) => actions[action](button, id, name));
+    return make('div', { className: 'orders' },
+      holder ? order('reassign', 'Reassign') : null,
+      ['open', 'promised'].includes(phase) ? order('pin', 'Pin') : null,
+      mission.orders?.[name] ? order('unpin', 'End order') : null);
+  };
   const notes = make('dl', { className: 'notes' });
   const add = (name, value) => value && notes.append(note(name, value));
   for (const [name, value] of Object.entries(mission.parameters ?? {})) add(name, value);
@@ -92,7 +123,7 @@ function detail(article, id, mission, now, { cancel, resolve }) {
     make('h3', {}, 'Tasks'),
     mission.tasks ? make('ul', { className: 'tree' }, tree(mission, 0)) : make('p', { className: 'muted' }, 'Its tasks are not known here yet.'),
     make('h3', {}, 'Roles'),
-    Object.keys(mission.roles ?? {}).length ? roles(mission) : make('p', { className: 'muted' }, 'Its roles are not known here yet.'),
+    Object.keys(mission.roles ?? {}).length ? roles(mission, orders) : make('p', { className: 'muted' }, 'Its roles are not known here yet.'),
   );
 }
 
@@ -148,9 +179,9 @@ function combined(marks) {
   return marks.some((mark) => mark !== 'open') ? 'running' : 'open';
 }
 
-function roles(mission) {
-  const table = make('table', {}, make('caption', { className: 'unseen' }, 'Roles of the mission, their holders and their steps'));
-  const head = ['Role', 'Holder', 'Steps'].map((text) => make('th', { scope: 'col' }, text));
+function roles(mission, orders) {
+  const table = make('table', {}, make('caption', { className: 'unseen' }, 'Roles of the mission, their holders, their steps and orders about them'));
+  const head = ['Role', 'Holder', 'Steps', 'Orders'].map((text) => make('th', { scope: 'col' }, text));
   const body = make('tbody');
   for (const [name, role] of Object.entries(mission.roles ?? {})) {
     const steps = role.steps ?? [];
@@ -162,7 +193,7 @@ function roles(mission) {
     const row = make('tr');
     const by = role.kind === 'unmanaged' ? 'a person' : role.holder ?? 'not assigned';
     const notes = [readable(role.phase), role.epoch && `epoch ${role.epoch}`, role.promise && planned(role.promise)];
-    cells(row, name, make('td', {}, by, make('span', { className: 'sub' }, notes.filter(Boolean).join(', '))), details);
+    cells(row, name, make('td', {}, by, make('span', { className: 'sub' }, notes.filter(Boolean).join(', '))), details, orders(name, role));
     body.append(row);
   }
   table.append(make('thead', {}, make('tr', {}, head)), body);

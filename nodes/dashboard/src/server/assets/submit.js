@@ -58,7 +58,7 @@ export function setPlaces(model) {
   places = placesOf(model);
 }
 
-export const cancel = (id, button) => confirmAndSend(button, `Cancel ${id}? Its robots stop safely.`, `/api/missions/${encodeURIComponent(id)}/cancel`, {}, `${id} is canceled`);
+export const cancel = (button, id) => confirmAndSend(button, `Cancel ${id}? Its robots stop safely.`, `/api/missions/${encodeURIComponent(id)}/cancel`, {}, `${id} is canceled`);
 
 /** Requests the name of the person who took care of robots' items, and resolves the mission. */
 export function resolve(id, mission) {
