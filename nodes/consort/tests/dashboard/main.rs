@@ -11,6 +11,7 @@ mod closed;
 mod closures;
 mod demo_fleet;
 mod doors_and_interventions;
+mod limits;
 mod many_robots;
 mod mission_files;
 mod mission_orders;

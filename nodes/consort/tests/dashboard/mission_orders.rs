@@ -37,7 +37,7 @@ fn open_form(browser: &Browser, key: &str, field: &str) {
 }
 
 /// Changes a field, as a user does.
-fn fill(browser: &Browser, selector: &str, value: &str) {
+pub(crate) fn fill(browser: &Browser, selector: &str, value: &str) {
     browser.value(&format!(
         "((field) => {{ field.value = {value:?}; field.dispatchEvent(new Event('input', {{ bubbles: true }})); }})(document.querySelector({selector:?}))"
     ));

@@ -29,7 +29,7 @@ import * as theme from './theme.js';
 const TABLE_INTERVAL = 400;
 
 /** Sections that the map shows. */
-const ON_MAP = ['robots', 'people', 'doors', 'closures', 'alarms', 'charging', 'map'];
+const ON_MAP = ['robots', 'people', 'doors', 'closures', 'speed_limits', 'alarms', 'zones', 'charging', 'map'];
 
 const selected = { robot: undefined, part: undefined, mission: undefined };
 const dirty = new Set();
@@ -63,10 +63,8 @@ const selectMission = (mission) => {
 const connection = open({
   onChange: (model, patch) => {
     replay.update(connection);
-    if (!patch || patch.map) {
-      submit.setPlaces(model);
-      closures.setMap(model.map);
-    }
+    if (!patch || patch.map) submit.setPlaces(model);
+    if (!patch || patch.map || patch.zones) closures.setParts(model);
     if (!patch || ON_MAP.some((section) => patch[section])) map.update(model, patch);
     markDirty(...(patch ? Object.keys(patch) : Object.keys(model)));
   },
@@ -97,7 +95,7 @@ function draw() {
   }
   if (isDirty('robots', 'charging', 'map')) chargers.update(model);
   if (isDirty('alarms', 'declared_alarms')) alarms.update(model);
-  if (isDirty('closures', 'alarms', 'map')) closures.update(model, selected.part);
+  if (isDirty('closures', 'speed_limits', 'alarms', 'zones', 'map')) closures.update(model, selected.part);
   if ((isOpen('missions') || isOpen('history')) && isDirty('missions')) {
     missions.update(model, connection.now(), { mission: selected.mission, select: selectMission, actions: { cancel: submit.cancel, resolve: submit.resolve, ...missionOrders } });
     dirty.delete('missions');

@@ -2,8 +2,8 @@
 // between two reports.
 
 import { chargersOf } from './chargers.js';
-import { byId, make } from './dom.js';
-import { assemblyPlaces, closedNames, laneName, placesOf } from './places.js';
+import { brief, byId, make } from './dom.js';
+import { assemblyPlaces, closedNames, laneName, partName, placesOf, zonePlaces } from './places.js';
 import { sheet } from './sprites.js';
 
 const canvas = byId('map');
@@ -15,6 +15,8 @@ const MARGIN = 26;
 const INTERPOLATION_MAX = 700;
 /** Distances in pixels within which a click selects a robot, a place or a lane. */
 const [ROBOT_NEAR, PLACE_NEAR, LANE_NEAR] = [24, 16, 8];
+/** Radius of the area around the places of a zone, and of the sign of a speed limit, in pixels. */
+const [ZONE_RADIUS, LIMIT_RADIUS] = [16, 10];
 /** Above this number of robots no tasks are shown below the names. */
 const TASKS = 40;
 
@@ -24,8 +26,11 @@ let places = {};
 let lanes = [];
 let people = {};
 let doors = {};
-/** Closures by name, and the names of all closed places and lanes. */
-let closures = {};
+/** Zones of the fleet file, places of all zones by their names in orders, and speed limits. */
+let zones = {};
+let within = new Map();
+let limits = [];
+/** Names of all closed places and lanes. */
 let closed = new Set();
 /** Assembly places of the alarms in force. */
 let assembly = new Set();
@@ -36,7 +41,7 @@ let scale = 1;
 let offset = [0, 0];
 let size = [0, 0];
 let colours = {};
-/** The selected robot, and the name of the selected place, lane or closed zone. */
+/** The selected robot, and the name of the selected place, lane or zone. */
 let chosen;
 let chosenPart;
 let stale = false;
@@ -77,7 +82,7 @@ export function start(onChoose, onChoosePart) {
 
 export function repaint() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ['floor', 'wall', 'lane', 'text', 'muted', 'accent', 'on-accent', 'bad', 'warn', 'good', 'person', 'card', 'line']) {
+  for (const name of ['floor', 'wall', 'lane', 'text', 'muted', 'zone', 'accent', 'on-accent', 'bad', 'warn', 'good', 'person', 'card', 'line']) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   layOut();
@@ -88,7 +93,7 @@ export function choose(robot) {
   requestFrame();
 }
 
-/** Highlights a place, a lane or the places of a closed zone, on its level. */
+/** Highlights a place, a lane or the places of a zone, on its level. */
 export function choosePart(part) {
   chosenPart = part;
   const [first] = namesOf(part);
@@ -101,8 +106,8 @@ export function choosePart(part) {
   requestFrame();
 }
 
-/** Returns the names of the places of a closed zone, or the name of a place or lane. */
-const namesOf = (part) => (closures[part]?.part.zone ? placesOf(closures[part].part) : [part]);
+/** Returns the names of the places of a zone, or the name of a place or lane. */
+const namesOf = (part) => within.get(part) ?? [part];
 
 /** For tests: returns the position of a place on the canvas, in pixels. */
 export const positionOf = (name) => at(places[name].x_m, places[name].y_m);
@@ -115,6 +120,8 @@ export function setStale(is) {
 }
 
 export function update(model, patch) {
+  zones = model.zones ?? {};
+  within = zonePlaces(model);
   if (!patch || patch.map) {
     plan = model.map;
     const levels = plan?.levels ?? [];
@@ -126,11 +133,15 @@ export function update(model, patch) {
     places = Object.fromEntries((plan?.places ?? []).map((place) => [place.name, place]));
     const end = (name) => [places[name].x_m, places[name].y_m];
     lanes = (plan?.lanes ?? []).map(({ between: [a, b] }) => ({ name: laneName(a, b), ends: [a, b], line: [end(a), end(b)], level: places[a].level }));
+  }
+  if (!patch || patch.map || patch.zones) {
+    byId('zone-sign').hidden = Object.keys(zones).length === 0;
     layOut();
   }
   people = model.people ?? {};
   doors = model.doors ?? {};
-  closures = model.closures ?? {};
+  limits = Object.values(model.speed_limits ?? {});
+  byId('limit-sign').hidden = limits.length === 0;
   closed = closedNames(model);
   byId('closure-sign').hidden = closed.size === 0;
   assembly = assemblyPlaces(model);
@@ -232,6 +243,7 @@ function drawStaticLayer(pen) {
   pen.fillStyle = colours.floor;
   pen.fillRect(0, 0, ...size);
   pen.lineCap = 'round';
+  for (const [name, area] of Object.entries(zones)) drawZone(pen, name, new Set(area));
   pen.strokeStyle = colours.lane;
   pen.lineWidth = 3;
   for (const lane of lanes) if (lane.level === level) path(pen, lane.line);
@@ -250,6 +262,22 @@ function drawStaticLayer(pen) {
     pen.fillStyle = colours.muted;
     pen.fillText(name, x, y - 15);
   }
+}
+
+/** Draws the places of a zone and the lanes between them as an area, with its name. */
+function drawZone(pen, name, area) {
+  const shown = [...area].map((place) => places[place]).filter((place) => place?.level === level).map((place) => [place.x_m, place.y_m]);
+  if (shown.length === 0) return;
+  pen.strokeStyle = colours.zone;
+  pen.fillStyle = colours.zone;
+  pen.lineWidth = 2 * ZONE_RADIUS;
+  for (const lane of lanes) if (lane.level === level && lane.ends.every((place) => area.has(place))) path(pen, lane.line);
+  for (const point of shown) dot(pen, ...at(...point), ZONE_RADIUS);
+  const [x, y] = shown.map((point) => at(...point)).reduce((top, point) => (point[1] < top[1] ? point : top));
+  pen.font = 'italic 11px system-ui, sans-serif';
+  pen.textAlign = 'center';
+  pen.fillStyle = colours.muted;
+  pen.fillText(`zone ${name}`, x, y - ZONE_RADIUS - 12);
 }
 
 function path(pen, points) {
@@ -280,6 +308,7 @@ function draw(now) {
   pen.drawImage(staticLayer, 0, 0);
   pen.restore();
   drawChargers();
+  drawLimits();
   drawClosures();
   drawAssemblyPlaces();
   for (const door of plan?.doors ?? []) if (door.level === level) for (const posts of door.posts) drawDoor(posts, doors[door.name]);
@@ -333,6 +362,34 @@ function drawChargers() {
     pen.fillStyle = colours.warn;
     pen.fillText(`${waiting.length} waiting`, x - 30, y + 4);
   }
+}
+
+/** Draws the lanes of each speed limit as broken lines, and signs with the speed beside its places or at the middle of its lane. */
+function drawLimits() {
+  const shown = lanes.filter((lane) => lane.level === level);
+  for (const { part, speed_mps: speed } of limits) {
+    const [name, limited] = [partName(part), new Set(placesOf(part))];
+    pen.strokeStyle = colours.warn;
+    pen.lineWidth = 3;
+    pen.setLineDash([8, 6]);
+    for (const lane of shown) if (lane.name === name || lane.ends.some((place) => limited.has(place))) path(pen, lane.line);
+    pen.setLineDash([]);
+    for (const { name: own, line: [[ax, ay], [bx, by]] } of shown) if (own === name) drawLimitSign(at((ax + bx) / 2, (ay + by) / 2), speed);
+    for (const place of [...limited].map((place) => places[place])) if (place?.level === level) drawLimitSign(at(place.x_m, place.y_m), speed);
+  }
+}
+
+function drawLimitSign([x, y], speed) {
+  pen.strokeStyle = colours.warn;
+  pen.fillStyle = colours.floor;
+  pen.beginPath();
+  pen.arc(x + 13, y - 13, LIMIT_RADIUS, 0, 7);
+  pen.fill();
+  pen.stroke();
+  pen.font = '600 9px system-ui, sans-serif';
+  pen.textAlign = 'center';
+  pen.fillStyle = colours.text;
+  pen.fillText(brief(speed), x + 13, y - 10);
 }
 
 /** Draws closed lanes as broken lines, closed places as signs of no entry, and what is selected. */

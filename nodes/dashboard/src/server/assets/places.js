@@ -6,6 +6,12 @@ export const laneName = (a, b) => (a < b ? `${a} – ${b}` : `${b} – ${a}`);
 /** Returns the name of a place, a lane or a zone in an order. */
 export const partName = ({ zone, place, lane }) => (zone ? `zone ${zone.name}` : place ?? laneName(...lane));
 
+/** Returns the places of zones by their names in orders: of the zones of the fleet file, and of those in limits and closures. */
+export const zonePlaces = ({ zones = {}, speed_limits: limits = {}, closures = {} }) => new Map([
+  ...Object.entries(zones).map(([name, places]) => [partName({ zone: { name } }), places]),
+  ...[...Object.values(limits), ...Object.values(closures)].filter(({ part }) => part.zone).map(({ part }) => [partName(part), part.zone.places]),
+]);
+
 /** Returns the places of a part of an order: those of a zone, or the place; none for a lane. */
 export const placesOf = ({ zone, place }) => zone?.places ?? (place === undefined ? [] : [place]);
 
