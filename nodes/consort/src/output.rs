@@ -66,6 +66,7 @@ pub struct Progress {
     bar: Option<ProgressBar>,
     /// True if lines are written without a terminal.
     in_lines: bool,
+    is_muted: bool,
     shown: String,
 }
 
@@ -78,7 +79,7 @@ impl Default for Progress {
 impl Progress {
     /// Creates a progress output without text.
     pub fn new() -> Progress {
-        Progress { bar: None, in_lines: true, shown: String::new() }
+        Progress { bar: None, in_lines: true, is_muted: false, shown: String::new() }
     }
 
     /// Creates a progress output that writes to terminals only: for text that changes all the time.
@@ -91,7 +92,7 @@ impl Progress {
     /// Shows the current activity.
     pub fn show(&mut self, text: impl Display) {
         let text = text.to_string();
-        if text == self.shown {
+        if self.is_muted || text == self.shown {
             return;
         }
         if stderr().is_terminal() {
@@ -100,6 +101,12 @@ impl Progress {
             note(&text);
         }
         self.shown = text;
+    }
+
+    /// Shows nothing from now on: the command draws on the whole terminal.
+    pub(crate) fn mute(&mut self) {
+        self.clear();
+        self.is_muted = true;
     }
 
     /// Shows a frequently changing text: on a terminal only, where it is overwritten.

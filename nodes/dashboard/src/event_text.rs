@@ -60,7 +60,7 @@ pub fn describe_event(event: &Event) -> EventText {
         }
         EventKind::RobotOrders { robot, orders } => normal("orders", format!("{robot} is {}", orders.state_text())),
         EventKind::AlarmChanged { raised: Some(raised), .. } => {
-            alarm("alarm", format!("the fleet is {}; {}", raised.text(), raised.plan_text()))
+            alarm("alarm", format!("the fleet is {}; {}", raised.text(), raised.plan.text()))
         }
         EventKind::AlarmChanged { alarm, raised: None } => normal("alarm", format!("alarm {alarm} is cleared")),
         EventKind::ClosureChanged { part, order } => normal("closure", part.state_text(order.as_ref())),

@@ -103,6 +103,22 @@ impl AlarmPlan {
         problems.extend(closed.map(|problem| format!("closes: {problem}")));
         problems
     }
+
+    /// Formats what the alarm demands, as `robots drive to the nearest of Dock, Yard; closed: Lift A`.
+    pub fn text(&self) -> String {
+        let AlarmPlan { robots, places, closes } = self;
+        let names = |names: Vec<String>| names.join(", ");
+        let robots = match robots {
+            AlarmResponse::Stop => "robots stand still".to_owned(),
+            AlarmResponse::Assemble => {
+                format!("robots drive to the nearest of {}", names(places.iter().map(PlaceId::to_string).collect()))
+            }
+        };
+        match closes.is_empty() {
+            true => robots,
+            false => format!("{robots}; closed: {}", names(closes.iter().map(MapPart::to_string).collect())),
+        }
+    }
 }
 
 impl Alarm {
@@ -116,22 +132,6 @@ impl Alarm {
     /// states it until the robot has received the all-clear.
     pub fn is_problem(problem: &str) -> bool {
         problem.starts_with(TEXT_PREFIX)
-    }
-
-    /// Formats what the alarm demands, as `robots drive to the nearest of Dock, Yard; closed: Lift A`.
-    pub fn plan_text(&self) -> String {
-        let AlarmPlan { robots, places, closes } = &self.plan;
-        let names = |names: Vec<String>| names.join(", ");
-        let robots = match robots {
-            AlarmResponse::Stop => "robots stand still".to_owned(),
-            AlarmResponse::Assemble => {
-                format!("robots drive to the nearest of {}", names(places.iter().map(PlaceId::to_string).collect()))
-            }
-        };
-        match closes.is_empty() {
-            true => robots,
-            false => format!("{robots}; closed: {}", names(closes.iter().map(MapPart::to_string).collect())),
-        }
     }
 }
 
@@ -242,7 +242,7 @@ mod tests {
         let fire = alarm(AlarmResponse::Assemble, &["Dock", "Yard"], &closes);
         assert_eq!(fire.text(), "under alarm fire by Nia: smoke");
         assert!(Alarm::is_problem(&fire.text()) && !Alarm::is_problem(&fire.order.hold_text()));
-        assert_eq!(fire.plan_text(), "robots drive to the nearest of Dock, Yard; closed: Lift A");
-        assert_eq!(alarm(AlarmResponse::Stop, &[], &[]).plan_text(), "robots stand still");
+        assert_eq!(fire.plan.text(), "robots drive to the nearest of Dock, Yard; closed: Lift A");
+        assert_eq!(alarm(AlarmResponse::Stop, &[], &[]).plan.text(), "robots stand still");
     }
 }

@@ -50,6 +50,6 @@ fn reply_text(AlarmsReply { alarms }: &AlarmsReply) -> String {
 
 /// Formats alarms, a line for each: `the fleet is under alarm fire by Nia: smoke; robots stand still`.
 pub(super) fn alarms_text(alarms: &[Alarm]) -> String {
-    let line = |alarm: &Alarm| format!("the fleet is {}; {}", alarm.text(), alarm.plan_text());
+    let line = |alarm: &Alarm| format!("the fleet is {}; {}", alarm.text(), alarm.plan.text());
     alarms.iter().map(line).collect::<Vec<_>>().join("\n")
 }

@@ -1,22 +1,30 @@
 //! The fleet on a terminal: a [`FleetModel`] drawn as text, and key bindings.
 //!
-//! It draws cells from values; `consort watch` reads the keys and writes to the terminal.
+//! It draws cells from values, and makes orders of keys; `consort watch` reads the keys, writes to the terminal, and
+//! sends the orders.
 
+mod dialog;
+mod order;
 mod panels;
 
+pub(crate) use order::Order;
+
 use consort_dashboard::fleet_model::{FleetModel, ReachabilityState};
+use consort_protocol::ledger::Alarm;
 use consort_text::count;
+use dialog::{Dialog, Outcome};
 use ratatui::Frame;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, Wrap};
 
 /// Minimum width for two columns.
 const WIDE: u16 = 110;
 
-/// Key bindings, for the last line.
-const KEYS: &str = " q quit   Tab next panel   ↑ ↓ PgUp PgDn move   the auction is that of the selected mission";
+/// Lines for a dialog or a note.
+const DIALOG_LINES: u16 = 3;
 
 /// A part of the screen with a selection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,12 +44,14 @@ impl Panel {
 }
 
 /// Result of a key press.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, PartialEq, Eq)]
 pub(crate) enum KeyOutcome {
     /// Continue.
     Continue,
     /// Quit.
     Quit,
+    /// Send an order, which the user has confirmed.
+    Order(Order),
 }
 
 /// Use of colours; without them bold and reverse have the same meaning.
@@ -86,23 +96,45 @@ pub(crate) struct Tui {
     /// The selected row of each panel, in the order of [`Panel::ALL`]; the log counts from the
     /// newest.
     rows: [usize; 4],
+    /// The open dialog, which takes all keys.
+    dialog: Option<Dialog>,
+    /// Result of the last order, until the next key.
+    note: Option<String>,
 }
 
 impl Tui {
     /// Creates the interface with the focus on the missions, the newest first.
     pub(crate) fn new(paint: ColorMode) -> Tui {
-        Tui { paint, focus: Panel::Missions, rows: [0; 4] }
+        Tui { paint, focus: Panel::Missions, rows: [0; 4], dialog: None, note: None }
+    }
+
+    /// Shows the result of an order until the next key.
+    pub(crate) fn show_note(&mut self, note: String) {
+        self.note = Some(note);
     }
 
     /// Handles a key press.
-    pub(crate) fn handle_key(&mut self, key: KeyEvent) -> KeyOutcome {
+    pub(crate) fn handle_key(&mut self, key: KeyEvent, model: &FleetModel) -> KeyOutcome {
         if key.kind == KeyEventKind::Release {
             return KeyOutcome::Continue;
+        }
+        if key.code == KeyCode::Char('c') && key.modifiers.contains(KeyModifiers::CONTROL) {
+            return KeyOutcome::Quit;
+        }
+        self.note = None;
+        if let Some(dialog) = &mut self.dialog {
+            let outcome = dialog.handle_key(key, model);
+            if outcome != Outcome::Open {
+                self.dialog = None;
+            }
+            return match outcome {
+                Outcome::Confirmed(order) => KeyOutcome::Order(order),
+                Outcome::Open | Outcome::Left => KeyOutcome::Continue,
+            };
         }
         let row = &mut self.rows[self.focus as usize];
         match key.code {
             KeyCode::Char('q') | KeyCode::Esc => return KeyOutcome::Quit,
-            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return KeyOutcome::Quit,
             KeyCode::Tab => self.focus = self.beside(1),
             KeyCode::BackTab => self.focus = self.beside(Panel::ALL.len() - 1),
             KeyCode::Down | KeyCode::Char('j') => *row = row.saturating_add(1),
@@ -110,7 +142,11 @@ impl Tui {
             KeyCode::PageDown => *row = row.saturating_add(10),
             KeyCode::PageUp => *row = row.saturating_sub(10),
             KeyCode::Home => *row = 0,
-            _ => {}
+            _ => match Dialog::of_key(key, (self.focus, *row), model) {
+                Some(Ok(dialog)) => self.dialog = Some(dialog),
+                Some(Err(problem)) => self.note = Some(problem.to_string()),
+                None => {}
+            },
         }
         KeyOutcome::Continue
     }
@@ -121,7 +157,8 @@ impl Tui {
 
     /// Draws the model at `now_ms`.
     pub(crate) fn draw(&mut self, frame: &mut Frame<'_>, model: &FleetModel, now_ms: u64) {
-        let lines = [Constraint::Length(2), Constraint::Min(0), Constraint::Length(1)];
+        let foot_lines = if self.dialog.is_some() || self.note.is_some() { DIALOG_LINES } else { 1 };
+        let lines = [Constraint::Length(2), Constraint::Min(0), Constraint::Length(foot_lines)];
         let [head, body, foot] = Layout::vertical(lines).areas(frame.area());
         let halves = [Constraint::Percentage(50), Constraint::Percentage(50)];
         let [robots, missions, auction, log] = if body.width >= WIDE {
@@ -139,7 +176,22 @@ impl Tui {
         let chosen = self.missions(frame, missions, model, now_ms);
         self.auction(frame, auction, model, chosen.as_deref());
         self.log(frame, log, model, now_ms);
-        frame.render_widget(Line::styled(KEYS, self.paint.faint()), foot);
+        let (text, style) = match (&self.dialog, &self.note) {
+            (Some(dialog), _) => (dialog.text(model), Style::new().add_modifier(Modifier::BOLD)),
+            (None, Some(note)) => (format!(" {note}"), Style::new().add_modifier(Modifier::BOLD)),
+            (None, None) => (self.key_bindings(), self.paint.faint()),
+        };
+        frame.render_widget(Paragraph::new(text).style(style).wrap(Wrap { trim: false }), foot);
+    }
+
+    /// Lists the key bindings, those of orders about the focused panel first.
+    fn key_bindings(&self) -> String {
+        let of_panel = match self.focus {
+            Panel::Robots => "h hold  r release  m maintenance  e end it  ",
+            Panel::Missions => "x cancel  p priority  ",
+            Panel::Auction | Panel::Log => "",
+        };
+        format!(" q quit  Tab panel  {of_panel}c close  o open  a alarm  A clear")
     }
 
     /// Draws the coordinator and the state of the connection; below, key figures.
@@ -175,8 +227,19 @@ impl Tui {
             count(kpis.in_service, "robot", "robots"),
             count(kpis.takeovers, "takeover", "takeovers")
         );
-        frame.render_widget(ratatui::widgets::Paragraph::new(vec![first, Line::raw(second)]), area);
+        let second = match alarms_text(model) {
+            Some(alarms) => Line::styled(alarms, self.paint.bad()),
+            None => Line::raw(second),
+        };
+        frame.render_widget(Paragraph::new(vec![first, second]), area);
     }
+}
+
+/// Describes the alarms in force, if there are any.
+fn alarms_text(model: &FleetModel) -> Option<String> {
+    let text = |alarm: &Alarm| format!(" {}; {}", alarm.text(), alarm.plan.text());
+    let alarms: Vec<String> = model.alarms().values().map(text).collect();
+    (!alarms.is_empty()).then(|| alarms.join(" "))
 }
 
 /// Formats a duration in a few characters.
@@ -229,7 +292,7 @@ mod tests {
     }
 
     fn press(screen: &mut Tui, code: KeyCode) -> KeyOutcome {
-        screen.handle_key(KeyEvent::new(code, KeyModifiers::NONE))
+        screen.handle_key(KeyEvent::new(code, KeyModifiers::NONE), &model())
     }
 
     #[test]
@@ -283,7 +346,37 @@ mod tests {
         assert_eq!(screen.rows[0], 0);
         assert_eq!(press(&mut screen, KeyCode::Char('q')), KeyOutcome::Quit);
         let control_c = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
-        assert_eq!(screen.handle_key(control_c), KeyOutcome::Quit);
+        assert_eq!(screen.handle_key(control_c, &model()), KeyOutcome::Quit);
+    }
+
+    #[test]
+    fn an_order_is_confirmed_on_the_last_lines() {
+        let mut screen = Tui::new(ColorMode::Plain);
+        press(&mut screen, KeyCode::Char('x'));
+        let text = drawn(&mut screen, &model(), 80, 24);
+        assert!(text.contains("Cancel lab-samples-1? Its robots stop safely: ada."), "{text}");
+        assert_eq!(press(&mut screen, KeyCode::Char('q')), KeyOutcome::Continue, "it leaves the dialog");
+        assert!(drawn(&mut screen, &model(), 80, 24).contains("q quit"));
+        press(&mut screen, KeyCode::Char('x'));
+        let cancel = Order::Cancel("lab-samples-1".parse().unwrap());
+        assert_eq!(press(&mut screen, KeyCode::Char('y')), KeyOutcome::Order(cancel));
+        screen.show_note("cancel lab-samples-1: done".to_owned());
+        assert!(drawn(&mut screen, &model(), 80, 24).contains("cancel lab-samples-1: done"));
+        press(&mut screen, KeyCode::Char('a'));
+        assert!(drawn(&mut screen, &model(), 80, 24).contains("the fleet file declares no alarms"));
+        press(&mut screen, KeyCode::Tab);
+        assert!(drawn(&mut screen, &model(), 80, 24).contains("q quit"));
+    }
+
+    #[test]
+    fn alarms_in_force_are_in_the_head() {
+        let mut model = model();
+        let order = json!({ "by": "Nia", "reason": "smoke", "since_ms": 1, "until_ms": null });
+        let plan = json!({ "robots": "stop", "places": [], "closes": [] });
+        let alarms = json!([{ "alarm": "fire", "plan": plan, "order": order }]);
+        model.apply_view(&Key::ViewFleet, &json!({ "nodes": [], "alarms": alarms }), NOW_MS);
+        let text = drawn(&mut Tui::new(ColorMode::Plain), &model, 80, 24);
+        assert!(text.contains("under alarm fire by Nia: smoke; robots stand still"), "{text}");
     }
 
     #[test]

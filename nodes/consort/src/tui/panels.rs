@@ -6,6 +6,14 @@ use ratatui::Frame;
 use ratatui::layout::{Constraint, Rect};
 use ratatui::style::{Modifier, Style};
 use ratatui::widgets::{Block, Cell, Row, Table, TableState};
+use std::cmp::Reverse;
+
+/// Returns the missions in the order of their rows: the latest first.
+pub(super) fn latest_missions(model: &FleetModel) -> Vec<(&String, &MissionModel)> {
+    let mut missions: Vec<(&String, &MissionModel)> = model.missions().iter().collect();
+    missions.sort_by_key(|(id, mission)| Reverse((mission.number, mission.submitted_ms, (*id).clone())));
+    missions
+}
 
 impl Tui {
     /// Draws rows under their headings, with a selected row; a selection beyond the last row is
@@ -76,8 +84,7 @@ impl Tui {
         now_ms: u64,
     ) -> Option<String> {
         let paint = self.paint;
-        let mut missions: Vec<(&String, &MissionModel)> = model.missions().iter().collect();
-        missions.sort_by_key(|(id, mission)| std::cmp::Reverse((mission.number, mission.submitted_ms, (*id).clone())));
+        let missions = latest_missions(model);
         let row = |(id, mission): &(&String, &MissionModel)| {
             let style = match mission.state.as_str() {
                 "completed" => paint.good(),

@@ -53,7 +53,7 @@ fn speeds_are_limited_on_the_page() {
         "the focus is where it was",
         "!document.querySelector('#order').open && document.activeElement.dataset.order === 'limit'",
     );
-    let sign = is_drawn("warn", "IC Room 5", (13, -23));
+    let sign = is_drawn("warn", "IC Room 5", (15, 22));
     browser.wait_until("the sign on the map", &sign);
     browser.wait_until(
         "the list",

@@ -136,6 +136,17 @@ fn watch_draws_the_fleet_and_restores_the_terminal() {
         fleet.run(&submit, "station-1").expect(0);
         until("the mission appears", LONG, || has(&["lab-samples-1"])(&terminal.screen()).then_some(()));
 
+        // BackTab selects the robots, of which ada is the only one.
+        terminal.press("\x1b[Zha spill\r");
+        until("the question", LONG, || has(&["Hold ada? It stands still"])(&terminal.screen()).then_some(()));
+        terminal.press("y");
+        until("the robot is held", LONG, || {
+            let nodes = fleet.run(&["fleet", "--json"], "station-1").expect(0).json()["fleet"]["nodes"].clone();
+            let ada = nodes.as_array()?.iter().find(|node| node["node"] == "ada")?;
+            (ada["orders"]["hold"]["reason"] == "a spill").then_some(())
+        });
+        until("the result", LONG, || has(&["hold ada: done"])(&terminal.screen()).then_some(()));
+
         terminal.press("\t\tq");
         let written = until("it has ended", LONG, || Some(terminal.written()).filter(|text| text.contains("ended ")));
         let (drawn, after) = written.rsplit_once(LEAVE).expect("it leaves its own screen");

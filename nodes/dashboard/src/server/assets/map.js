@@ -383,13 +383,13 @@ function drawLimitSign([x, y], speed) {
   pen.strokeStyle = colours.warn;
   pen.fillStyle = colours.floor;
   pen.beginPath();
-  pen.arc(x + 13, y - 13, LIMIT_RADIUS, 0, 7);
+  pen.arc(x + 15, y + 12, LIMIT_RADIUS, 0, 7);
   pen.fill();
   pen.stroke();
   pen.font = '600 9px system-ui, sans-serif';
   pen.textAlign = 'center';
   pen.fillStyle = colours.text;
-  pen.fillText(brief(speed), x + 13, y - 10);
+  pen.fillText(brief(speed), x + 15, y + 15);
 }
 
 /** Draws closed lanes as broken lines, closed places as signs of no entry, and what is selected. */
