@@ -98,7 +98,7 @@ pub(crate) struct Tui {
     rows: [usize; 4],
     /// The open dialog, which takes all keys.
     dialog: Option<Dialog>,
-    /// Result of the last order, until the next key.
+    /// Result of the last order, until the next key outside of a dialog.
     note: Option<String>,
 }
 
@@ -108,7 +108,7 @@ impl Tui {
         Tui { paint, focus: Panel::Missions, rows: [0; 4], dialog: None, note: None }
     }
 
-    /// Shows the result of an order until the next key.
+    /// Shows the result of an order until the next key outside of a dialog.
     pub(crate) fn show_note(&mut self, note: String) {
         self.note = Some(note);
     }
@@ -121,7 +121,6 @@ impl Tui {
         if key.code == KeyCode::Char('c') && key.modifiers.contains(KeyModifiers::CONTROL) {
             return KeyOutcome::Quit;
         }
-        self.note = None;
         if let Some(dialog) = &mut self.dialog {
             let outcome = dialog.handle_key(key, model);
             if outcome != Outcome::Open {
@@ -132,6 +131,7 @@ impl Tui {
                 Outcome::Open | Outcome::Left => KeyOutcome::Continue,
             };
         }
+        self.note = None;
         let row = &mut self.rows[self.focus as usize];
         match key.code {
             KeyCode::Char('q') | KeyCode::Esc => return KeyOutcome::Quit,
@@ -362,6 +362,11 @@ mod tests {
         assert_eq!(press(&mut screen, KeyCode::Char('y')), KeyOutcome::Order(cancel));
         screen.show_note("cancel lab-samples-1: done".to_owned());
         assert!(drawn(&mut screen, &model(), 80, 24).contains("cancel lab-samples-1: done"));
+        press(&mut screen, KeyCode::Char('x'));
+        screen.show_note("it was rejected".to_owned());
+        assert!(!drawn(&mut screen, &model(), 80, 24).contains("it was rejected"), "the dialog is there");
+        press(&mut screen, KeyCode::Esc);
+        assert!(drawn(&mut screen, &model(), 80, 24).contains("it was rejected"));
         press(&mut screen, KeyCode::Char('a'));
         assert!(drawn(&mut screen, &model(), 80, 24).contains("the fleet file declares no alarms"));
         press(&mut screen, KeyCode::Tab);

@@ -1,4 +1,5 @@
-//! The dialog about an order, on the last lines of the terminal. It takes keys, and decides about nothing else.
+//! The dialog about an order, on the last lines of the terminal: a state machine that takes keys and returns the order
+//! that the user has confirmed.
 //!
 //! ```text
 //! key ──▶ [a name or number] ──▶ [a reason] ──▶ "Hold ada? …" ── y ──▶ Order
