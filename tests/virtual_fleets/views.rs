@@ -72,6 +72,8 @@ fn every_view_has_a_single_reply_with_the_current_state() {
             coordinator["voters"].as_array().expect("a list").iter().filter_map(|voter| voter.as_str()).collect();
         assert_eq!(voters, BTreeSet::from(["aster", "basil", "clove", "fern", "lab-arm"]), "seed {seed}");
 
+        let freeze = json!({ "robots": "stop", "places": [], "closes": [] });
+        assert_eq!(views["fleet"]["declared"]["alarms"]["freeze"], freeze, "seed {seed}");
         let nodes = views["fleet"]["nodes"].as_array().expect("a list");
         let alive: Vec<&str> =
             nodes.iter().filter(|node| node["alive"] == true).filter_map(|node| node["node"].as_str()).collect();
