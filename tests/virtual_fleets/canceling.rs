@@ -1,11 +1,12 @@
 //! Cancellation of a mission at any stage.
 
 use crate::support::task_began;
+use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::EndReason;
-use consort_protocol::ledger::MissionState;
+use consort_protocol::ledger::{HistoryLimits, Ledger, MissionState};
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::json;
 use std::time::Duration;
@@ -122,5 +123,31 @@ fn a_canceled_mission_with_a_held_item_needs_intervention() {
             Some(true),
             "seed {seed}"
         );
+    });
+}
+
+/// The ledger has dropped the mission before the coordinator compares it with its session.
+#[test]
+fn the_end_of_a_mission_is_published_although_no_ended_mission_is_kept() {
+    for_each_seed([721, 722], async |seed| {
+        let limits = HistoryLimits { missions_max: 0, ..HistoryLimits::default() };
+        let adjust = Box::new(move |settings: &mut NodeSettings| settings.fleet.history_limits = limits);
+        let robots = vec![RobotSpec::carrier("gorse", "IC Room 4")];
+        let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster"], &[ROOM], adjust).await;
+        fleet.wait_for_coordinator().await;
+        let in_force = |fleet: &Fleet| fleet.ledger(Ledger::history_limits).flatten() == Some(limits);
+        fleet.wait_until("the limits of the history", SOON, in_force).await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
+        let reply = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "Nia" })).await;
+        assert_eq!(reply["state"], json!({ "canceled": { "by": "Nia" } }), "seed {seed}");
+        assert_eq!(fleet.ledger(|ledger| ledger.mission(&mission).is_none()), Some(true), "seed {seed}");
+        let ended = |what: &EventKind| match what {
+            EventKind::Mission { mission: of, state, .. } => *of == mission && state.has_ended(),
+            _ => false,
+        };
+        fleet.wait_until("the end of the mission", SOON, |fleet| fleet.event_log.count(ended) == 1).await;
+        fleet.wait_until("both to halt", SOON, |fleet| fleet.event_log.count(halted(&mission)) == 2).await;
+        assert_eq!(fleet.event_log.count(ended), 1, "seed {seed}");
     });
 }

@@ -163,6 +163,11 @@ impl History {
         requests
     }
 
+    /// Returns the ended missions that are remembered, latest end first.
+    pub(super) fn latest_ended(&self) -> impl Iterator<Item = (&MissionId, &Tombstone)> {
+        self.order.iter().rev().filter_map(|mission| Some((mission, self.tombstones.get(mission)?)))
+    }
+
     pub(super) fn tombstone(&self, mission: &MissionId) -> Option<&Tombstone> {
         self.tombstones.get(mission)
     }

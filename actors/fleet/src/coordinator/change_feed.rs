@@ -1,12 +1,14 @@
 //! Change feed of the ledger: changes are published as events, and sent to robots whose awards have
 //! ended.
 
+use super::reports::final_reason;
 use super::session_context::SessionContext;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId, ScheduleId};
 use consort_protocol::lease::{EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
     Branch, Ledger, MissionEntry, MissionState, Occurrence, Priority, RoleEntry, RoleOrder, RolePhase, RoleRelease,
+    Tombstone,
 };
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
@@ -51,6 +53,8 @@ impl MissionSnapshot {
 pub(super) struct ChangeFeed {
     /// Last published state of each mission, to detect changes.
     snapshots: BTreeMap<MissionId, MissionSnapshot>,
+    /// Mission that had ended last when the ledger was last compared.
+    last_ended: Option<MissionId>,
     /// Time of the last published occurrence of each schedule, in milliseconds since 1970.
     occurrences: BTreeMap<ScheduleId, u64>,
 }
@@ -59,11 +63,16 @@ impl ChangeFeed {
     /// Creates the feed. Missions and occurrences that are in the ledger before the session are not
     /// reported as changes.
     pub(super) fn new(context: &SessionContext) -> ChangeFeed {
-        let snapshot = |entry: &MissionEntry| (entry.id.clone(), MissionSnapshot::of(entry, context.since));
-        context.read_ledger(|ledger| ChangeFeed {
+        context.read_ledger(|ledger| ChangeFeed::of(ledger, context.since))
+    }
+
+    fn of(ledger: &Ledger, since: NodeTime) -> ChangeFeed {
+        let snapshot = |entry: &MissionEntry| (entry.id.clone(), MissionSnapshot::of(entry, since));
+        ChangeFeed {
             snapshots: ledger.missions().map(snapshot).collect(),
+            last_ended: last_ended(ledger),
             occurrences: last_occurrences(ledger).collect(),
-        })
+        }
     }
 
     /// Forgets the missions and schedules that are no longer in the ledger.
@@ -76,6 +85,15 @@ impl ChangeFeed {
     pub(super) fn publish(&mut self, context: &mut SessionContext, now: NodeTime) {
         let mut revoked: Vec<(RobotId, Epoch, EndReason)> = vec![];
         context.read_ledger(|ledger| {
+            for (mission, ended) in self.dropped(ledger) {
+                let (state, submitted_at_ms) = (ended.state.clone(), ended.submitted_ms);
+                let reason = final_reason(&state);
+                let holders = self.snapshots.get(mission).into_iter().flat_map(|previous| previous.holders.values());
+                let ends = holders.filter_map(|held| Some((held.robot.clone(), held.epoch, reason?)));
+                revoked.extend(ends);
+                context.publish_event(EventKind::Mission { mission: mission.clone(), state, submitted_at_ms });
+            }
+            self.last_ended = last_ended(ledger);
             for entry in ledger.missions() {
                 let previous = self.snapshots.get(&entry.id);
                 let since = previous.map_or(now, |snapshot| snapshot.since);
@@ -126,6 +144,19 @@ impl ChangeFeed {
         }
     }
 
+    /// Returns the missions that have ended since the last comparison and that the ledger no longer contains as a whole,
+    /// earliest end first.
+    fn dropped<'a>(&self, ledger: &'a Ledger) -> Vec<(&'a MissionId, &'a Tombstone)> {
+        let is_new = |(mission, _): &(&MissionId, &Tombstone)| self.last_ended.as_ref() != Some(*mission);
+        let had_ended =
+            |mission: &MissionId| self.snapshots.get(mission).is_some_and(|previous| previous.state.has_ended());
+        let ended = ledger.latest_ended().take_while(is_new);
+        let dropped = ended.filter(|&(mission, _)| ledger.mission(mission).is_none() && !had_ended(mission));
+        let mut dropped: Vec<_> = dropped.collect();
+        dropped.reverse();
+        dropped
+    }
+
     /// Publishes the submitted occurrences. A session proposes the next occurrence of a schedule only after this
     /// comparison, so each occurrence is the last one when it is published.
     fn publish_occurrences(&mut self, ledger: &Ledger, context: &SessionContext) {
@@ -154,6 +185,11 @@ fn changed_orders(
     changed.cloned().collect()
 }
 
+/// Returns the mission that has ended last.
+fn last_ended(ledger: &Ledger) -> Option<MissionId> {
+    ledger.latest_ended().next().map(|(mission, _)| mission.clone())
+}
+
 /// Returns the time of the last submitted occurrence of each schedule that has any.
 fn last_occurrences(ledger: &Ledger) -> impl Iterator<Item = (ScheduleId, u64)> {
     ledger.schedules().filter_map(|entry| Some((entry.schedule.id.clone(), entry.last.as_ref()?.due_ms)))
@@ -161,16 +197,47 @@ fn last_occurrences(ledger: &Ledger) -> impl Iterator<Item = (ScheduleId, u64)> 
 
 /// Returns the reason for the end of an award; `None` if the role was completed.
 fn end_reason(entry: &MissionEntry, role: &RoleId, epoch: Epoch) -> Option<EndReason> {
-    match &entry.state {
-        MissionState::Canceled { .. } => Some(EndReason::Canceled),
-        MissionState::Failed { .. } => Some(EndReason::Failed),
-        MissionState::NeedsIntervention { .. } => Some(EndReason::NeedsIntervention),
-        MissionState::Completed => Some(EndReason::Over),
-        MissionState::Pending | MissionState::Running => match entry.roles.get(role) {
-            Some(RoleEntry { holder: Some(holder), phase: RolePhase::Ended, .. }) if holder.epoch == epoch => None,
-            Some(RoleEntry { phase: RolePhase::Promised, .. }) => Some(EndReason::Released),
-            Some(RoleEntry { holder: None, .. }) if entry.branch == Branch::Main => Some(EndReason::Released),
-            Some(_) | None => Some(EndReason::Replaced),
-        },
+    let of_mission = final_reason(&entry.state);
+    if of_mission.is_some() {
+        return of_mission;
+    }
+    match entry.roles.get(role) {
+        Some(RoleEntry { holder: Some(holder), phase: RolePhase::Ended, .. }) if holder.epoch == epoch => None,
+        Some(RoleEntry { phase: RolePhase::Promised, .. }) => Some(EndReason::Released),
+        Some(RoleEntry { holder: None, .. }) if entry.branch == Branch::Main => Some(EndReason::Released),
+        Some(_) | None => Some(EndReason::Replaced),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_ledger::Log;
+    use super::*;
+    use consort_protocol::ledger::{Command, HistoryLimits};
+
+    fn cancel(log: &mut Log, mission: &MissionId) {
+        let (mission, by) = (mission.clone(), "Nia".to_owned());
+        log.apply(Command::Cancel { mission, by, places: BTreeMap::new(), at_ms: 7 });
+    }
+
+    #[test]
+    fn missions_that_end_between_comparisons_are_found_once_after_they_were_dropped() {
+        let mut log = Log::default();
+        log.apply(Command::first_wire_version(3));
+        let (published, known) = (log.add_mission("ada"), log.add_mission("bob"));
+        cancel(&mut log, &published);
+        let mut feed = ChangeFeed::of(&log.0, NodeTime::at(Duration::ZERO));
+        log.apply(Command::SetHistoryLimits(HistoryLimits { missions_max: 0, ..HistoryLimits::default() }));
+        assert!(log.0.mission(&published).is_none() && feed.dropped(&log.0).is_empty());
+        let unknown = log.add_mission("cyd");
+        cancel(&mut log, &unknown);
+        cancel(&mut log, &known);
+        let dropped = feed.dropped(&log.0);
+        let states: Vec<_> =
+            dropped.into_iter().map(|(mission, ended)| (mission.clone(), ended.state.clone())).collect();
+        let canceled = || MissionState::Canceled { by: "Nia".to_owned() };
+        assert_eq!(states, [(unknown, canceled()), (known, canceled())]);
+        feed.last_ended = last_ended(&log.0);
+        assert!(feed.dropped(&log.0).is_empty());
     }
 }

@@ -154,6 +154,11 @@ impl Ledger {
         self.versioned.history.as_ref()?.tombstone(mission)
     }
 
+    /// Returns the remainders of all ended missions, latest end first.
+    pub fn latest_ended(&self) -> impl Iterator<Item = (&MissionId, &Tombstone)> {
+        self.versioned.history.iter().flat_map(History::latest_ended)
+    }
+
     /// Returns the limits of the history; `None` before wire version 3.
     pub fn history_limits(&self) -> Option<HistoryLimits> {
         self.versioned.history.as_ref().map(History::limits)

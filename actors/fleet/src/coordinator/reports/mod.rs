@@ -204,7 +204,8 @@ fn report_case<'a>(entry: Option<&'a MissionEntry>, report: &'a Report) -> Repor
     }
 }
 
-fn final_reason(state: &MissionState) -> Option<EndReason> {
+/// Returns the reason for the end of all awards of a mission in this state; `None` if the mission is active.
+pub(super) fn final_reason(state: &MissionState) -> Option<EndReason> {
     match state {
         MissionState::Pending | MissionState::Running => None,
         MissionState::Completed => Some(EndReason::Over),
