@@ -106,7 +106,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::with_orders(Mutant::OrderForgotten, 6),
     MutantCheck::with_orders(Mutant::ClaimsHidden, 20),
     MutantCheck::with_closures(Mutant::ClosureIgnored, 15),
-    MutantCheck::with_alarms(Mutant::AlarmIgnored, 12),
+    MutantCheck::with_alarms(Mutant::AlarmIgnored, 20),
     MutantCheck::with_alarms(Mutant::LimitIgnored, 15),
     MutantCheck::under(Mutant::HoldersUnfit, &[FaultKind::None], 12),
     MutantCheck::with_orders(Mutant::LeaseIgnored, 20),
