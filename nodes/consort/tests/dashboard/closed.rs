@@ -46,8 +46,7 @@ fn a_closed_dashboard_requires_a_valid_token() {
         false,
         "the read scope permits no submission"
     );
-    let orders =
-        "['#hold-all', '#robot-orders', '#part-orders'].some((one) => document.querySelector(one).checkVisibility())";
+    let orders = "['#hold-all', '#robot-orders', '#part-orders', '#raise-alarm', '#cancel-listed'].some((one) => document.querySelector(one).checkVisibility())";
     assert_eq!(browser.value(orders), false, "the read scope permits no orders");
     assert_eq!(browser.value("document.cookie"), "", "no script reads the token");
 

@@ -135,6 +135,9 @@ fn a_recorded_takeover_is_replayed_in_both_directions() {
     browser.press(",");
     browser.wait_until("back, it still runs", &format!("{MISSION} === 'running'"));
     browser.wait_until("the table shows it", "document.querySelector('#missions tbody').innerText.includes('running')");
+    browser.wait_until("its buttons", "document.querySelector('#mission [data-key=priority]') !== null");
+    let offered = "[...document.querySelectorAll('#mission button, #missions-filter button, #raise-alarm')].filter((one) => one.checkVisibility()).length";
+    assert_eq!(browser.value(offered), 0, "orders to a recorded fleet");
     browser.press(HOME);
     browser.wait_until("the mission does not exist yet", &format!("{MISSION} === undefined"));
     check_nothing_is_of_later(&browser);
@@ -170,9 +173,11 @@ fn a_recorded_takeover_is_replayed_in_both_directions() {
     for action in ["#new-mission", "#hold-all", "#robot-orders", "#part-orders"] {
         assert_eq!(browser.value(&format!("document.querySelector('{action}').checkVisibility()")), false, "{action}");
     }
-    let of_mission = ["/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/resolve"];
-    let orders = ["/api/hold", "/api/release", "/api/maintenance", "/api/close", "/api/open"];
-    for path in ["/api/missions"].into_iter().chain(orders).chain(of_mission) {
+    let of_missions =
+        ["/api/missions/cancel", "/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/resolve"];
+    let to_robots = ["/api/hold", "/api/release", "/api/maintenance"];
+    let orders = ["/api/close", "/api/open", "/api/limit", "/api/alarm", "/api/priority", "/api/reassign"];
+    for path in ["/api/missions"].into_iter().chain(to_robots).chain(orders).chain(of_missions) {
         let refused = browser.value(&format!(
             "fetch('{path}', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{{}}' }}).then(async (answer) => [answer.status, (await answer.json()).error])"
         ));

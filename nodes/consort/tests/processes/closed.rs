@@ -552,6 +552,11 @@ fn an_http_token_determines_identity_and_permissions() {
         (refused.status, error(&refused)),
         (403, "the token of read has scope read; this request needs scope submit".to_owned())
     );
+    for path in ["limit", "alarm", "priority", "reassign", "missions/cancel"] {
+        assert_eq!(with(&reads, &format!("POST /api/{path}"), "{}").status, 403, "{path}");
+        let empty = with(&submits, &format!("POST /api/{path}"), "{}");
+        assert_eq!(empty.status, 400, "the coordinator reads it: {path}: {}", empty.body);
+    }
     let by = until("ada is held", LONG, || {
         let held = with(&submits, "POST /api/hold", &hold);
         Some(held.json()["robots"]["ada"]["hold"]["by"].as_str()?.to_owned())
@@ -580,6 +585,9 @@ fn an_http_token_determines_identity_and_permissions() {
     let allowed = "the right `missions` of the certificate allows vital-signs, by name";
     let refused = with(&lee, "POST /api/missions", &order);
     assert_eq!((refused.status, error(&refused)), (400, format!("lee may not submit \"lab-samples\": {allowed}")));
+    let raised = json!({ "mission": "lab-samples-1", "priority": 5 }).to_string();
+    let refused = error(&with(&lee, "POST /api/priority", &raised));
+    assert!(refused.starts_with("only people who may submit a mission change it: lee may not submit"), "{refused}");
     let file = json!({ "mission": { "mission": "vital-signs", "roles": {}, "root": {} } }).to_string();
     assert_eq!(
         error(&with(&lee, "POST /api/missions", &file)),
