@@ -31,10 +31,17 @@ pub(super) struct UnderLease {
     active: BTreeSet<(NodeId, Part)>,
     /// Latest role of each robot.
     last: BTreeMap<String, Part>,
-    /// Active goals in the world, with the role they were begun for.
-    at_work: BTreeMap<(String, u64), Option<Part>>,
+    /// Active goals in the world.
+    at_work: BTreeMap<(String, u64), Work>,
     /// Roles of people. Remembered, since there is no ledger while all nodes are down.
     of_people: BTreeSet<Part>,
+}
+
+/// An active goal.
+struct Work {
+    /// The role for which it was begun.
+    part: Option<Part>,
+    is_drive: bool,
 }
 
 impl UnderLease {
@@ -60,15 +67,33 @@ impl UnderLease {
     /// Records a goal in the world.
     fn pursues(&mut self, at: Duration, robot: &NodeId, id: u64, goal: &Goal) {
         let is_drive = goal.is::<NavigateToPose>();
-        let may_assemble = is_drive && self.alarm_at.is_some_and(|alarm_at| at <= alarm_at + ASSEMBLES_FOR);
-        let is_of_role = |part: &Part| !may_assemble || self.active.contains(&(robot.clone(), part.clone()));
+        let assembles = is_drive && self.may_assemble(at);
+        let is_of_role = |part: &Part| !assembles || self.active.contains(&(robot.clone(), part.clone()));
         let part = self.last.get(robot.as_str()).cloned().filter(is_of_role);
-        self.at_work.insert((robot.to_string(), id), part);
+        self.at_work.insert((robot.to_string(), id), Work { part, is_drive });
+    }
+
+    /// Checks whether robots without a role may drive to assembly places.
+    fn may_assemble(&self, at: Duration) -> bool {
+        self.alarm_at.is_some_and(|alarm_at| at <= alarm_at + ASSEMBLES_FOR)
+    }
+
+    /// Records that a robot has ended a role. A drive to an assembly place goes on without it.
+    fn ends(&mut self, at: Duration, node: &NodeId, part: &Part) {
+        self.active.remove(&(node.clone(), part.clone()));
+        if self.may_assemble(at) {
+            for ((robot, _), work) in &mut self.at_work {
+                if robot == node.as_str() && work.is_drive {
+                    work.part = None;
+                }
+            }
+        }
     }
 
     fn begins(&mut self, node: &NodeId, part: Part) -> Result<(), InvariantViolation> {
         let (mission, role) = &part;
-        let other = self.at_work.iter().find(|((robot, _), of)| robot != node.as_str() && of.as_ref() == Some(&part));
+        let mut others = self.at_work.iter().filter(|((robot, _), _)| robot != node.as_str());
+        let other = others.find(|(_, work)| work.part.as_ref() == Some(&part));
         if let Some(((robot, goal), _)) = other {
             return Err(
                 format!("{node} begins {role} of {mission} while {robot} still pursues goal {goal} for it").into()
@@ -109,10 +134,13 @@ impl Invariant for UnderLease {
             Some(
                 EventKind::Suspended { mission, role }
                 | EventKind::GaveUp { mission, role, .. }
-                | EventKind::TaskFailed { mission, role, .. }
-                | EventKind::Halted { mission, role, .. },
+                | EventKind::TaskFailed { mission, role, .. },
             ) => {
                 self.active.remove(&(node.clone(), (mission.clone(), role.clone())));
+                Ok(())
+            }
+            Some(EventKind::Halted { mission, role, .. }) => {
+                self.ends(at, node, &(mission.clone(), role.clone()));
                 Ok(())
             }
             Some(EventKind::TaskBegan { mission, role, task }) => acts(mission, role, &format!("begins {task}")),
@@ -198,5 +226,25 @@ mod tests {
         assert_eq!(begins(Some(secs(40)), false, &drive), Ok(()));
         assert!(begins(Some(secs(100)), true, &drive).is_err(), "it drives in its role");
         assert!(begins(Some(secs(100)), false, &Dock { charger: None }.into()).is_err(), "it does not drive");
+    }
+
+    #[test]
+    fn a_drive_to_an_assembly_place_outlasts_its_role() {
+        let (garnet, hazel) = (NodeId::new("garnet").unwrap(), NodeId::new("hazel").unwrap());
+        let part: Part = ("rounds-1".parse().unwrap(), RoleId::new("r1").unwrap());
+        let drive = Goal::from(NavigateToPose::to(Pose::new(0.0, 0.0, 0.0), None));
+        let dock = Goal::from(Dock { charger: None });
+        let secs = Duration::from_secs;
+        // Garnet pursues a goal in its role, and ends the role at 100 s; hazel begins the role.
+        let begins = |alarm_at: Option<Duration>, goal: &Goal| {
+            let mut state = UnderLease { alarm_at, ..UnderLease::default() };
+            assert_eq!(state.begins(&garnet, part.clone()), Ok(()));
+            state.pursues(secs(90), &garnet, 7, goal);
+            state.ends(secs(100), &garnet, &part);
+            state.begins(&hazel, part.clone())
+        };
+        assert!(begins(None, &drive).is_err(), "it drives on in its role");
+        assert_eq!(begins(Some(secs(100)), &drive), Ok(()), "it drives to an assembly place");
+        assert!(begins(Some(secs(100)), &dock).is_err());
     }
 }
