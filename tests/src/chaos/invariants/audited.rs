@@ -179,10 +179,10 @@ impl Invariant for Audited {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chaos::invariants::test_missions::submit_rest;
+    use crate::chaos::invariants::test_missions::{cancel, submit_rest};
     use crate::slug;
     use consort_protocol::ledger::{
-        AlarmChange, ClosureChange, MapPart, MissionCancelation, MissionChange, OrderChange, OrderRequest, Priority,
+        AlarmChange, ClosureChange, MapPart, MissionChange, OrderChange, OrderRequest, Priority,
     };
     use std::collections::BTreeSet;
 
@@ -228,12 +228,6 @@ mod tests {
         assert_eq!(violation, "the order of Nia was executed twice");
         let violation = applied(vec![close("Bea", 1), close("Bea", 2)]).map(|_| ()).unwrap_err().0;
         assert_eq!(violation, "the order of Bea was executed twice");
-    }
-
-    fn cancel(by: &str, missions: &[&str]) -> Command {
-        let missions = missions.iter().map(|mission| (slug(mission), BTreeMap::new())).collect();
-        let change = MissionCancelation { missions };
-        Command::CancelMissions { order: OrderRequest { change, by: by.to_owned(), at_ms: 9, request: None } }
     }
 
     fn prioritize(by: &str, priority: i64) -> Command {

@@ -125,15 +125,8 @@ impl Invariant for Canceled {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chaos::invariants::test_missions::submit_rest;
+    use crate::chaos::invariants::test_missions::{cancel, submit_rest};
     use crate::slug;
-    use consort_protocol::ledger::{MissionCancelation, OrderRequest};
-
-    fn cancel(by: &str, missions: &[&str]) -> Command {
-        let missions = missions.iter().map(|mission| (slug(mission), BTreeMap::new())).collect();
-        let change = MissionCancelation { missions };
-        Command::CancelMissions { order: OrderRequest { change, by: by.to_owned(), at_ms: 5, request: None } }
-    }
 
     /// Returns the result of a cancelation in a ledger with the missions of the requests `a` and `b`.
     fn canceled(selection: CancelSelection, missions: &[&str]) -> Result<Canceled, InvariantViolation> {

@@ -3,7 +3,7 @@
 use crate::slug;
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::MissionId;
-use consort_protocol::ledger::{Branch, Command, Submission};
+use consort_protocol::ledger::{Branch, Command, MissionCancelation, OrderRequest, Submission};
 use consort_protocol::mission::{Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
 use consort_skills::domain::hospital;
@@ -26,4 +26,11 @@ pub(super) fn award_rest(number: u32, robot: &str) -> Command {
     let holders = BTreeMap::from([(slug("r1"), slug(robot))]);
     let auction = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
     Command::Award { mission, branch: Branch::Main, holders, auction }
+}
+
+/// Returns the cancelation of several missions by a person.
+pub(super) fn cancel(by: &str, missions: &[&str]) -> Command {
+    let missions = missions.iter().map(|mission| (slug(mission), BTreeMap::new())).collect();
+    let change = MissionCancelation { missions };
+    Command::CancelMissions { order: OrderRequest { change, by: by.to_owned(), at_ms: 9, request: None } }
 }
