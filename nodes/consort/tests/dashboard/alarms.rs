@@ -3,6 +3,7 @@
 use crate::browser::{Browser, SOON};
 use crate::closures::{is_drawn, select, sign};
 use crate::demo_fleet::{ENTER, check_access, tab_to};
+use crate::mission_orders::fill;
 use crate::shown_model::ShownModel;
 use crate::station::start_station;
 use crate::support::{Folder, until};
@@ -105,11 +106,16 @@ fn an_alarm_is_raised_with_its_effect_on_robots_and_missions() {
     let expected = "Robots: 1, of them under way: 0. Missions that have not ended: 2.\n\
         ada: r1 of m-1 is suspended\nm-2 waits for the all-clear";
     assert_eq!(browser.text("#order-affected"), expected);
-    browser.value(
-        "((choice) => { choice.value = 'freeze'; choice.dispatchEvent(new Event('input', { bubbles: true })); })(document.activeElement)",
-    );
+    fill(&browser, "#order [name=alarm]", "freeze");
     let effect = browser.text("#order-effect");
     assert!(effect.starts_with("Robots stand still. Closed: IC Room 6."), "{effect}");
+    shown.change(|model, now_ms| {
+        model.apply_view(&Key::ViewFleet, &json!({ "nodes": [] }), now_ms);
+    });
+    browser.wait_until("another fleet file", "Object.keys(consort.connection.model.declared_alarms).length === 0");
+    fill(&browser, "#order [name=alarm]", "fire");
+    let effect = browser.text("#order-effect");
+    assert!(effect.starts_with("The fleet file no longer declares it."), "{effect}");
     tab_to(&browser, "#order-send");
     browser.press(ENTER);
     browser.wait_until(

@@ -27,8 +27,10 @@ export function update(shown) {
   }));
 }
 
-/** Describes what an alarm demands. */
-function planText({ robots, places = [], closes = [] }) {
+/** Describes what an alarm demands. Another fleet file may lack an alarm for which the form is open. */
+function planText(plan) {
+  if (!plan) return 'The fleet file no longer declares it.';
+  const { robots, places = [], closes = [] } = plan;
   const demand = robots === 'assemble' ? `Robots drive to the nearest of ${places.join(', ')}.` : 'Robots stand still.';
   return closes.length ? `${demand} Closed: ${closes.map(partName).join(', ')}.` : demand;
 }
