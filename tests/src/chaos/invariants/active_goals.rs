@@ -108,7 +108,7 @@ mod tests {
     fn a_drive_belongs_to_no_role_once_its_robot_has_none() {
         let mut active = ActiveGoals::default();
         let garnet: NodeId = slug("garnet");
-        let missions: [MissionId; 2] = ["rest-1", "rest-2"].map(|mission| slug(mission));
+        let missions: [MissionId; 2] = ["rest-1", "rest-2"].map(slug);
         for mission in &missions {
             active.roles.insert((garnet.clone(), mission.clone(), slug("r1")));
         }

@@ -3,7 +3,7 @@
 //! There are two parts. A robot begins tasks, sends signals and passes waits only while it is
 //! active in the role. And when a robot begins a role, the simulated robot of the previous holder
 //! is at rest. This is checked in the world, where messages in flight no longer matter. A robot without a role may drive
-//! to an assembly place; such a drive belongs to no role.
+//! to an assembly place, or to a charger; such a drive belongs to no role.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
@@ -21,6 +21,10 @@ use std::time::Duration;
 /// receive the all-clear only when the longest partition has ended.
 const ASSEMBLES_FOR: Duration = Duration::from_secs(60);
 
+/// Time after the end of a role in which goals of the role may still reach the body. A robot without a role waits longer
+/// before it drives to a charger: until its claim is old enough.
+const ON_THE_WAY: Duration = Duration::from_millis(1_500);
+
 type Part = (MissionId, RoleId);
 
 #[derive(Default)]
@@ -31,6 +35,8 @@ pub(super) struct UnderLease {
     active: BTreeSet<(NodeId, Part)>,
     /// Latest role of each robot.
     last: BTreeMap<String, Part>,
+    /// Times at which robots ended their latest roles.
+    ended: BTreeMap<String, Duration>,
     /// Active goals in the world.
     at_work: BTreeMap<(String, u64), Work>,
     /// Roles of people. Remembered, since there is no ledger while all nodes are down.
@@ -68,8 +74,10 @@ impl UnderLease {
     fn pursues(&mut self, at: Duration, robot: &NodeId, id: u64, goal: &Goal) {
         let is_drive = goal.is::<NavigateToPose>();
         let assembles = is_drive && self.may_assemble(at);
-        let is_of_role = |part: &Part| !assembles || self.active.contains(&(robot.clone(), part.clone()));
-        let part = self.last.get(robot.as_str()).cloned().filter(is_of_role);
+        let has_ended = self.ended.get(robot.as_str()).is_some_and(|ended| at > *ended + ON_THE_WAY);
+        let is_active = |part: &Part| self.active.contains(&(robot.clone(), part.clone()));
+        let last = self.last.get(robot.as_str()).cloned();
+        let part = last.filter(|part| !has_ended && (!assembles || is_active(part)));
         self.at_work.insert((robot.to_string(), id), Work { part, is_drive });
     }
 
@@ -81,6 +89,9 @@ impl UnderLease {
     /// Records that a robot has ended a role. A drive to an assembly place goes on without it.
     fn ends(&mut self, at: Duration, node: &NodeId, part: &Part) {
         self.active.remove(&(node.clone(), part.clone()));
+        if self.last.get(node.as_str()) == Some(part) {
+            self.ended.insert(node.to_string(), at);
+        }
         if self.may_assemble(at) {
             for ((robot, _), work) in &mut self.at_work {
                 if robot == node.as_str() && work.is_drive {
@@ -99,6 +110,7 @@ impl UnderLease {
                 format!("{node} begins {role} of {mission} while {robot} still pursues goal {goal} for it").into()
             );
         }
+        self.ended.remove(node.as_str());
         self.last.insert(node.to_string(), part.clone());
         self.active.insert((node.clone(), part));
         Ok(())
@@ -246,5 +258,25 @@ mod tests {
         assert!(begins(None, &drive).is_err(), "it drives on in its role");
         assert_eq!(begins(Some(secs(100)), &drive), Ok(()), "it drives to an assembly place");
         assert!(begins(Some(secs(100)), &dock).is_err());
+    }
+
+    #[test]
+    fn a_robot_that_has_ended_a_role_charges_without_it() {
+        let (garnet, hazel) = (NodeId::new("garnet").unwrap(), NodeId::new("hazel").unwrap());
+        let part: Part = ("rounds-1".parse().unwrap(), RoleId::new("r1").unwrap());
+        let dock = Goal::from(Dock { charger: None });
+        // Garnet ends the role at 100 s or not, and begins a goal; hazel begins the role.
+        let begins = |ends: bool, goal_at_ms: u64| {
+            let mut state = UnderLease::default();
+            assert_eq!(state.begins(&garnet, part.clone()), Ok(()));
+            if ends {
+                state.ends(Duration::from_secs(100), &garnet, &part);
+            }
+            state.pursues(Duration::from_millis(goal_at_ms), &garnet, 7, &dock);
+            state.begins(&hazel, part.clone())
+        };
+        assert_eq!(begins(true, 101_600), Ok(()));
+        assert!(begins(true, 101_500).is_err(), "the goal was on its way");
+        assert!(begins(false, 101_600).is_err(), "it has not ended its role");
     }
 }
