@@ -3,7 +3,7 @@
 
 use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access};
-use crate::station::{dashboard_address, station_with_dashboard};
+use crate::station::{dashboard_address, station_with_dashboard, wait_for_coordinator};
 use crate::support::{Closed, Folder};
 use std::time::Duration;
 
@@ -63,7 +63,7 @@ fn a_closed_dashboard_requires_a_valid_token() {
     browser.wait_until("the robots again", "document.querySelectorAll('#robots tbody tr').length === 2");
     assert_eq!(browser.value("location.hash"), "", "the token is not left in the address");
     browser.wait_until("the name of the user", "document.querySelector('#sign-out').innerText === 'Sign out submit'");
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    wait_for_coordinator(&browser);
     browser.click("#new-mission");
     browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
     browser.click("#submit-send");

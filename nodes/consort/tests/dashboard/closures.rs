@@ -3,8 +3,8 @@
 use crate::browser::{Browser, SOON};
 use crate::demo_fleet::{ENTER, check_access, tab_to};
 use crate::shown_model::ShownModel;
-use crate::station::{dashboard_address, station_with_dashboard, with};
-use crate::support::{Fleet, Folder, example, until};
+use crate::station::open_ward;
+use crate::support::{Fleet, Folder, until};
 use consort_protocol::keys::Key;
 use serde_json::{Value, json};
 
@@ -77,15 +77,8 @@ fn open_form(browser: &Browser) {
 fn places_and_lanes_are_closed_and_opened_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let mut fleet = Fleet::new(&example("fleet"));
-    fleet.start("station", station_with_dashboard(), &[]);
     // Slow enough that ada stays on its way to the room.
-    fleet.start("world", with(example("world"), "speed", 0.5), &["station-1"]);
-    fleet.start("robot", example("robot"), &["station-1", "world"]);
-    fleet.start("robot", example("arm"), &["station-1", "world"]);
-    browser.open(&dashboard_address(fleet.node("station-1")));
-    browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    let mut fleet = open_ward(&browser, 0.5);
     assert_eq!(browser.value("document.querySelector('#part-orders').disabled"), true, "no place is selected");
     browser.click("#new-mission");
     browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");

@@ -1,7 +1,7 @@
 //! The fleet of the demo on the page: views, requests, and the loss of the connection.
 
 use crate::browser::{Browser, SOON};
-use crate::station::dashboard_address;
+use crate::station::{dashboard_address, wait_for_coordinator};
 use crate::support::{Folder, Program, until};
 use serde_json::Value;
 use std::time::Duration;
@@ -116,7 +116,7 @@ fn the_demo_is_usable_without_a_mouse() {
 
     // The fleet is visible and a mission runs.
     browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length >= 8");
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    wait_for_coordinator(&browser);
     browser.wait_until("missions", "document.querySelectorAll('#missions tbody tr').length === 2");
     browser.wait_until("people", "document.querySelectorAll('#people tbody tr').length === 16");
     browser.wait_until(

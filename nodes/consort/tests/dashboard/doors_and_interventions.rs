@@ -3,7 +3,7 @@
 
 use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access, tab_to};
-use crate::station::{dashboard_address, station_with_dashboard, with};
+use crate::station::{dashboard_address, station_with_dashboard, wait_for_coordinator, with};
 use crate::support::{Fleet, Folder, example};
 use std::time::Duration;
 
@@ -35,7 +35,7 @@ fn a_door_is_shown_opening_and_a_mission_is_resolved() {
     let url = dashboard_address(fleet.node("station-1"));
     browser.open(&url);
     browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    wait_for_coordinator(&browser);
     let door = "document.querySelector('#doors tbody tr')?.innerText";
     browser.wait_until("the door is shut", &format!("/^Ward Door\\s+closed$/.test({door})"));
     browser.wait_until("its sign", "document.querySelector('#door-sign').checkVisibility()");

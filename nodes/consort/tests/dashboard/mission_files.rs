@@ -3,7 +3,7 @@
 
 use crate::browser::Browser;
 use crate::demo_fleet::check_access;
-use crate::station::{dashboard_address, station_with_dashboard, with};
+use crate::station::{dashboard_address, station_with_dashboard, wait_for_coordinator, with};
 use crate::support::{Fleet, Folder, example};
 use std::path::Path;
 
@@ -35,7 +35,7 @@ fn mission_files_are_submitted_with_the_form() {
     fleet.start("station", station_with_dashboard(), &[]);
     let url = dashboard_address(fleet.node("station-1"));
     browser.open(&url);
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    wait_for_coordinator(&browser);
     browser.click("#new-mission");
     browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
     let first = browser.value("document.querySelector('#submit-mission option').value");

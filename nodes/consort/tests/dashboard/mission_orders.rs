@@ -2,8 +2,8 @@
 
 use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access, tab_to};
-use crate::station::{dashboard_address, station_with_dashboard, with};
-use crate::support::{Fleet, Folder, example};
+use crate::station::open_ward;
+use crate::support::Folder;
 use serde_json::json;
 
 const MISSIONS: [&str; 2] = ["lab-samples-1", "lab-samples-2"];
@@ -52,15 +52,8 @@ fn send(browser: &Browser) {
 fn missions_and_roles_are_ordered_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let mut fleet = Fleet::new(&example("fleet"));
-    fleet.start("station", station_with_dashboard(), &[]);
     // Slow enough that ada stays on its way to the room.
-    fleet.start("world", with(example("world"), "speed", 0.5), &["station-1"]);
-    fleet.start("robot", example("robot"), &["station-1", "world"]);
-    fleet.start("robot", example("arm"), &["station-1", "world"]);
-    browser.open(&dashboard_address(fleet.node("station-1")));
-    browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    let mut fleet = open_ward(&browser, 0.5);
     submit(&browser, MISSIONS[0]);
     browser.wait_until("the role of ada", "consort.connection.model.robots.ada.mission === 'lab-samples-1'");
     submit(&browser, MISSIONS[1]);

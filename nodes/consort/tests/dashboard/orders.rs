@@ -2,8 +2,8 @@
 
 use crate::browser::{Browser, SOON};
 use crate::demo_fleet::{ENTER, check_access, tab_to};
-use crate::station::{dashboard_address, station_with_dashboard, with};
-use crate::support::{Fleet, Folder, example, until};
+use crate::station::open_ward;
+use crate::support::{Fleet, Folder, until};
 use serde_json::{Value, json};
 
 /// Orders to ada in the model of the page.
@@ -32,15 +32,8 @@ fn wait_for_form(browser: &Browser) {
 fn robots_are_held_and_released_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let mut fleet = Fleet::new(&example("fleet"));
-    fleet.start("station", station_with_dashboard(), &[]);
     // Slow enough that the mission does not end meanwhile.
-    fleet.start("world", with(example("world"), "speed", 2.0), &["station-1"]);
-    fleet.start("robot", example("robot"), &["station-1", "world"]);
-    fleet.start("robot", example("arm"), &["station-1", "world"]);
-    browser.open(&dashboard_address(fleet.node("station-1")));
-    browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    let mut fleet = open_ward(&browser, 2.0);
     assert_eq!(browser.value("document.querySelector('#robot-orders').disabled"), true, "no robot is selected");
     browser.click("#new-mission");
     browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");

@@ -2,7 +2,7 @@
 
 use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access};
-use crate::station::start_station;
+use crate::station::{start_station, wait_for_coordinator};
 use crate::support::Folder;
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ fn schedules_are_changed_on_the_page() {
     let Some(browser) = Browser::start(&folder) else { return };
     let (fleet, url) = start_station();
     browser.open(&url);
-    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    wait_for_coordinator(&browser);
     browser.click("#tab-calendar");
     browser.wait_until("no schedule", "document.querySelector('#schedules-none').checkVisibility()");
 

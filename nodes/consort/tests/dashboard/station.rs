@@ -1,6 +1,6 @@
 //! Stations with a dashboard.
 
-use crate::browser::SOON;
+use crate::browser::{Browser, SOON};
 use crate::support::{Fleet, Program, example, until};
 use toml::Table;
 
@@ -21,6 +21,25 @@ pub(crate) fn start_station() -> (Fleet, String) {
     fleet.start("station", station_with_dashboard(), &[]);
     let url = dashboard_address(fleet.node("station-1"));
     (fleet, url)
+}
+
+/// Starts a ward with ada and an arm whose world runs at this speed, and opens its dashboard.
+pub(crate) fn open_ward(browser: &Browser, speed: f64) -> Fleet {
+    let mut fleet = Fleet::new(&example("fleet"));
+    fleet.start("station", station_with_dashboard(), &[]);
+    fleet.start("world", with(example("world"), "speed", speed), &["station-1"]);
+    fleet.start("robot", example("robot"), &["station-1", "world"]);
+    fleet.start("robot", example("arm"), &["station-1", "world"]);
+    browser.open(&dashboard_address(fleet.node("station-1")));
+    browser.wait_until("both robots", "document.querySelectorAll('#robots tbody tr').length === 2");
+    wait_for_coordinator(browser);
+    fleet
+}
+
+/// Waits until the page shows a coordinator, which may then receive orders.
+#[track_caller]
+pub(crate) fn wait_for_coordinator(browser: &Browser) {
+    browser.wait_until("the coordinator", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
 }
 
 /// Waits until a program prints the address of its dashboard.

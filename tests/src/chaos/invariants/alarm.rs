@@ -5,16 +5,16 @@
 //! where a drive ends, so a robot that assembles may drive anywhere. Robots get no roles meanwhile, as
 //! [`under_orders`](super::under_orders) checks, and what an alarm closes is [`closed`](super::closed).
 
+use super::InvariantViolation;
 use super::active_goals::ActiveGoals;
 use super::informed::{Informed, stated_problem};
+use super::obeyed::Obeyed;
 use super::reference_ledger::ReferenceLedger;
-use super::{Invariant, InvariantViolation};
+use crate::Fleet;
 use crate::order_bounds::stops_within;
-use crate::{Fleet, Observation};
 use consort_protocol::ids::RobotId;
 use consort_protocol::ledger::{Alarm, AlarmResponse};
 use consort_skills::actions::RobotBackend as _;
-use consort_world::world::LoggedEvent;
 use std::time::Duration;
 
 pub(super) struct UnderAlarm {
@@ -38,14 +38,6 @@ impl UnderAlarm {
             changed: Duration::ZERO,
             informed: Informed::default(),
             active: ActiveGoals::default(),
-        }
-    }
-
-    /// Adopts the alarms of the ledger.
-    fn update(&mut self, at: Duration) {
-        if self.reference.ledger.alarms().ne(&self.alarms) {
-            self.alarms = self.reference.ledger.alarms().cloned().collect();
-            self.changed = at;
         }
     }
 
@@ -74,26 +66,22 @@ impl UnderAlarm {
     }
 }
 
-impl Invariant for UnderAlarm {
-    fn name(&self) -> &'static str {
-        "alarm"
+impl Obeyed for UnderAlarm {
+    const NAME: &'static str = "alarm";
+
+    fn followed(&mut self) -> (&mut ReferenceLedger, &mut ActiveGoals) {
+        (&mut self.reference, &mut self.active)
     }
 
-    fn observe(&mut self, at: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
-        if matches!(entry, Observation::EntryApplied { .. }) {
-            self.reference.observe(entry);
-            self.update(at);
+    /// Adopts the alarms of the ledger.
+    fn update(&mut self, at: Duration) {
+        if self.reference.ledger.alarms().ne(&self.alarms) {
+            self.alarms = self.reference.ledger.alarms().cloned().collect();
+            self.changed = at;
         }
-        self.active.observe(at, entry);
-        Ok(())
     }
 
-    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
-        self.active.observe_world(entry);
-        Ok(())
-    }
-
-    fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
+    fn check_goals(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if self.alarms.is_empty() {
             self.informed.clear();
             return Ok(());

@@ -6,17 +6,17 @@
 //! robot without a role has received a closure is not known. A robot in a closed place may leave it through neighbouring
 //! closed places. Around the end of a closure nothing is checked, since clocks drift.
 
+use super::InvariantViolation;
 use super::active_goals::ActiveGoals;
 use super::held::may_be_over;
+use super::obeyed::Obeyed;
 use super::reference_ledger::ReferenceLedger;
-use super::{Invariant, InvariantViolation};
+use crate::Fleet;
 use crate::order_bounds::heeds_closures_within;
-use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::ledger::{MapPart, RobotOrder};
 use consort_skills::actions::RobotBackend as _;
-use consort_world::world::LoggedEvent;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -41,25 +41,6 @@ impl Closed {
             closures: BTreeMap::new(),
             opened: BTreeMap::new(),
             active: ActiveGoals::default(),
-        }
-    }
-
-    /// Adopts the closures of the ledger.
-    fn update(&mut self, at: Duration) {
-        let ledger = &self.reference.ledger;
-        let of_alarms = ledger.alarms().flat_map(|alarm| {
-            let order = &alarm.order;
-            alarm.plan.closes.iter().map(move |part| (part.clone(), order.clone()))
-        });
-        let closures = ledger.closures().map(|closure| (closure.part, closure.order));
-        let closed: BTreeMap<MapPart, RobotOrder> = of_alarms.chain(closures).collect();
-        let is_kept = |part: &MapPart, order: &RobotOrder| closed.get(part) == Some(order);
-        let (kept, ended): (BTreeMap<_, _>, BTreeMap<_, _>) =
-            std::mem::take(&mut self.closures).into_iter().partition(|(part, (order, _))| is_kept(part, order));
-        self.closures = kept;
-        self.opened.extend(ended.into_keys().map(|part| (part, at)));
-        for (part, order) in closed {
-            self.closures.entry(part).or_insert((order, at));
         }
     }
 
@@ -106,38 +87,46 @@ fn covers(part: &MapPart, place: &PlaceId) -> bool {
     }
 }
 
-/// Checks that no attempt at a task has failed because of a closure: the robot waits until the way is open.
-fn check_event(event: &EventKind) -> Result<(), InvariantViolation> {
-    match event {
-        EventKind::TaskRetried { mission, task, cause, .. } | EventKind::TaskFailed { mission, task, cause, .. }
-            if cause.contains(WAY_IS_CLOSED) =>
-        {
-            Err(format!("{task} of {mission} has failed in place of waiting: {cause}").into())
+impl Obeyed for Closed {
+    const NAME: &'static str = "closed";
+
+    fn followed(&mut self) -> (&mut ReferenceLedger, &mut ActiveGoals) {
+        (&mut self.reference, &mut self.active)
+    }
+
+    /// Adopts the closures of the ledger.
+    fn update(&mut self, at: Duration) {
+        let ledger = &self.reference.ledger;
+        let of_alarms = ledger.alarms().flat_map(|alarm| {
+            let order = &alarm.order;
+            alarm.plan.closes.iter().map(move |part| (part.clone(), order.clone()))
+        });
+        let closures = ledger.closures().map(|closure| (closure.part, closure.order));
+        let closed: BTreeMap<MapPart, RobotOrder> = of_alarms.chain(closures).collect();
+        let is_kept = |part: &MapPart, order: &RobotOrder| closed.get(part) == Some(order);
+        let (kept, ended): (BTreeMap<_, _>, BTreeMap<_, _>) =
+            std::mem::take(&mut self.closures).into_iter().partition(|(part, (order, _))| is_kept(part, order));
+        self.closures = kept;
+        self.opened.extend(ended.into_keys().map(|part| (part, at)));
+        for (part, order) in closed {
+            self.closures.entry(part).or_insert((order, at));
         }
-        _ => Ok(()),
-    }
-}
-
-impl Invariant for Closed {
-    fn name(&self) -> &'static str {
-        "closed"
     }
 
-    fn observe(&mut self, at: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
-        if matches!(entry, Observation::EntryApplied { .. }) {
-            self.reference.observe(entry);
-            self.update(at);
+    /// Checks that no attempt at a task has failed because of a closure: the robot waits until the way is open.
+    fn check_event(&self, event: &EventKind) -> Result<(), InvariantViolation> {
+        match event {
+            EventKind::TaskRetried { mission, task, cause, .. }
+            | EventKind::TaskFailed { mission, task, cause, .. }
+                if cause.contains(WAY_IS_CLOSED) =>
+            {
+                Err(format!("{task} of {mission} has failed in place of waiting: {cause}").into())
+            }
+            _ => Ok(()),
         }
-        self.active.observe(at, entry);
-        entry.event_kind().map_or(Ok(()), check_event)
     }
 
-    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
-        self.active.observe_world(entry);
-        Ok(())
-    }
-
-    fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
+    fn check_goals(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if self.closures.is_empty() {
             return Ok(());
         }
@@ -239,8 +228,10 @@ mod tests {
             cause: cause.to_owned(),
             class: CauseClass::Transient,
         };
-        assert_eq!(check_event(&failed("chaos has it fail")), Ok(()));
-        let violation = check_event(&failed("no route from A to B: the ways between them are closed")).unwrap_err().0;
+        let state = Closed::new(secs(4));
+        assert_eq!(state.check_event(&failed("chaos has it fail")), Ok(()));
+        let violation =
+            state.check_event(&failed("no route from A to B: the ways between them are closed")).unwrap_err().0;
         assert!(violation.starts_with("navto_room of lab-samples-1 has failed in place of waiting: "), "{violation}");
     }
 }

@@ -4,16 +4,16 @@
 //! renewal contains the hold. A robot without a role, which charges by itself, stands still after it has received
 //! the hold; its own record then states it. Around the end of a hold the robot may move, since clocks drift.
 
+use super::InvariantViolation;
 use super::active_goals::ActiveGoals;
 use super::informed::{Informed, stated_problem};
+use super::obeyed::Obeyed;
 use super::reference_ledger::ReferenceLedger;
-use super::{Invariant, InvariantViolation};
+use crate::Fleet;
 use crate::chaos::chaos_fleet::DATE_MS;
 use crate::order_bounds::stops_within;
-use crate::{Fleet, Observation};
 use consort_protocol::ids::RobotId;
 use consort_protocol::ledger::RobotOrder;
-use consort_world::world::LoggedEvent;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -35,17 +35,6 @@ impl Held {
             holds: BTreeMap::new(),
             informed: Informed::default(),
             active: ActiveGoals::default(),
-        }
-    }
-
-    /// Adopts the holds of the ledger.
-    fn update(&mut self, at: Duration) {
-        let held = self.reference.ledger.robot_orders();
-        let held: BTreeMap<RobotId, RobotOrder> =
-            held.filter_map(|(robot, orders)| Some((robot.clone(), orders.hold.clone()?))).collect();
-        self.holds.retain(|robot, (order, _)| held.get(robot) == Some(&*order));
-        for (robot, order) in held {
-            self.holds.entry(robot).or_insert((order, at));
         }
     }
 
@@ -92,26 +81,25 @@ pub(super) fn may_be_over(order: &RobotOrder, at: Duration) -> bool {
     at > ends_after(order).saturating_sub(tolerance(at))
 }
 
-impl Invariant for Held {
-    fn name(&self) -> &'static str {
-        "held"
+impl Obeyed for Held {
+    const NAME: &'static str = "held";
+
+    fn followed(&mut self) -> (&mut ReferenceLedger, &mut ActiveGoals) {
+        (&mut self.reference, &mut self.active)
     }
 
-    fn observe(&mut self, at: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
-        if matches!(entry, Observation::EntryApplied { .. }) {
-            self.reference.observe(entry);
-            self.update(at);
+    /// Adopts the holds of the ledger.
+    fn update(&mut self, at: Duration) {
+        let held = self.reference.ledger.robot_orders();
+        let held: BTreeMap<RobotId, RobotOrder> =
+            held.filter_map(|(robot, orders)| Some((robot.clone(), orders.hold.clone()?))).collect();
+        self.holds.retain(|robot, (order, _)| held.get(robot) == Some(&*order));
+        for (robot, order) in held {
+            self.holds.entry(robot).or_insert((order, at));
         }
-        self.active.observe(at, entry);
-        Ok(())
     }
 
-    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
-        self.active.observe_world(entry);
-        Ok(())
-    }
-
-    fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
+    fn check_goals(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if self.holds.is_empty() {
             self.informed.clear();
             return Ok(());

@@ -4,19 +4,19 @@
 //! command from before. Whether a robot without a role has received a limit is not known. Around the end of a limit nothing
 //! is checked, since clocks drift. The speed is that of the body, between two states in the same drive.
 
+use super::InvariantViolation;
 use super::active_goals::ActiveGoals;
 use super::held::may_be_over;
+use super::obeyed::Obeyed;
 use super::reference_ledger::ReferenceLedger;
-use super::{Invariant, InvariantViolation};
+use crate::Fleet;
 use crate::order_bounds::heeds_closures_within;
-use crate::{Fleet, Observation};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::ledger::{MapPart, SpeedLimit};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::MetresPerSecond;
 use consort_skills::actions::RobotBackend as _;
 use consort_skills::environment::SpeedLimits;
-use consort_world::world::LoggedEvent;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -65,16 +65,6 @@ impl Limited {
         }
     }
 
-    /// Adopts the speed limits of the ledger.
-    fn update(&mut self, at: Duration) {
-        let limits: BTreeMap<MapPart, SpeedLimit> =
-            self.reference.ledger.speed_limits().map(|limit| (limit.part.clone(), limit)).collect();
-        self.limits.retain(|part, (limit, _)| limits.get(part) == Some(&*limit));
-        for (part, limit) in limits {
-            self.limits.entry(part).or_insert((limit, at));
-        }
-    }
-
     /// Returns the limits that a robot in a role must keep to.
     fn in_force(&self, at: Duration) -> SpeedLimits {
         let must_heed = |(limit, since): &&(SpeedLimit, Duration)| {
@@ -112,26 +102,24 @@ impl Limited {
     }
 }
 
-impl Invariant for Limited {
-    fn name(&self) -> &'static str {
-        "limited"
+impl Obeyed for Limited {
+    const NAME: &'static str = "limited";
+
+    fn followed(&mut self) -> (&mut ReferenceLedger, &mut ActiveGoals) {
+        (&mut self.reference, &mut self.active)
     }
 
-    fn observe(&mut self, at: Duration, entry: &Observation, _: &Fleet) -> Result<(), InvariantViolation> {
-        if matches!(entry, Observation::EntryApplied { .. }) {
-            self.reference.observe(entry);
-            self.update(at);
+    /// Adopts the speed limits of the ledger.
+    fn update(&mut self, at: Duration) {
+        let limits: BTreeMap<MapPart, SpeedLimit> =
+            self.reference.ledger.speed_limits().map(|limit| (limit.part.clone(), limit)).collect();
+        self.limits.retain(|part, (limit, _)| limits.get(part) == Some(&*limit));
+        for (part, limit) in limits {
+            self.limits.entry(part).or_insert((limit, at));
         }
-        self.active.observe(at, entry);
-        Ok(())
     }
 
-    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
-        self.active.observe_world(entry);
-        Ok(())
-    }
-
-    fn check_state(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
+    fn check_goals(&mut self, at: Duration, fleet: &Fleet) -> Result<(), InvariantViolation> {
         if self.limits.is_empty() {
             self.motions.clear();
             return Ok(());

@@ -20,6 +20,7 @@ mod guarded;
 mod held;
 mod informed;
 mod limited;
+mod obeyed;
 mod occurrences;
 mod one_holder;
 mod one_leader;
