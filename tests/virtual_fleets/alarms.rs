@@ -5,6 +5,7 @@ use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
+use consort_protocol::knowledge::Availability;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -206,16 +207,23 @@ fn a_free_robot_keeps_its_promised_role_during_an_alarm() {
         fleet.wait_for_audit_trail().await;
         let (managed, room) = (json!({ "kind": "managed" }), ROOMS[0]);
         let drive = json!({ "task": "go", "type": "navigation", "roles": ["cart"], "parameters": { "to": room } });
-        let wait = json!({ "task": "act", "type": "wait", "roles": ["arm"], "parameters": { "seconds": "5" } });
+        let wait =
+            |task: &str| json!({ "task": task, "type": "wait", "roles": ["arm"], "parameters": { "seconds": "5" } });
+        let first = json!({ "mission": "rest", "roles": { "arm": managed }, "root": wait("rest") });
         let mission = json!({
             "mission": "go-and-act", "roles": { "cart": managed, "arm": managed },
-            "root": { "task": "all", "method": "sequential", "tasks": [drive, wait] },
+            "root": { "task": "all", "method": "sequential", "tasks": [drive, wait("act")] },
         });
+        request(&fleet, ApiCall::Submit, &json!({ "mission": first, "request": "first" })).await;
+        fleet.wait_until("the first mission", SOON, |fleet| fleet.has_event(task_began("rest"))).await;
         let reply = request(&fleet, ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;
         let mission: MissionId = slug(reply["mission"].as_str().expect("a mission"));
-        fleet.wait_until("the drive", SOON, |fleet| fleet.has_event(task_began("go"))).await;
+        // The arm was busy when the cart got its role, and is free before the cart arrives.
+        let record = |fleet: &Fleet| fleet.knowledge_of("aster", &slug("heath"));
+        let is_free = |fleet: &Fleet| record(fleet).is_some_and(|robot| robot.availability == Availability::Free);
         let promises = |fleet: &Fleet| fleet.ledger(|ledger| ledger.promises_in_order().len());
-        assert_eq!(promises(&fleet), Some(1), "seed {seed}: the arm waits for the cart");
+        let is_promised = |fleet: &Fleet| fleet.has_event(task_began("go")) && promises(fleet) == Some(1);
+        fleet.wait_until("a free robot with a promise", SOON, |fleet| is_free(fleet) && is_promised(fleet)).await;
         raise(&fleet, "freeze").await;
         wait_for_rest(&mut fleet).await;
         let is_lost = |fleet: &Fleet| promises(fleet) != Some(1);
