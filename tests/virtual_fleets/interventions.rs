@@ -89,9 +89,14 @@ fn only_a_person_resolves_a_mission_that_needs_intervention() {
             fleet.events().into_iter().filter_map(intervention).next_back().unwrap_or_default()
         };
         fleet.wait_until("amber to be refused", SOON, |fleet| why(fleet).contains("carries_item")).await;
+        let in_drawer =
+            |fleet: &Fleet| fleet.world.with(|world| world.robot_report(&slug("amber")).map(|it| it.in_drawer));
+        assert_eq!(in_drawer(&fleet).map(|samples| samples.len()), Some(1), "seed {seed}");
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
         let cause = format!("{cause}; resolved by Nia");
         assert_eq!(answer["state"], json!({ "failed": { "cause": cause, "class": "robot" } }), "seed {seed}");
+        // Otherwise its drawer would be full in the next mission.
+        assert_eq!(in_drawer(&fleet), Some(vec![]), "seed {seed}");
         fleet.wait_until("amber to be given work", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
         // A repeated request is acknowledged again; a request of another person comes too late.
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;

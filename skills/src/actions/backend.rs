@@ -3,7 +3,7 @@
 use super::error::ActionError;
 use super::goal::{Goal, GoalId, GoalStatus};
 use super::robot::Telemetry;
-use consort_protocol::ids::{RobotId, RoleId};
+use consort_protocol::ids::{RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::WorldTime;
@@ -11,7 +11,11 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// A task for a person with an unmanaged role, requested by the messages of the mission's plan.
+/// Task type of the request to take the items off robots. No domain can declare it, since its name contains a dot.
+const TAKE_ITEMS: &str = "consort.take_items";
+
+/// A task for a person with an unmanaged role, requested by the messages of the mission's plan; or the request to take the
+/// items off robots, which belongs to no plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PersonRequest {
     /// The person's role in the mission.
@@ -20,6 +24,23 @@ pub struct PersonRequest {
     pub task: TaskSpec,
     /// Holders of the managed roles.
     pub holders: BTreeMap<RoleId, RobotId>,
+}
+
+impl PersonRequest {
+    /// Returns the request to take all items off a robot that has them from this role.
+    ///
+    /// # Panics
+    /// Never: the task type is valid.
+    pub fn taking_items(role: RoleId, robot: RobotId) -> PersonRequest {
+        let task_type = TaskType::new(TAKE_ITEMS).expect("a valid task type");
+        let task = TaskSpec::of(task_type, vec![role.clone()]);
+        PersonRequest { holders: [(role.clone(), robot)].into(), role, task }
+    }
+
+    /// Checks whether it is the request to take all items off the robots that hold the roles.
+    pub fn takes_items(&self) -> bool {
+        self.task.task_type.as_str() == TAKE_ITEMS
+    }
 }
 
 /// Result of a person request: the results of the task by name, or the reason why the person declined or

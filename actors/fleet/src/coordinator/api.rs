@@ -3,6 +3,7 @@
 
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
+use super::people::{PeopleHost, removals};
 use super::submission::{self, Definitions, ScheduleError, SubmitError};
 use crate::events::EventPublisher;
 use crate::recurrence::schedule_view;
@@ -53,6 +54,8 @@ pub(super) struct ApiHandler {
     pub(super) missions: Arc<NamedMissions>,
     /// The alarms that a request may raise.
     pub(super) alarms: Arc<BTreeMap<AlarmId, AlarmPlan>>,
+    /// Simulated people.
+    pub(super) people: PeopleHost,
     /// Prefix of generated request ids, different from the prefixes of other coordinators.
     pub(super) request_prefix: String,
     /// Time of day in milliseconds since 1970, if it is known.
@@ -227,9 +230,12 @@ impl ApiHandler {
         self.change(mission.clone(), Command::Cancel { mission, by, places, at_ms: self.audit_ms() }).await
     }
 
+    /// Closes a mission after a person has taken the items off its robots. In a simulated world a simulated person does it
+    /// now, before the ledger gives the robots other roles.
     async fn resolve(&self, payload: &[u8]) -> Result<MissionChangeReply, ApiError> {
         let MissionChangeRequest { mission, by } = parse_request(ApiCall::Resolve, payload)?;
         let by = self.responsible(by);
+        self.people.send_all(self.replica.read(|ledger| removals(ledger, &mission))).await;
         self.change(mission.clone(), Command::Resolve { mission, by, at_ms: self.audit_ms() }).await
     }
 

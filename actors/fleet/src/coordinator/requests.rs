@@ -2,6 +2,7 @@
 
 use super::api::ApiHandler;
 use super::no_leader::busy_reply;
+use super::people::PeopleHost;
 use super::rate_limit::RequestLimiter;
 use super::session_context::SessionContext;
 use super::settings::NodeParts;
@@ -66,7 +67,7 @@ impl Requests {
     }
 
     fn handler(&self, requester: Option<Requester>, time_ms: Option<u64>, context: &SessionContext) -> ApiHandler {
-        let NodeParts { node, keys, replica, events, knowledge, wire_version, .. } = &context.settings.parts;
+        let NodeParts { node, keys, bus, replica, events, knowledge, wire_version, .. } = &context.settings.parts;
         ApiHandler {
             fleet: keys.fleet().clone(),
             node: node.clone(),
@@ -78,6 +79,7 @@ impl Requests {
             ensembles: Arc::clone(&context.settings.auctions.ensembles),
             missions: Arc::clone(&context.settings.missions),
             alarms: Arc::clone(&context.settings.alarms),
+            people: PeopleHost::new(bus, keys),
             request_prefix: format!(
                 "unnamed-{}-{:x}-{}",
                 context.term,

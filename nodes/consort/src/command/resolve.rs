@@ -11,7 +11,7 @@ use consort_protocol::keys::ApiCall;
 ///
 /// Use it after the items in robots' hands have been taken care of: the mission is then failed,
 /// with the name of the person, and its robots become available again. `consort missions` shows the
-/// items and their places.
+/// items and their places. In a simulated world, the request itself takes all items off these robots.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:

@@ -191,6 +191,16 @@ impl SimState {
         self.transfer_sample(sample, to);
     }
 
+    /// Takes all samples off a robot, to the table at its place.
+    pub(crate) fn take_samples_off(&mut self, robot: Entity) {
+        let table = HolderEntity::Table(self.place_of(HolderEntity::Drawer(robot)));
+        for holder in [HolderEntity::Drawer(robot), HolderEntity::Arm(robot)] {
+            for sample in self.held(holder) {
+                self.place_sample(sample, table);
+            }
+        }
+    }
+
     pub(crate) fn transfer_sample(&mut self, sample: Entity, to: HolderEntity) {
         let since = self.next_handover();
         let from = {

@@ -12,6 +12,7 @@
 
 mod cancel_orders;
 mod changes;
+mod host;
 mod next_command;
 mod simulated;
 #[cfg(test)]
@@ -26,13 +27,14 @@ use consort_bus::{Author, Delivery, Encoding, Sample};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::keys::{Key, PeopleCall};
+use consort_protocol::keys::Key;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswer};
 use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ErrorCode, GoalId, PersonResult};
+pub(super) use host::{PeopleHost, removals};
 use next_command::{PersonStep, next_step, question_steps};
 use simulated::SimulatedPeople;
 use std::collections::{BTreeMap, BTreeSet};
@@ -42,15 +44,13 @@ use tracing::{debug, warn};
 /// Time after which a proposal without effect is repeated.
 const PROPOSAL_RETRY: Duration = Duration::from_secs(1);
 
-/// Timeout for the host of simulated people to reply.
-const HOST_TIMEOUT: Duration = Duration::from_millis(500);
-
 /// The unmanaged roles of a session.
 pub(super) struct People {
     /// Latest proposal for each role, with its time.
     proposed: BTreeMap<(MissionId, RoleId), (PersonStep, NodeTime)>,
     changes: PeopleChanges,
     simulated: SimulatedPeople,
+    host: PeopleHost,
     cancel_orders: RecentCancelOrders,
 }
 
@@ -60,6 +60,7 @@ impl People {
             proposed: BTreeMap::new(),
             changes: context.read_ledger(PeopleChanges::of),
             simulated: SimulatedPeople::default(),
+            host: PeopleHost::new(&context.settings.parts.bus, &context.settings.parts.keys),
             cancel_orders: RecentCancelOrders::default(),
         }
     }
@@ -135,22 +136,11 @@ impl People {
     }
 
     fn send_to_host(&self, context: &mut SessionContext, command: PersonCommand) {
-        let id = command.id;
-        let bytes = match codec::encode(&command) {
-            Ok(bytes) => bytes.into(),
-            Err(problem) => return warn!(%problem, "person request does not fit a message"),
-        };
-        let key = context.settings.parts.keys.write(&Key::People(PeopleCall::Ask));
-        let (bus, to) = (context.settings.parts.bus.clone(), context.mailbox.clone());
+        let (host, to) = (self.host.clone(), context.mailbox.clone());
         context.tasks.spawn(async move {
-            let Ok(mut replies) = bus.query(&key, bytes, HOST_TIMEOUT).await else { return };
-            while let Some(reply) = replies.recv().await {
-                match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
-                    // The actor ends with the node.
-                    Ok(Ok(state)) => drop(to.cast(CoordinatorMessage::PersonReplied(id, state, reply.author))),
-                    other => debug!(?other, "person request got no reply"),
-                }
-            }
+            // The actor ends with the node.
+            let receive = |state, author| drop(to.cast(CoordinatorMessage::PersonReplied(command.id, state, author)));
+            host.send(&command, receive).await;
         });
     }
 

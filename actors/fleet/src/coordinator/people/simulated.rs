@@ -8,6 +8,7 @@ use consort_protocol::ledger::{AnswerContent, Ledger, MissionEntry, PersonReques
 use consort_protocol::mission::{ValueKind, check_results};
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{GoalId, PersonRequest};
+use serde::Serialize;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, VecDeque};
 
@@ -40,14 +41,16 @@ struct SentRequest {
     left_to_others: bool,
 }
 
+/// Returns the id for the host: FNV-1a (Fowler, Noll, Vo) over the content, so that every coordinator uses the same id.
+pub(super) fn goal_id(content: &impl Serialize) -> GoalId {
+    let content = codec::encode_record(content).expect("an id fits a record");
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    GoalId(content.iter().fold(0xcbf2_9ce4_8422_2325, step))
+}
+
 impl SentRequest {
-    /// Returns the id for the host: FNV-1a (Fowler, Noll, Vo) over cluster, request, role and turn, so that
-    /// every coordinator uses the same id.
     fn id(&self, request: &PersonRequestId) -> GoalId {
-        let content = (self.cluster, request, &self.request.role, self.turn);
-        let content = codec::encode_record(&content).expect("an id fits a record");
-        let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
-        GoalId(content.iter().fold(0xcbf2_9ce4_8422_2325, step))
+        goal_id(&(self.cluster, request, &self.request.role, self.turn))
     }
 
     fn command(&self, request: &PersonRequestId) -> PersonCommand {

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::world::actions::{ApproachPerson, ApproachRobot, Deposit, OperateDrawer, PickUp};
+use crate::world::samples::HolderEntity;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::yaml;
 use consort_skills::actions::PersonResult;
@@ -121,6 +122,24 @@ fn a_canceled_request_leaves_the_sample_with_the_nurse() {
     assert_eq!(sample_holders(&world)[1], SampleHolder::Person("Bea".into()));
     world.request_person(GoalId(8), deposit("r1"));
     assert_eq!(world.advance(at(199.0)), [answer(8, Ok(()))]);
+}
+
+#[test]
+fn the_items_are_taken_off_a_robot_once() {
+    let mut world = ready();
+    let take = || PersonRequest::taking_items(role("r1"), robot("r1"));
+    world.request_person(GoalId(7), deposit("r1"));
+    assert_eq!(world.advance(at(60.0)), [answer(7, Ok(()))]);
+    world.request_person(GoalId(8), take());
+    assert_eq!(world.advance(at(60.0)), [answer(8, Ok(()))]);
+    let table = SampleHolder::Table(place("PC Room 2"));
+    assert_eq!(sample_holders(&world), [SampleHolder::Person("Ana".into()), table]);
+    // The robot gets another item. A copy of the request comes too late.
+    let r1 = world.state.robots[&robot("r1")];
+    world.state.create_sample("s3".into(), HolderEntity::Drawer(r1));
+    world.request_person(GoalId(8), take());
+    assert_eq!(world.advance(at(99.0)), []);
+    assert_eq!(sample_holders(&world)[2], SampleHolder::Drawer(robot("r1")));
 }
 
 #[test]

@@ -11,6 +11,8 @@
 //! While every person in the role is away, a request waits for a return: for the seconds of the
 //! task's parameter `timeout_s`, or two minutes. A robot that has stayed at the place is next
 //! to the person again after the return.
+//!
+//! A request to take the items off robots is done at once, by a person who is not simulated further.
 
 mod requests;
 
@@ -179,6 +181,13 @@ impl SimState {
     /// before changes nothing.
     fn accept_request(&mut self, id: GoalId, request: &PersonRequest) {
         if self.resource::<PersonRequests>().is_known(id) {
+            return;
+        }
+        if request.takes_items() {
+            let robots: Vec<Entity> =
+                request.holders.values().filter_map(|robot| self.robots.get(robot).copied()).collect();
+            robots.into_iter().for_each(|robot| self.take_samples_off(robot));
+            self.end_request(id, Ok(BTreeMap::new()));
             return;
         }
         match self.requested_work(request) {

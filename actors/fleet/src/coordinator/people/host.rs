@@ -1,0 +1,66 @@
+//! The host of simulated people, as a coordinator reaches it.
+
+use super::simulated::goal_id;
+use crate::robot_driver::{PersonCommand, PersonRequestState};
+use consort_bus::{Author, SharedBus};
+use consort_protocol::codec;
+use consort_protocol::ids::MissionId;
+use consort_protocol::keys::{Key, Keys, PeopleCall};
+use consort_protocol::ledger::{HeldItem, Ledger, MissionState};
+use consort_skills::actions::PersonRequest;
+use std::time::Duration;
+use tokio::task::JoinSet;
+use tracing::{debug, warn};
+
+/// Timeout for the host to reply.
+const HOST_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// The way to the host of simulated people. Without such a host there are no replies.
+#[derive(Clone)]
+pub(in crate::coordinator) struct PeopleHost {
+    bus: SharedBus,
+    key: String,
+}
+
+impl PeopleHost {
+    /// Returns the way to the host of this fleet.
+    pub(in crate::coordinator) fn new(bus: &SharedBus, keys: &Keys) -> PeopleHost {
+        PeopleHost { bus: bus.clone(), key: keys.write(&Key::People(PeopleCall::Ask)) }
+    }
+
+    /// Sends a command, and passes the replies to `receive`.
+    pub(super) async fn send(&self, command: &PersonCommand, receive: impl Fn(PersonRequestState, Author)) {
+        let bytes = match codec::encode(command) {
+            Ok(bytes) => bytes.into(),
+            Err(problem) => return warn!(%problem, "person request does not fit a message"),
+        };
+        let Ok(mut replies) = self.bus.query(&self.key, bytes, HOST_TIMEOUT).await else { return };
+        while let Some(reply) = replies.recv().await {
+            match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
+                Ok(Ok(state)) => receive(state, reply.author),
+                other => debug!(?other, "person request got no reply"),
+            }
+        }
+    }
+
+    /// Sends the commands at once, and returns when all are replied to, or at the timeout.
+    pub(in crate::coordinator) async fn send_all(&self, commands: Vec<PersonCommand>) {
+        let mut sent = JoinSet::new();
+        for command in commands {
+            let host = self.clone();
+            sent.spawn(async move { host.send(&command, |_, _| ()).await });
+        }
+        sent.join_all().await;
+    }
+}
+
+/// Returns the commands to take the items off the robots of a mission that needs intervention; none for another mission.
+/// Each command has the same id whenever it is made, so a copy takes nothing that a robot receives later.
+pub(in crate::coordinator) fn removals(ledger: &Ledger, mission: &MissionId) -> Vec<PersonCommand> {
+    let Some(MissionState::NeedsIntervention { items, .. }) = ledger.mission_state(mission) else { return vec![] };
+    let removal = |HeldItem { role, robot, .. }: &HeldItem| PersonCommand {
+        id: goal_id(&(ledger.cluster(), mission, role, robot)),
+        request: Some(PersonRequest::taking_items(role.clone(), robot.clone())),
+    };
+    items.iter().map(removal).collect()
+}
