@@ -12,6 +12,7 @@ use pki_types::{CertificateDer, TrustAnchor, UnixTime};
 use ring::digest::{SHA256, digest};
 use ring::signature::Ed25519KeyPair;
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
@@ -20,6 +21,7 @@ use webpki::{
     BorrowedCertRevocationList, CertRevocationList, EndEntityCert, KeyUsage, RevocationOptionsBuilder,
     UnknownStatusPolicy, anchor_from_trusted_cert,
 };
+use x509_parser::prelude::{FromDer as _, X509Certificate};
 
 /// Maximum number of stored certificates, for a fleet of thousands. Beyond that all are dropped and
 /// queried again.
@@ -32,6 +34,8 @@ pub struct VerifiedCertificate {
     pub identity: Arc<Identity>,
     fingerprint: Fingerprint,
     certificate: CertificateDer<'static>,
+    /// First and last second since 1970 in which it is valid.
+    valid_s: RangeInclusive<u64>,
     scheme: SignatureScheme,
 }
 
@@ -195,9 +199,22 @@ impl Authority {
         if identity.fleet != self.fleet {
             return Err(CertificateError::OtherFleet { other: identity.fleet, own: self.fleet.clone() });
         }
-        let fingerprint = fingerprint(&certificate);
-        Ok(VerifiedCertificate { identity: Arc::new(identity), fingerprint, certificate, scheme: self.scheme })
+        Ok(VerifiedCertificate {
+            identity: Arc::new(identity),
+            fingerprint: fingerprint(&certificate),
+            valid_s: valid_seconds(&certificate)?,
+            certificate,
+            scheme: self.scheme,
+        })
     }
+}
+
+/// Returns the first and the last second since 1970 in which a certificate is valid.
+fn valid_seconds(certificate: &CertificateDer<'_>) -> Result<RangeInclusive<u64>, CertificateError> {
+    let (_, read) = X509Certificate::from_der(certificate)
+        .map_err(|problem| CertificateError::Invalid(format!("it is not a valid certificate: {problem}")))?;
+    let since_1970 = |timestamp: i64| u64::try_from(timestamp).unwrap_or(0);
+    Ok(since_1970(read.validity().not_before.timestamp())..=since_1970(read.validity().not_after.timestamp()))
 }
 
 /// Returns the identity contained in a certificate.
@@ -233,7 +250,10 @@ pub struct Keyring {
 #[derive(Default)]
 struct ReceivedCertificates {
     revoked: Option<RevocationList>,
+    /// Each was verified with the list `revoked`, unless that is new.
     certificates: BTreeMap<Fingerprint, Arc<VerifiedCertificate>>,
+    /// The list `revoked` has been replaced since the latest recheck.
+    is_list_new: bool,
 }
 
 impl ReceivedCertificates {
@@ -252,7 +272,7 @@ impl Keyring {
         revoked: Option<RevocationList>,
         incarnation: u64,
     ) -> Keyring {
-        let received = RwLock::new(ReceivedCertificates { revoked, certificates: BTreeMap::new() });
+        let received = RwLock::new(ReceivedCertificates { revoked, ..ReceivedCertificates::default() });
         Keyring { authority, own: Arc::new(own), key, numbers: AtomicU64::new(incarnation << 20), received }
     }
 
@@ -262,11 +282,12 @@ impl Keyring {
     #[must_use]
     pub fn with_simulated_signatures(mut self) -> Keyring {
         self.authority.scheme = SignatureScheme::Simulated;
-        let VerifiedCertificate { identity, fingerprint, certificate, .. } = &*self.own;
+        let VerifiedCertificate { identity, fingerprint, certificate, valid_s, .. } = &*self.own;
         self.own = Arc::new(VerifiedCertificate {
             identity: Arc::clone(identity),
             fingerprint: *fingerprint,
             certificate: certificate.clone(),
+            valid_s: valid_s.clone(),
             scheme: SignatureScheme::Simulated,
         });
         self
@@ -374,17 +395,22 @@ impl Keyring {
         let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
         list.check_replaces(received.revoked.as_ref())?;
         received.revoked = Some(list);
+        received.is_list_new = true;
         Ok(())
     }
 
-    /// Verifies all stored certificates again, with the current list of revoked certificates and at
-    /// this time. Removes and returns the certificates that are no longer valid, with the reasons.
+    /// Checks all stored certificates at this time, with the current list of revoked certificates. Removes and returns
+    /// the certificates that are no longer valid, with the reasons. While the list is the same and a certificate is within
+    /// its period, nothing else can have changed, so its signature is not verified again.
     pub(crate) fn recheck(&self, now: Duration) -> Vec<(Identity, CertificateError)> {
         let mut received = self.received.write().unwrap_or_else(PoisonError::into_inner);
-        let ReceivedCertificates { revoked, certificates } = &mut *received;
-        let revoked = revoked.as_ref().map(RevocationList::der);
+        let ReceivedCertificates { revoked, certificates, is_list_new } = &mut *received;
+        let (revoked, is_list_new) = (revoked.as_ref().map(RevocationList::der), std::mem::take(is_list_new));
         let mut removed = Vec::new();
         certificates.retain(|_, certificate| {
+            if !is_list_new && certificate.valid_s.contains(&now.as_secs()) {
+                return true;
+            }
             match self.authority.verify(certificate.certificate.clone(), revoked, now) {
                 Ok(_) => true,
                 Err(problem) => {
@@ -394,5 +420,70 @@ impl Keyring {
             }
         });
         removed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trust::issue::{CertificateAuthority, Validity, create_authority};
+    use pki_types::CertificateRevocationListDer;
+    use pki_types::pem::PemObject as _;
+
+    const NOW: Duration = Duration::from_secs(1_750_000_000);
+    const BEGAN: Duration = Duration::from_secs(1_749_999_900);
+
+    fn valid_for(seconds: u64) -> Validity {
+        Validity { from: BEGAN, until: NOW + Duration::from_secs(seconds) }
+    }
+
+    /// Returns the keyring of ada with the certificate of bob, which is valid for 100 s, and their authority.
+    fn keyring_of_ada() -> (Keyring, CertificateAuthority) {
+        let fleet: FleetId = "ward".parse().unwrap();
+        let files = create_authority(&fleet, valid_for(100_000)).unwrap();
+        let authority = CertificateAuthority::from_pem(&files.certificate, &files.key).unwrap();
+        let issue = |name: &str, seconds| {
+            let identity = format!("consort://ward/node/{name}?roles=robot").parse().unwrap();
+            authority.issue(&identity, &[], valid_for(seconds)).unwrap()
+        };
+        let ada = Keyring::from_issued(fleet, &files.certificate, &issue("ada", 100_000), NOW, 1).unwrap();
+        let bob = issue("bob", 100);
+        ada.add_certificate(&CertificateDer::from_pem_slice(bob.certificate.as_bytes()).unwrap(), NOW).unwrap();
+        (ada, authority)
+    }
+
+    /// Damages the stored bytes, so that they cannot be verified again.
+    fn damage_certificates(keyring: &Keyring) {
+        for certificate in keyring.received.write().unwrap().certificates.values_mut() {
+            Arc::get_mut(certificate).expect("in no other use").certificate = CertificateDer::from(vec![0]);
+        }
+    }
+
+    fn problems(keyring: &Keyring, now: Duration) -> Vec<String> {
+        keyring.recheck(now).into_iter().map(|(_, problem)| problem.to_string()).collect()
+    }
+
+    #[test]
+    fn a_signature_is_verified_again_for_a_new_list_only() {
+        let (ada, authority) = keyring_of_ada();
+        damage_certificates(&ada);
+        assert_eq!(problems(&ada, NOW + Duration::from_secs(99)), [] as [String; 0]);
+        let list = authority.revocation_list(&[], 1, valid_for(100_000)).unwrap();
+        let list = CertificateRevocationListDer::from_pem_slice(list.as_bytes()).unwrap();
+        ada.replace_revoked(list.to_vec(), NOW).unwrap();
+        assert_eq!(problems(&ada, NOW).len(), 1);
+    }
+
+    #[test]
+    fn a_certificate_outside_its_period_is_removed() {
+        for (now, expected) in [
+            (NOW + Duration::from_secs(102), "it expired 2 s ago"),
+            (BEGAN - Duration::from_secs(3), "it is valid only in 3 s; check the clock"),
+        ] {
+            let (ada, _) = keyring_of_ada();
+            assert_eq!(problems(&ada, NOW + Duration::from_secs(100)), [] as [String; 0], "its last second");
+            assert_eq!(problems(&ada, now), [expected]);
+            assert_eq!(problems(&ada, now), [] as [String; 0], "it is gone");
+        }
     }
 }
