@@ -4,17 +4,41 @@ use crate::loop_depth::{LOOP_DEPTH_MAX, loop_depth, parts};
 use crate::scalar::Scalar;
 use cel::common::ast::Expr;
 use cel::{Context, Env, IdedExpr, Program, Value};
-use std::collections::BTreeSet;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, LazyLock};
 
 /// Maximum size of an expression, in bytes.
 pub(crate) const EXPRESSION_BYTES_MAX: usize = 1024;
 
-/// Compiles an expression.
+/// Maximum number of compiled expressions that a thread keeps. Beyond that all are dropped and compiled again. Default: a
+/// guess, more than the conditions of the missions and the fleet file at a time.
+const COMPILED_MAX: usize = 128;
+
+thread_local! {
+    /// Expressions that were compiled lately, by text: the same conditions are evaluated for each bid and each report.
+    static COMPILED: RefCell<BTreeMap<String, Arc<Program>>> = const { RefCell::new(BTreeMap::new()) };
+}
+
+/// Compiles an expression, unless its text was compiled lately.
 ///
 /// # Errors
 /// Description of the problem: the text is not an expression, or it is too long or too complex.
-pub fn compile(text: &str) -> Result<Program, String> {
+pub fn compile(text: &str) -> Result<Arc<Program>, String> {
+    if let Some(known) = COMPILED.with_borrow(|compiled| compiled.get(text).cloned()) {
+        return Ok(known);
+    }
+    let program = Arc::new(compile_anew(text)?);
+    COMPILED.with_borrow_mut(|compiled| {
+        if compiled.len() >= COMPILED_MAX {
+            compiled.clear();
+        }
+        compiled.insert(text.to_owned(), Arc::clone(&program));
+    });
+    Ok(program)
+}
+
+fn compile_anew(text: &str) -> Result<Program, String> {
     if text.len() > EXPRESSION_BYTES_MAX {
         return Err(format!("it has {} bytes; at most {EXPRESSION_BYTES_MAX} are allowed", text.len()));
     }
@@ -50,5 +74,22 @@ pub fn cel_value(value: &Scalar) -> Value {
         Scalar::Integer(number) => Value::Int(*number),
         Scalar::Number(number) => Value::Float(*number),
         Scalar::Text(text) => Value::String(Arc::new(text.clone())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_expression_is_compiled_once_and_their_number_is_bounded() {
+        let first = compile("1 < 2").unwrap();
+        assert!(Arc::ptr_eq(&first, &compile("1 < 2").unwrap()));
+        for number in 0..COMPILED_MAX {
+            compile(&format!("{number} < 3")).unwrap();
+            assert!(COMPILED.with_borrow(BTreeMap::len) <= COMPILED_MAX);
+        }
+        assert!(!Arc::ptr_eq(&first, &compile("1 < 2").unwrap()), "it was dropped meanwhile");
+        assert!(compile("1 <").is_err() && compile("1 <").is_err());
     }
 }

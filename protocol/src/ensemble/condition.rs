@@ -8,6 +8,7 @@ use cel::objects::Key;
 use cel::{Context, ExecutionError, IdedExpr, Program, Value};
 use consort_text::AllowedNames;
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// Error: a condition cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -43,7 +44,7 @@ const OPEN_FIELDS: [&str; 2] = [ATTRIBUTES, "parameters"];
 #[derive(Debug)]
 pub(crate) struct Condition {
     pub(super) text: String,
-    program: Program,
+    program: Arc<Program>,
     /// Fields that it uses, each with its variable.
     fields: BTreeSet<(String, String)>,
 }

@@ -2,6 +2,7 @@
 
 use cel::{Context, Program};
 use consort_protocol::expression;
+use std::sync::Arc;
 
 /// Variable with the attributes of the robot.
 pub(super) const ATTRIBUTES: &str = "attributes";
@@ -15,7 +16,7 @@ pub(super) const TRAVEL_S: &str = "travel_s";
 /// A compiled expression.
 pub(super) struct Expression {
     pub(super) text: String,
-    program: Program,
+    program: Arc<Program>,
     /// True if the expression may use lengths or times of drives.
     pub(super) uses_drives: bool,
 }
