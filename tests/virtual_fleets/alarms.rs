@@ -118,6 +118,8 @@ fn an_alarm_stops_every_robot_until_it_is_cleared() {
         assert!(explained["text"].to_string().contains("under alarm freeze by Nia: smoke"), "seed {seed}: {explained}");
         let (view, health) = (fleet.view_of("aster", "fleet").await, fleet.view_of("aster", "health").await);
         assert_eq!(view["alarms"][0]["order"]["by"], "Nia", "seed {seed}: {view}");
+        let view = fleet.view_of("world", "fleet").await;
+        assert_eq!(view.get("alarms"), Some(&Value::Null), "seed {seed}: a node without a ledger does not know them");
         let finding = "the fleet is under alarm freeze by Nia: smoke";
         assert!(health.to_string().contains(finding), "seed {seed}: {health}");
         // Its nurse has a single sample.

@@ -1,6 +1,6 @@
 //! Views of nodes, robots and ensembles.
 
-use super::{readable, readable_or_default};
+use super::{readable, readable_if_known, readable_or_default};
 use crate::ensemble::{ExchangedValue, Membership};
 use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType, ZoneId};
 use crate::knowledge::RobotKnowledge;
@@ -23,15 +23,15 @@ pub struct FleetView {
     /// Ensembles of the fleet.
     #[serde(default, deserialize_with = "readable")]
     pub ensembles: Vec<EnsembleView>,
-    /// Zones, places and lanes that people have closed; none if the replying node has no ledger.
-    #[serde(default, deserialize_with = "readable")]
-    pub closures: Vec<Closure>,
-    /// Speed limits that people have set; none if the replying node has no ledger.
-    #[serde(default, deserialize_with = "readable")]
-    pub speed_limits: Vec<SpeedLimit>,
-    /// Alarms in force; none if the replying node has no ledger.
-    #[serde(default, deserialize_with = "readable")]
-    pub alarms: Vec<Alarm>,
+    /// Zones, places and lanes that people have closed; null if they are unknown to the replying node, which has no ledger.
+    #[serde(default, deserialize_with = "readable_if_known")]
+    pub closures: Option<Vec<Closure>>,
+    /// Speed limits that people have set; null if they are unknown to the replying node, which has no ledger.
+    #[serde(default, deserialize_with = "readable_if_known")]
+    pub speed_limits: Option<Vec<SpeedLimit>>,
+    /// Alarms in force; null if they are unknown to the replying node, which has no ledger.
+    #[serde(default, deserialize_with = "readable_if_known")]
+    pub alarms: Option<Vec<Alarm>>,
     /// Charging by the robots themselves; null if robots charge by tasks of missions only.
     #[serde(default, deserialize_with = "readable_or_default")]
     pub charging: Option<ChargingView>,

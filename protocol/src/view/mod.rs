@@ -91,8 +91,18 @@ pub const PUBLISHED_VIEWS: &[PublishedView] = &[
 
 /// Deserializes a list, without the members that this release cannot read.
 fn readable<'de, D: Deserializer<'de>, T: DeserializeOwned>(deserializer: D) -> Result<Vec<T>, D::Error> {
-    let members = Vec::<Value>::deserialize(deserializer)?;
-    Ok(members.into_iter().filter_map(|member| serde_json::from_value(member).ok()).collect())
+    Ok(readable_members(Vec::deserialize(deserializer)?))
+}
+
+/// Deserializes a list as [`readable`] does, or null.
+fn readable_if_known<'de, D: Deserializer<'de>, T: DeserializeOwned>(
+    deserializer: D,
+) -> Result<Option<Vec<T>>, D::Error> {
+    Ok(Option::<Vec<Value>>::deserialize(deserializer)?.map(readable_members))
+}
+
+fn readable_members<T: DeserializeOwned>(members: Vec<Value>) -> Vec<T> {
+    members.into_iter().filter_map(|member| serde_json::from_value(member).ok()).collect()
 }
 
 /// Deserializes a value, or returns the default if this release cannot read it.
@@ -124,6 +134,16 @@ mod tests {
         assert!(view.brief.status.detail.needs_intervention());
         assert_eq!((view.releases.len(), view.explanation), (1, None));
         assert_eq!(view.roles.iter().map(|role| role.role.as_str()).collect::<Vec<_>>(), ["r1"]);
+    }
+
+    #[test]
+    fn a_list_that_the_replying_node_does_not_know_is_no_empty_list() {
+        let zone = json!({ "part": { "floor": 3 } });
+        for (closures, expected) in [(json!([zone]), Some(0)), (json!([]), Some(0)), (Value::Null, None)] {
+            let view: FleetView = serde_json::from_value(json!({ "closures": closures })).unwrap();
+            assert_eq!(view.closures.map(|closures| closures.len()), expected);
+            assert_eq!((view.speed_limits, view.alarms), (None, None), "a node of an earlier release");
+        }
     }
 
     #[test]

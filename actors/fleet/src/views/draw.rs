@@ -197,16 +197,13 @@ impl ViewContext<'_> {
             .views
             .knowledge
             .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
-        let closures = self.ledger(|ledger| ledger.closures().collect()).unwrap_or_default();
-        let speed_limits = self.ledger(|ledger| ledger.speed_limits().collect()).unwrap_or_default();
-        let alarms = self.ledger(|ledger| ledger.alarms().cloned().collect()).unwrap_or_default();
         FleetView {
             cluster: self.views.membership.cluster(),
             nodes,
             ensembles: self.ensembles(),
-            closures,
-            speed_limits,
-            alarms,
+            closures: self.ledger(|ledger| ledger.closures().collect()),
+            speed_limits: self.ledger(|ledger| ledger.speed_limits().collect()),
+            alarms: self.ledger(|ledger| ledger.alarms().cloned().collect()),
             charging: self.views.charging.clone(),
             chargers: self.chargers(),
             declared: self.views.declared.clone(),

@@ -19,9 +19,9 @@ use std::collections::BTreeMap;
 /// Show the nodes of a fleet, the feedback and the readings of its robots, and its coordinator
 ///
 /// The data comes from the nearest node; each row has the age of its last contact. Robots that people
-/// hold or maintain are shown with these orders. Alarms, closures and speed limits follow, and the
-/// chargers that are leased or for which robots wait. The nearest node queries the nodes of the robots
-/// for the readings, and for the feedback of the goals in progress.
+/// hold or maintain are shown with these orders. Alarms, closures and speed limits follow, which a node
+/// without a ledger does not know, and the chargers that are leased or for which robots wait. The nearest
+/// node queries the nodes of the robots for the readings, and for the feedback of the goals in progress.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -102,14 +102,21 @@ fn format_fleet(FleetStatus { fleet, coordinator, readings, feedback }: &FleetSt
     });
     let rows: Vec<Vec<String>> = std::iter::once(heads.into_iter().map(str::to_owned).collect()).chain(rows).collect();
     let lines = [format_coordinator(coordinator), output::table(&rows)];
-    let rest = [
-        alarms_text(&fleet.alarms),
-        closures_text(&fleet.closures),
-        limits_text(&fleet.speed_limits),
-        chargers_text(&fleet.chargers),
-    ];
-    let rest = rest.into_iter().filter(|text| !text.is_empty());
+    let rest = [orders_text(fleet), chargers_text(&fleet.chargers)].into_iter().filter(|text| !text.is_empty());
     lines.into_iter().chain(rest).collect::<Vec<_>>().join("\n")
+}
+
+/// Formats the alarms, closures and speed limits, a line for each.
+fn orders_text(FleetView { alarms, closures, speed_limits, .. }: &FleetView) -> String {
+    let known = [
+        ("alarms", alarms.as_deref().map(alarms_text)),
+        ("closures", closures.as_deref().map(closures_text)),
+        ("speed limits", speed_limits.as_deref().map(limits_text)),
+    ];
+    let unknown: Vec<&str> = known.iter().filter(|(_, text)| text.is_none()).map(|(what, _)| *what).collect();
+    let unknown = (!unknown.is_empty()).then(|| format!("{}: unknown to this node", unknown.join(", ")));
+    let lines = known.into_iter().filter_map(|(_, text)| text.filter(|text| !text.is_empty()));
+    lines.chain(unknown).collect::<Vec<_>>().join("\n")
 }
 
 /// Formats chargers, a line for each: `Dock is leased to ada; waiting: bob, cyd`.
@@ -177,4 +184,22 @@ fn row(view: &NodeView, fleet: &FleetView, coordinator: &CoordinatorView) -> Vec
         skills.unwrap_or_else(dash),
         attributes.unwrap_or_else(dash),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn orders_that_the_replying_node_does_not_know_are_not_shown_as_none() {
+        let shown = |view: &str| {
+            let coordinator =
+                r#"{ "seen_by": "s-1", "age_ms": 5, "coordinator": null, "term": 1, "at_ms": 0, "version": "0" }"#;
+            let status =
+                format!(r#"{{ "fleet": {view}, "coordinator": {coordinator}, "readings": {{}}, "feedback": {{}} }}"#);
+            format_fleet(&serde_json::from_str(&status).unwrap())
+        };
+        assert!(shown(r#"{ "closures": null }"#).ends_with("\nalarms, closures, speed limits: unknown to this node"));
+        assert!(!shown(r#"{ "closures": [], "speed_limits": [], "alarms": [] }"#).contains("unknown"));
+    }
 }

@@ -171,7 +171,7 @@ fn close_place(browser: &Browser, fleet: &mut Fleet) {
 fn open_from_list(browser: &Browser, part: &str) {
     select(browser, "");
     browser.wait_until("nothing is selected", "document.querySelector('#part-orders').disabled");
-    // A node that does not lead states no closures for a moment after a change of the coordinator.
+    // The list may be drawn again while it gets the focus.
     browser.wait_until("the list", "document.querySelector('#closures .rowbutton')?.focus() === undefined && document.activeElement.className === 'rowbutton'");
     browser.press(ENTER);
     browser.wait_until(

@@ -92,6 +92,8 @@ pub struct FleetModel {
     robots: TrackedMap<String, RobotModel>,
     people: TrackedMap<String, PersonModel>,
     doors: TrackedMap<String, String>,
+    /// A node with a ledger has stated the closures, speed limits and alarms.
+    knows_orders: bool,
     /// Closed zones, places and lanes, by their texts, as `A – B`.
     closures: TrackedMap<String, Closure>,
     /// Speed limits, by the texts of their zones, places and lanes.
@@ -246,6 +248,11 @@ impl FleetModel {
     /// Returns the log, by number.
     pub fn log(&self) -> &BTreeMap<u64, LogEntry> {
         &self.log
+    }
+
+    /// Checks whether the closures, speed limits and alarms are known: a node with a ledger has stated them.
+    pub fn knows_orders(&self) -> bool {
+        self.knows_orders
     }
 
     /// Returns the closures, by the texts of their zones, places and lanes.

@@ -193,12 +193,20 @@ impl FleetModel {
         if let Some(charging) = &mut self.charging {
             charging.chargers.truncate(bounds::NODES);
         }
-        let closures = view.closures.into_iter().take(bounds::CLOSURES);
-        self.closures.replace(closures.map(|closure| (closure.part.to_string(), closure)).collect());
-        let limits = view.speed_limits.into_iter().take(bounds::CLOSURES);
-        self.speed_limits.replace(limits.map(|limit| (limit.part.to_string(), limit)).collect());
-        let alarms = view.alarms.into_iter().take(bounds::ALARMS);
-        self.alarms.replace(alarms.map(|alarm| (alarm.alarm.to_string(), alarm)).collect());
+        // A node without a ledger, such as a node that restarts, does not know them. They stay as they were.
+        self.knows_orders |= view.closures.is_some();
+        if let Some(closures) = view.closures {
+            let closures = closures.into_iter().take(bounds::CLOSURES);
+            self.closures.replace(closures.map(|closure| (closure.part.to_string(), closure)).collect());
+        }
+        if let Some(limits) = view.speed_limits {
+            let limits = limits.into_iter().take(bounds::CLOSURES);
+            self.speed_limits.replace(limits.map(|limit| (limit.part.to_string(), limit)).collect());
+        }
+        if let Some(alarms) = view.alarms {
+            let alarms = alarms.into_iter().take(bounds::ALARMS);
+            self.alarms.replace(alarms.map(|alarm| (alarm.alarm.to_string(), alarm)).collect());
+        }
         let declared = view.declared.alarms.into_iter().take(bounds::ALARMS);
         self.declared_alarms.replace(declared.map(|(name, plan)| (name.to_string(), plan)).collect());
         let zones = view.declared.zones.into_iter().take(bounds::ZONES);

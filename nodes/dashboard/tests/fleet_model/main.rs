@@ -404,6 +404,14 @@ fn closures_are_those_of_the_latest_view() {
         "zone icu": { "part": { "zone": { "name": "icu", "places": ["IC Room 4", "IC Room 5"] } }, "order": order },
     });
     assert_eq!(model.to_json()["closures"], expected);
+    // A node without a ledger does not know them.
+    let mut unknown = fleet(json!([{ "node": "bob", "alive": true, "robot": worker(json!("free")) }]));
+    for closures in [None, Some(Value::Null)] {
+        unknown.as_object_mut().unwrap().extend(closures.map(|closures| ("closures".to_owned(), closures)));
+        model.apply_view(&Key::ViewFleet, &unknown, NOW);
+        assert_eq!(model.robots().keys().collect::<Vec<_>>(), ["bob"]);
+        assert_eq!(model.to_json()["closures"], expected);
+    }
     view["closures"] = json!([]);
     model.apply_view(&Key::ViewFleet, &view, NOW);
     assert_eq!(model.to_json()["closures"], json!({}));
@@ -426,7 +434,15 @@ fn alarms_and_speed_limits_are_those_of_the_latest_view() {
     assert_eq!(rendered["speed_limits"], json!({ "IC Room 6": limit }));
     assert_eq!(rendered["declared_alarms"], json!({ "fire": plan }));
     assert_eq!(rendered["zones"], json!({ "icu": ["IC Room 5", "IC Room 6"] }));
-    model.apply_view(&Key::ViewFleet, &fleet(json!([])), NOW);
+    let mut unknown = view.clone();
+    (unknown["alarms"], unknown["speed_limits"]) = (Value::Null, Value::Null);
+    model.apply_view(&Key::ViewFleet, &unknown, NOW);
+    for section in ["alarms", "speed_limits"] {
+        assert_eq!(model.to_json()[section], rendered[section], "a node without a ledger does not know them");
+    }
+    let mut none = fleet(json!([]));
+    (none["alarms"], none["speed_limits"]) = (json!([]), json!([]));
+    model.apply_view(&Key::ViewFleet, &none, NOW);
     let rendered = model.to_json();
     for section in ["alarms", "speed_limits", "declared_alarms", "zones"] {
         assert_eq!(rendered[section], json!({}), "{section}");

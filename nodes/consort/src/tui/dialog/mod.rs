@@ -159,8 +159,10 @@ impl Dialog {
                 None => return Err(Problem::NoSelection("mission")),
             },
             Kind::Close => String::new(),
+            Kind::Open if !model.knows_orders() => no_choice("the closures are unknown to this node")?,
             Kind::Open => no_choice("nothing is closed")?,
             Kind::RaiseAlarm => no_choice("the fleet file declares no alarms")?,
+            Kind::ClearAlarm if !model.knows_orders() => no_choice("the alarms are unknown to this node")?,
             Kind::ClearAlarm => no_choice("no alarm is in force")?,
         };
         let argument = match <[String; 1]>::try_from(choices) {

@@ -113,7 +113,12 @@ fn a_priority_is_checked_before_it_is_confirmed() {
 fn an_order_needs_something_that_it_changes() {
     let ended = model("completed", json!({}));
     assert_eq!(open('x', Panel::Missions, &ended).unwrap_err(), Problem::Ended("rounds-1".to_owned()));
-    let empty = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
+    let mut empty = FleetModel::new("ward", "desk", FloorPlan::default(), 0);
+    let problem = |letter, focus, model: &FleetModel| open(letter, focus, model).unwrap_err().to_string();
+    assert_eq!(problem('o', Panel::Log, &empty), "the closures are unknown to this node");
+    assert_eq!(problem('A', Panel::Log, &empty), "the alarms are unknown to this node");
+    let known = json!({ "nodes": [], "closures": [], "speed_limits": [], "alarms": [] });
+    empty.apply_view(&Key::ViewFleet, &known, NOW_MS);
     for (letter, focus, text) in [
         ('h', Panel::Robots, "no robot is selected"),
         ('p', Panel::Missions, "no mission is selected"),
@@ -121,7 +126,7 @@ fn an_order_needs_something_that_it_changes() {
         ('a', Panel::Log, "the fleet file declares no alarms"),
         ('A', Panel::Log, "no alarm is in force"),
     ] {
-        assert_eq!(open(letter, focus, &empty).unwrap_err().to_string(), text);
+        assert_eq!(problem(letter, focus, &empty), text);
     }
 }
 
