@@ -110,8 +110,8 @@ pub trait RobotBackend: Send + Sync {
     fn cancel(&mut self, robot: &RobotId, id: GoalId);
 
     /// Requests a task of a person. The result is reported as [`BackendEvent::PersonRequestEnded`],
-    /// possibly much later: the person waits for a robot nearby with an open drawer. A repeated id
-    /// changes nothing.
+    /// possibly much later: the person waits for a robot nearby with an open drawer. A request that
+    /// [takes items](PersonRequest::takes_items) is done at once. A repeated id changes nothing.
     fn request_person(&mut self, id: GoalId, request: PersonRequest);
 
     /// Cancels a person request. If the request arrives after its cancelation, it is not served.

@@ -15,6 +15,10 @@ use tracing::{debug, warn};
 /// Timeout for the host to reply.
 const HOST_TIMEOUT: Duration = Duration::from_millis(500);
 
+/// Attempts to send a command that is not repeated later. Raised: fewer commands are lost, and a request of a person takes
+/// longer while the host is unreachable. Default: a guess.
+const ATTEMPTS: usize = 2;
+
 /// The way to the host of simulated people. Without such a host there are no replies.
 #[derive(Clone)]
 pub(in crate::coordinator) struct PeopleHost {
@@ -28,27 +32,41 @@ impl PeopleHost {
         PeopleHost { bus: bus.clone(), key: keys.write(&Key::People(PeopleCall::Ask)) }
     }
 
-    /// Sends a command, and passes the replies to `receive`.
-    pub(super) async fn send(&self, command: &PersonCommand, receive: impl Fn(PersonRequestState, Author)) {
+    /// Sends a command, and passes the replies to `receive`. Returns false if there are none.
+    pub(super) async fn send(&self, command: &PersonCommand, receive: impl Fn(PersonRequestState, Author)) -> bool {
         let bytes = match codec::encode(command) {
             Ok(bytes) => bytes.into(),
-            Err(problem) => return warn!(%problem, "person request does not fit a message"),
+            Err(problem) => {
+                warn!(%problem, "person request does not fit a message");
+                return false;
+            }
         };
-        let Ok(mut replies) = self.bus.query(&self.key, bytes, HOST_TIMEOUT).await else { return };
+        let Ok(mut replies) = self.bus.query(&self.key, bytes, HOST_TIMEOUT).await else { return false };
+        let mut has_replied = false;
         while let Some(reply) = replies.recv().await {
             match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
-                Ok(Ok(state)) => receive(state, reply.author),
+                Ok(Ok(state)) => {
+                    has_replied = true;
+                    receive(state, reply.author);
+                }
                 other => debug!(?other, "person request got no reply"),
             }
         }
+        has_replied
     }
 
-    /// Sends the commands at once, and returns when all are replied to, or at the timeout.
+    /// Sends the commands at once, and returns when all are replied to, or after the last attempt.
     pub(in crate::coordinator) async fn send_all(&self, commands: Vec<PersonCommand>) {
         let mut sent = JoinSet::new();
         for command in commands {
             let host = self.clone();
-            sent.spawn(async move { host.send(&command, |_, _| ()).await });
+            sent.spawn(async move {
+                for _ in 0..ATTEMPTS {
+                    if host.send(&command, |_, _| ()).await {
+                        return;
+                    }
+                }
+            });
         }
         sent.join_all().await;
     }
