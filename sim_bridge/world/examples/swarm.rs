@@ -5,6 +5,7 @@
 #![expect(clippy::print_stdout, reason = "an example answers on the terminal")]
 
 use consort_world::swarm::{Swarm, TABLE_HEADER, run_swarm};
+use std::num::NonZeroUsize;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -13,7 +14,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{TABLE_HEADER}");
     for drones in sizes {
         let began = Instant::now();
-        println!("{}", run_swarm(Swarm { drones, seed: 1 }, || began.elapsed())?);
+        println!("{}", run_swarm(Swarm { drones, seed: 1, threads: NonZeroUsize::MIN }, || began.elapsed())?);
     }
     Ok(())
 }

@@ -120,9 +120,23 @@ impl Flight {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::num::NonZeroUsize;
+
+    fn swarm(drones: usize, seed: u64) -> Swarm {
+        Swarm { drones, seed, threads: NonZeroUsize::MIN }
+    }
 
     fn flown(drones: usize, seed: u64) -> SwarmResult {
-        run_swarm(Swarm { drones, seed }, || Duration::ZERO).unwrap()
+        run_swarm(swarm(drones, seed), || Duration::ZERO).unwrap()
+    }
+
+    /// Poses of all drones after a time of flight, the drones under way, and the number of those that have arrived.
+    fn trace(swarm: Swarm, until_s: f64) -> (Vec<Pose>, BTreeSet<RobotId>, usize) {
+        let mut flight = Flight::prepare(swarm).unwrap();
+        flight.send();
+        flight.fly_until(until_s);
+        let poses = (0..swarm.drones).map(|n| flight.world.telemetry(&robot(n)).unwrap().pose).collect();
+        (poses, flight.pending, flight.arrived)
     }
 
     #[test]
@@ -144,28 +158,32 @@ mod tests {
 
     #[test]
     fn equal_seeds_fly_alike_and_others_do_not() {
-        let poses = |seed| {
-            let mut flight = Flight::prepare(Swarm { drones: 60, seed }).unwrap();
-            flight.send();
-            flight.fly_until(9.0);
-            let poses: Vec<Pose> = (0..60).map(|n| flight.world.telemetry(&robot(n)).unwrap().pose).collect();
-            poses
-        };
-        assert_eq!(poses(4), poses(4));
-        assert_ne!(poses(4), poses(5));
+        let trace = |seed| trace(swarm(60, seed), 9.0);
+        assert_eq!(trace(4), trace(4));
+        assert_ne!(trace(4), trace(5));
         assert_eq!(flown(60, 4), flown(60, 4));
     }
 
     #[test]
+    fn a_flight_does_not_depend_on_the_number_of_threads() {
+        // As many drones as make two and three threads worth starting.
+        let trace = |threads| trace(Swarm { threads: NonZeroUsize::new(threads).unwrap(), ..swarm(1_600, 3) }, 5.0);
+        let single = trace(1);
+        assert!(single.2 > 0, "some have arrived");
+        assert!(single == trace(2), "two threads");
+        assert!(single == trace(3), "three threads");
+    }
+
+    #[test]
     fn impossible_swarms_are_rejected() {
-        let refused = |drones| run_swarm(Swarm { drones, seed: 1 }, || Duration::ZERO).unwrap_err().to_string();
+        let refused = |drones| run_swarm(swarm(drones, 1), || Duration::ZERO).unwrap_err().to_string();
         assert_eq!(refused(0), "a swarm needs at least 1 drone");
         assert!(refused(10_001).contains("10000"), "{}", refused(10_001));
     }
 
     #[test]
     fn a_missing_result_ends_the_flight_after_fifteen_seconds() {
-        let mut flight = Flight::prepare(Swarm { drones: 2, seed: 1 }).unwrap();
+        let mut flight = Flight::prepare(swarm(2, 1)).unwrap();
         flight.send();
         let stranger = RobotId::new("nobody").unwrap();
         flight.pending.insert(stranger);

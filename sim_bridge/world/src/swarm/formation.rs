@@ -8,6 +8,7 @@ use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use std::num::NonZeroUsize;
 
 /// Radius of a drone. The distances below are in the same proportion to it as in the published
 /// scenario.
@@ -44,6 +45,8 @@ pub struct Swarm {
     pub drones: usize,
     /// Seed of the random offsets and of the gusts.
     pub seed: u64,
+    /// Greatest number of threads. The flight does not depend on it.
+    pub threads: NonZeroUsize,
 }
 
 impl Swarm {
@@ -62,7 +65,7 @@ impl Swarm {
             setup.robots.push(RobotSetup { has_drawer: false, radius_m: RADIUS_M, kinematics, ..drone });
         }
         setup.systems = ["steering", "driving", "collisions", "wind"].map(str::to_owned).to_vec();
-        setup.wind = Some(WindSettings::default());
+        (setup.wind, setup.threads) = (Some(WindSettings::default()), self.threads);
         setup.limits = WorldLimits { history_kept: 4 * self.drones.max(1_000), ..WorldLimits::default() };
         Ok(World::new(setup)?)
     }

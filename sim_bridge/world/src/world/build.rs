@@ -19,6 +19,7 @@ use consort_protocol::ids::PlaceId;
 use consort_skills::domain::standard_domain;
 use nalgebra::Isometry2;
 use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
 
 const SPEED_MPS: RangeInclusive<f64> = 0.001..=100.0;
@@ -33,6 +34,7 @@ impl WorldSetup {
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
         let (chargers, doors, obstacles) = (BTreeMap::new(), Vec::new(), Vec::new());
         let (step_s, wind, program) = (default_step_s(), None, ProgramParts::default());
+        let threads = NonZeroUsize::MIN;
         let (actions, tasks, readings) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let setup = Self {
             map,
@@ -51,6 +53,7 @@ impl WorldSetup {
             limits,
             systems,
             step_s,
+            threads,
             wind,
             program,
         };
@@ -72,7 +75,7 @@ impl World {
         let actions = systems_of_actions(&setup.actions, &systems);
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
         (state.chargers, state.charging_curve) = (setup.chargers.clone(), setup.charging_curve.clone());
-        state.own_chassis = setup.program.chassis();
+        (state.own_chassis, state.threads) = (setup.program.chassis(), setup.threads);
         state.insert_resource(HandoverCount::default());
         let mut world = World::with(state, systems, actions);
         world.for_each_system(|system, state| system.init_world(state, &setup));

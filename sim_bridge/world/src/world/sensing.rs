@@ -69,23 +69,22 @@ struct Scene {
 
 impl Scene {
     fn of(world: &World) -> Scene {
-        let (state, mut objects, mut discs) = (&world.state, Vec::new(), Vec::new());
+        let (state, mut objects, mut bodies) = (&world.state, Vec::new(), BodyGrid::new(CELL_M));
         for (name, robot) in &state.robots {
             let (pose, level) =
                 (state.get::<RobotLocation>(*robot).pose(state.now), state.level_of(state.map_position(*robot)));
             let steered = state.find::<Steered>(*robot);
             let at = steered.map_or(Vector3::new(pose.x, pose.y, 0.0), |steered| steered.model.position());
-            discs.push(Disc { at, radius_m: state.get::<SimRobot>(*robot).0.radius_m, level });
+            bodies.add(Disc { at, radius_m: state.get::<SimRobot>(*robot).0.radius_m, level });
             objects.push(DetectedObject::Robot(name.clone()));
         }
         for (name, person) in &state.people {
             let place = state.map.place_at(state.get::<PersonInfo>(*person).place);
             let at = Vector3::new(place.pose.x, place.pose.y, 0.0);
-            discs.push(Disc { at, radius_m: PERSON_RADIUS_M, level: place.level.0 });
+            bodies.add(Disc { at, radius_m: PERSON_RADIUS_M, level: place.level.0 });
             objects.push(DetectedObject::Person(name.clone()));
         }
-        let mut bodies = BodyGrid::default();
-        bodies.rebuild(discs, CELL_M);
+        bodies.refresh();
         Scene { bodies, objects }
     }
 

@@ -19,6 +19,7 @@ use consort_protocol::units::Watts;
 use consort_skills::actions::{ActionError, BackendEvent};
 use hecs::{Component, Entity, Fetch, Query, QueryMut, Ref, RefMut};
 use std::collections::{BTreeMap, VecDeque};
+use std::num::NonZeroUsize;
 
 /// An entry of the event queue.
 pub(crate) enum ScheduledEvent {
@@ -62,6 +63,8 @@ pub struct SimState {
     pub(crate) charging_curve: ChargingCurve,
     /// Chassis of the program itself.
     pub(crate) own_chassis: &'static [NamedChassis],
+    /// Greatest number of threads that move robots with kinematics.
+    pub(crate) threads: NonZeroUsize,
     pub(crate) queue: EventQueue<ScheduledEvent>,
     pub(crate) commands: VecDeque<SimCommand>,
     /// Events that the systems have not observed yet.
@@ -94,6 +97,7 @@ impl SimState {
             chargers: BTreeMap::new(),
             charging_curve: ChargingCurve::default(),
             own_chassis: &[],
+            threads: NonZeroUsize::MIN,
             queue: EventQueue::new(),
             commands: VecDeque::new(),
             unobserved_events: VecDeque::new(),

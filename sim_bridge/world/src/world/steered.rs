@@ -6,13 +6,15 @@ use super::setup::RobotSetup;
 use super::sim_state::SimState;
 use super::simulation::World;
 use crate::kinematics::{KinematicModel, Kinematics, Neighbour, ProfileLimits, TrapezoidProfile};
-use crate::space::{BodyGrid, Disc};
+use crate::space::{BodyGrid, Disc, NearBody};
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use hecs::Entity;
 use nalgebra::{Isometry2, Vector2, Vector3};
+use std::collections::BTreeSet;
 
-/// A robot with kinematics.
+/// A robot with kinematics. Between two steps its motion is changed by
+/// [`SimState::change_steered`], so that the next step notes it.
 pub(crate) struct Steered {
     pub(crate) model: KinematicModel,
     /// Time up to which the model is integrated.
@@ -25,20 +27,44 @@ pub(crate) struct Steered {
     pub(super) level: usize,
 }
 
-/// Radius of a robot, in metres.
-pub(crate) struct Footprint(pub(crate) f64);
+/// The body of a robot.
+pub(crate) struct Footprint {
+    /// Number of the body in the [`BodyIndex`].
+    pub(crate) number: usize,
+    pub(crate) radius_m: f64,
+}
 
-/// Positions of all bodies as of the latest step.
-#[derive(Default)]
+/// Positions of all bodies as of the latest step. A step only reads the components of robots that
+/// move, that have been changed since, or that have no kinematics: all others are where they were.
 pub(crate) struct BodyIndex {
     pub(crate) bodies: BodyGrid,
-    /// Entity of each body, by its index, and whether it is stepping.
-    pub(crate) owners: Vec<(Entity, bool)>,
+    /// Robot of each body, by the number of the body.
+    pub(crate) owners: Vec<Entity>,
+    /// Whether each robot moves with its kinematics, by the number of the body.
+    pub(crate) moving: Vec<bool>,
+    /// Robots without kinematics. Their positions are functions of time.
+    unsteered: Vec<Entity>,
+    /// Robots with kinematics that have been moved, pushed, started or stopped since the latest step.
+    pub(super) changed: BTreeSet<Entity>,
     /// Scratch space, reused between steps.
-    pub(super) found: Vec<(Entity, Disc, MapPosition, bool)>,
-    pub(super) neighbours: Vec<Neighbour>,
+    pub(super) placements: Vec<Placement>,
     pub(super) arrived: Vec<Entity>,
     pub(super) passed: Vec<Entity>,
+}
+
+/// Position of a body now.
+pub(super) struct Placement {
+    pub(super) number: usize,
+    pub(super) at: Vector3<f64>,
+    pub(super) position: MapPosition,
+    pub(super) moves: bool,
+}
+
+/// Bodies around a robot; scratch space, reused between robots.
+#[derive(Default)]
+pub(super) struct Neighbourhood {
+    found: Vec<NearBody>,
+    pub(super) neighbours: Vec<Neighbour>,
 }
 
 /// Cell size of the body grid: about the distance at which drones consider others.
@@ -59,7 +85,7 @@ impl Steered {
     pub(super) fn location(&self, before: &RobotLocation) -> RobotLocation {
         let pose = self.pose();
         let position = match (&self.part, before) {
-            (Some(part), _) => part.position_at(&self.pose()),
+            (Some(part), _) => part.position_at(&pose),
             (None, RobotLocation::Standing { position, .. }) => *position,
             (None, RobotLocation::Driving(drive)) => drive.start_position,
         };
@@ -101,18 +127,46 @@ impl StraightDrive {
     }
 }
 
+impl Default for BodyIndex {
+    fn default() -> BodyIndex {
+        BodyIndex {
+            bodies: BodyGrid::new(CELL_M),
+            owners: Vec::new(),
+            moving: Vec::new(),
+            unsteered: Vec::new(),
+            changed: BTreeSet::new(),
+            placements: Vec::new(),
+            arrived: Vec::new(),
+            passed: Vec::new(),
+        }
+    }
+}
+
 impl BodyIndex {
-    /// Collects the bodies that a robot must avoid.
-    pub(super) fn collect_neighbours(&mut self, robot: Entity, steered: &Steered) {
-        self.neighbours.clear();
+    /// Adds the body of a robot and returns its number.
+    pub(super) fn add(&mut self, robot: Entity, radius_m: f64, is_steered: bool) -> usize {
+        self.owners.push(robot);
+        self.moving.push(false);
+        self.bodies.add(Disc { at: Vector3::zeros(), radius_m, level: Disc::NO_LEVEL });
+        if is_steered {
+            self.changed.insert(robot);
+        } else {
+            self.unsteered.push(robot);
+        }
+        self.owners.len() - 1
+    }
+
+    /// Collects the bodies that a robot, which has the body `number`, must avoid.
+    pub(super) fn collect_neighbours(&self, number: usize, steered: &Steered, around: &mut Neighbourhood) {
+        around.neighbours.clear();
         let Some(reach_m) = steered.model.neighbour_range_m(self.bodies.max_radius_m()) else { return };
-        let (at, level) = (steered.model.position(), steered.level);
-        let (neighbours, whose) = (&mut self.neighbours, &self.owners);
-        self.bodies.for_each_near(&at, level, reach_m, |name, disc| {
-            if whose[name].0 != robot {
-                neighbours.push(Neighbour { offset: disc.at - at, radius_m: disc.radius_m });
-            }
-        });
+        let at = steered.model.position();
+        self.bodies.collect_near(&at, steered.level, reach_m, &mut around.found);
+        let others = around.found.iter().map(|near| near.number()).filter(|other| *other != number);
+        around.neighbours.extend(others.map(|other| {
+            let disc = self.bodies.disc(other);
+            Neighbour { offset: disc.at - at, radius_m: disc.radius_m }
+        }));
     }
 }
 
@@ -161,20 +215,32 @@ impl SimState {
         self.advance_steered(robot);
         if !self.is_stepping() {
             let mut index = std::mem::take(&mut *self.resource_mut::<BodyIndex>());
-            self.rebuild_index(&mut index);
+            self.refresh_index(&mut index);
             *self.resource_mut::<BodyIndex>() = index;
         }
         let (target, level) = (isometry(self.end_pose_beside(robot, &part)), self.level_of(part.start_position));
-        let mut steered = self.get_mut::<Steered>(robot);
-        steered.model.set_max_speed(speed_mps);
-        if part.backward {
-            steered.model.set_target_backward(target);
-        } else {
-            steered.model.set_target(target);
-        }
-        (steered.part, steered.level) = (Some(part), level);
-        drop(steered);
+        self.change_steered(robot, |steered| {
+            steered.model.set_max_speed(speed_mps);
+            if part.backward {
+                steered.model.set_target_backward(target);
+            } else {
+                steered.model.set_target(target);
+            }
+            (steered.part, steered.level) = (Some(part), level);
+        });
         self.start_stepping();
+    }
+
+    /// Changes the motion of a steered robot between two steps. Returns false for a robot without
+    /// kinematics.
+    pub(crate) fn change_steered(&self, robot: Entity, change: impl FnOnce(&mut Steered)) -> bool {
+        let Some(mut steered) = self.find_mut::<Steered>(robot) else { return false };
+        if !steered.model.is_moving() {
+            steered.since = self.now; // time has no effect on a robot at rest
+        }
+        change(&mut steered);
+        self.resource_mut::<BodyIndex>().changed.insert(robot);
+        true
     }
 
     /// Requests a call of [`SimState::on_steered_door_passed`] when `remaining_m` metres of the
@@ -186,9 +252,12 @@ impl SimState {
     /// Ends the drive of a steered robot, which brakes.
     pub(crate) fn brake(&mut self, robot: Entity) {
         self.advance_steered(robot);
-        let under_way = self.find_mut::<Steered>(robot).is_some_and(|mut steered| steered.part.take().is_some());
+        let under_way = self.find::<Steered>(robot).is_some_and(|steered| steered.part.is_some());
         if under_way {
-            self.get_mut::<Steered>(robot).model.brake();
+            self.change_steered(robot, |steered| {
+                steered.part = None;
+                steered.model.brake();
+            });
             self.start_stepping();
         }
     }
@@ -203,9 +272,10 @@ impl SimState {
         *self.get_mut::<RobotLocation>(robot) = RobotLocation::Standing { position, pose };
         let level = self.level_of(position);
         let body = &self.get::<SimRobot>(robot).0;
-        if let (Some(kinematics), Some(mut steered)) = (&body.kinematics, self.find_mut::<Steered>(robot)) {
+        if let Some(kinematics) = &body.kinematics {
             let model = self.kinematic_model(kinematics, body, pose);
-            *steered = Steered { model, since: self.now, part: None, notify_at_m: None, level };
+            let placed = Steered { model, since: self.now, part: None, notify_at_m: None, level };
+            self.change_steered(robot, |steered| *steered = placed);
         }
     }
 
@@ -226,11 +296,11 @@ impl SimState {
     fn end_pose_beside(&self, robot: Entity, drive: &StraightDrive) -> Pose {
         let (start, end) = (drive.start_pose, drive.end_pose);
         let back = Vector2::new(start.x - end.x, start.y - end.y);
-        let (index, own_m) = (self.resource::<BodyIndex>(), self.get::<Footprint>(robot).0);
+        let (index, own_m) = (self.resource::<BodyIndex>(), self.get::<Footprint>(robot).radius_m);
         let (at, reach_m) = (Vector3::new(end.x, end.y, 0.0), own_m + index.bodies.max_radius_m() + CLEARANCE_M);
         let mut room_m: f64 = 0.0;
         index.bodies.for_each_near(&at, self.level_of(drive.end_position), reach_m, |name, disc| {
-            let (other, needs_m) = (index.owners[name].0, own_m + disc.radius_m + CLEARANCE_M);
+            let (other, needs_m) = (index.owners[name], own_m + disc.radius_m + CLEARANCE_M);
             if other != robot && self.map_position(other) == drive.end_position && (disc.at - at).norm() < needs_m {
                 room_m = room_m.max(needs_m);
             }
@@ -251,6 +321,7 @@ impl SimState {
             steered.model.advance(elapsed_s, &[]);
             let mut location = self.get_mut::<RobotLocation>(robot);
             *location = steered.location(&location);
+            self.resource_mut::<BodyIndex>().changed.insert(robot);
         }
         steered.since = now;
     }
@@ -259,28 +330,32 @@ impl SimState {
         self.map.place_at(position.last_place()).level.0
     }
 
-    /// Rebuilds the body index from the current positions.
-    pub(super) fn rebuild_index(&mut self, index: &mut BodyIndex) {
-        let (now, found) = (self.now, &mut index.found);
-        found.clear();
-        for (robot, footprint, location, steered) in
-            self.query::<(Entity, &Footprint, &RobotLocation, Option<&Steered>)>()
-        {
-            let at = match steered {
-                Some(steered) => steered.model.position(),
-                None => Vector3::new(location.pose(now).x, location.pose(now).y, 0.0),
-            };
-            let moves = steered.is_some_and(|steered| steered.model.is_moving());
-            found.push((robot, Disc { at, radius_m: footprint.0, level: 0 }, location.map_position(now), moves));
+    /// Brings the body index up to the current positions. `index.placements` contains those of the
+    /// robots that the step has moved.
+    pub(super) fn refresh_index(&mut self, index: &mut BodyIndex) {
+        let mut placements = std::mem::take(&mut index.placements);
+        placements.extend(std::mem::take(&mut index.changed).into_iter().map(|robot| self.placement(robot)));
+        placements.extend(index.unsteered.iter().map(|robot| self.placement(*robot)));
+        for Placement { number, at, position, moves } in placements.drain(..) {
+            let in_lift = matches!(position, MapPosition::Lift { .. });
+            let level = if in_lift { Disc::NO_LEVEL } else { self.level_of(position) };
+            index.bodies.place(number, at, level);
+            index.moving[number] = moves;
         }
-        // A robot in a lift blocks no other.
-        found.retain(|(_, _, position, _)| !matches!(position, MapPosition::Lift { .. }));
-        let map = &self.map;
-        let level = |position: MapPosition| map.place_at(position.last_place()).level.0;
-        let discs = found.iter().map(|(_, disc, position, _)| Disc { level: level(*position), ..*disc });
-        index.bodies.rebuild(discs, CELL_M);
-        index.owners.clear();
-        index.owners.extend(found.iter().map(|(robot, _, _, moves)| (*robot, *moves)));
+        index.bodies.refresh();
+        index.placements = placements;
+    }
+
+    fn placement(&self, robot: Entity) -> Placement {
+        let (location, number) = (self.get::<RobotLocation>(robot), self.get::<Footprint>(robot).number);
+        let (at, moves) = match self.find::<Steered>(robot) {
+            Some(steered) => (steered.model.position(), steered.model.is_moving()),
+            None => {
+                let pose = location.pose(self.now);
+                (Vector3::new(pose.x, pose.y, 0.0), false)
+            }
+        };
+        Placement { number, at, position: location.map_position(self.now), moves }
     }
 }
 

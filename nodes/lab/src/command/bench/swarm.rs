@@ -4,6 +4,7 @@ use clap::Args as ClapArgs;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
 use consort_world::swarm::{Swarm, TABLE_HEADER, run_swarm};
+use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
 
 /// Flies a swarm of drones and measures the computing time of a simulated second.
@@ -13,16 +14,17 @@ use std::time::{Duration, Instant};
 /// have arrived or crashed, or when no drone has arrived for 15 simulated seconds.
 ///
 /// Each line is a swarm: its duration in the simulation; the minimum, maximum and mean computing
-/// time of a simulated second on a single core of this machine; and the numbers of drones that
-/// arrived and crashed.
+/// time of a simulated second on this machine; and the numbers of drones that arrived and crashed.
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
   consort-lab bench swarm
   consort-lab bench swarm --drones 1000,10000 --seed 7
+  consort-lab bench swarm --drones 10000 --threads 1
   consort-lab bench swarm --json | jq .average_s
 
-The same seed and number of drones give the same flight; the times depend on the machine.")]
+The same seed and number of drones give the same flight, with any number of threads; the times depend
+on the machine.")]
 pub(super) struct Args {
     /// Number of drones: a swarm for each number, from 1 to 10000
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [20, 40, 60, 80, 100, 150, 200],
@@ -31,6 +33,9 @@ pub(super) struct Args {
     /// Seed of the random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Greatest number of threads: a further one is started only while more than a thousand drones move
+    #[arg(long, default_value = "2")]
+    threads: NonZeroUsize,
     /// Print a JSON object for each swarm
     #[arg(long)]
     json: bool,
@@ -44,7 +49,7 @@ const UPDATE_EVERY: Duration = Duration::from_millis(500);
 /// # Errors
 /// [`Failure::Usage`] for an invalid swarm.
 pub(super) fn run(args: Args) -> Result<(), Failure> {
-    let Args { drones, seed, json } = args;
+    let Args { drones, seed, threads, json } = args;
     if !json {
         output::line(TABLE_HEADER)?;
     }
@@ -62,7 +67,7 @@ pub(super) fn run(args: Args) -> Result<(), Failure> {
             asked += 1;
             now
         };
-        let row = run_swarm(Swarm { drones, seed }, clock).map_err(|why| Failure::Usage(why.to_string()))?;
+        let row = run_swarm(Swarm { drones, seed, threads }, clock).map_err(|why| Failure::Usage(why.to_string()))?;
         drop(progress);
         if json {
             output::json(&row)?;

@@ -13,6 +13,7 @@ use consort_skills::domain_file::{ActionForm, DomainFile, ReadingForm};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
 
 /// Initial state of a world. Equal setups run alike.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,6 +52,9 @@ pub struct WorldSetup {
     /// Step of the time grid for state that cannot be computed ahead, in seconds; see
     /// [`default_step_s`].
     pub step_s: f64,
+    /// Greatest number of threads that move robots with kinematics. A world uses more than one only while
+    /// more than a thousand such robots move. The result does not depend on it.
+    pub threads: NonZeroUsize,
     /// Gusts that push hovering drones; `None` indoors.
     pub wind: Option<WindSettings>,
     /// Systems and chassis of the program itself.

@@ -33,11 +33,11 @@ impl System for Collisions {
     }
 
     fn reads(&self) -> Vec<ComponentType> {
-        component_types![SimRobot, BodyIndex, Footprint, RobotLocation]
+        component_types![SimRobot, Footprint, RobotLocation]
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        component_types![Steered, Touching]
+        component_types![Steered, BodyIndex, Touching]
     }
 
     fn init_world(&self, state: &mut SimState, _setup: &WorldSetup) {
@@ -68,27 +68,27 @@ impl System for Collisions {
 }
 
 impl BodyIndex {
-    /// Returns the touching pairs in which a body is stepping.
+    /// Returns the touching pairs in which a body moves.
     fn touching(&self, walls: &[WallGrid]) -> BTreeSet<(Entity, Option<Entity>)> {
         let mut touching = BTreeSet::new();
-        for (name, (robot, _)) in self.owners.iter().enumerate().filter(|(_, (_, moves))| *moves) {
-            let disc = self.bodies.disc(name);
+        let moving = self.moving.iter().enumerate().filter(|(_, moves)| **moves);
+        for (number, robot) in moving.map(|(number, _)| (number, &self.owners[number])) {
+            let disc = self.bodies.disc(number);
+            let Some(walls) = walls.get(disc.level) else { continue }; // in a lift
             self.bodies.for_each_near(
                 &disc.at,
                 disc.level,
                 disc.radius_m + self.bodies.max_radius_m(),
                 |second, found| {
                     let touch_m = disc.radius_m + found.radius_m;
-                    if second != name && (found.at - disc.at).norm_squared() < touch_m * touch_m {
-                        let second = self.owners[second].0;
+                    if second != number && (found.at - disc.at).norm_squared() < touch_m * touch_m {
+                        let second = self.owners[second];
                         touching.insert((*robot.min(&second), Some(*robot.max(&second))));
                     }
                 },
             );
-            if walls[disc.level]
-                .nearest_distance(disc.at.xy(), disc.radius_m)
-                .is_some_and(|distance| distance < disc.radius_m)
-            {
+            let wall_m = walls.nearest_distance(disc.at.xy(), disc.radius_m);
+            if wall_m.is_some_and(|distance| distance < disc.radius_m) {
                 touching.insert((*robot, None));
             }
         }
@@ -102,7 +102,7 @@ impl SimState {
     fn still_touching(&self, first: Entity, second: Option<Entity>) -> bool {
         let moves = |robot: Entity| self.find::<Steered>(robot).is_some_and(|steered| steered.model.is_moving());
         let Some(second) = second else { return !moves(first) };
-        let place = |robot| (self.get::<RobotLocation>(robot).pose(self.now), self.get::<Footprint>(robot).0);
+        let place = |robot| (self.get::<RobotLocation>(robot).pose(self.now), self.get::<Footprint>(robot).radius_m);
         let ((a, a_m), (b, b_m)) = (place(first), place(second));
         !moves(first) && !moves(second) && a.distance(b).get() < a_m + b_m
     }
@@ -110,9 +110,8 @@ impl SimState {
     /// Stops a robot after a collision with another robot or a wall. A robot that drives in
     /// straight lines is not affected.
     fn collide(&mut self, robot: Entity, with: Option<Entity>) {
-        match self.find_mut::<Steered>(robot) {
-            Some(mut steered) => steered.model.stop_immediately(),
-            None => return,
+        if !self.change_steered(robot, |steered| steered.model.stop_immediately()) {
+            return;
         }
         let (name, with) = (self.robot_id(robot), with.map(|second| self.robot_id(second)));
         let obstacle = with.as_ref().map_or("a wall".to_owned(), ToString::to_string);

@@ -5,7 +5,7 @@ use crate::world::components::SimRobot;
 use crate::world::location::RobotLocation;
 use crate::world::preconditions::action_error;
 use crate::world::sim_state::SimState;
-use crate::world::steered::Steered;
+use crate::world::steered::{BodyIndex, Steered};
 use crate::world::system::System;
 use crate::world::system_access::ComponentType;
 use consort_protocol::pose::Pose;
@@ -33,7 +33,7 @@ impl System for Turning {
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        component_types![RobotLocation, Steered]
+        component_types![RobotLocation, Steered, BodyIndex]
     }
 
     fn goal_kinds(&self) -> &'static [&'static str] {
@@ -68,9 +68,7 @@ impl System for Turning {
         if let RobotLocation::Standing { pose, .. } = &mut *state.get_mut::<RobotLocation>(robot) {
             let yaw = pose.yaw + angle_rad;
             *pose = Pose::new(pose.x, pose.y, yaw.sin().atan2(yaw.cos()));
-            if let Some(mut steered) = state.find_mut::<Steered>(robot) {
-                steered.model.set_heading(pose.yaw);
-            }
+            state.change_steered(robot, |steered| steered.model.set_heading(pose.yaw));
         }
         Ok(GoalResult::default())
     }

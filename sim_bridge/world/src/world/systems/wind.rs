@@ -3,9 +3,10 @@
 use crate::component_types;
 use crate::world::setup::{WindSettings, WorldSetup};
 use crate::world::sim_state::SimState;
-use crate::world::steered::Steered;
+use crate::world::steered::{BodyIndex, Steered};
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, SystemTimer};
+use hecs::Entity;
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -33,7 +34,7 @@ impl System for WindSystem {
     }
 
     fn writes(&self) -> Vec<ComponentType> {
-        component_types![Wind, Steered]
+        component_types![Wind, Steered, BodyIndex]
     }
 
     fn init_world(&self, state: &mut SimState, setup: &WorldSetup) {
@@ -50,17 +51,19 @@ impl System for WindSystem {
             let wind = state.resource::<Wind>();
             Wind { settings: wind.settings, rng: wind.rng.clone() }
         };
-        let (now, mut pushed) = (state.now, false);
-        for steered in state.query::<&mut Steered>().into_iter().filter(|steered| steered.model.is_hovering()) {
+        let (now, mut pushed) = (state.now, Vec::new());
+        let steered = state.query::<(Entity, &mut Steered)>().into_iter();
+        for (robot, steered) in steered.filter(|(_, steered)| steered.model.is_hovering()) {
             if rng.random::<f64>() < settings.probability {
                 let strength = rng.random_range(-settings.max_speed_change_mps..=settings.max_speed_change_mps);
                 let along = if rng.random::<bool>() { Vector3::x() } else { Vector3::y() };
                 steered.push(along * strength, now);
-                pushed = true;
+                pushed.push(robot);
             }
         }
         state.resource_mut::<Wind>().rng = rng;
-        if pushed {
+        if !pushed.is_empty() {
+            state.resource_mut::<BodyIndex>().changed.extend(pushed);
             state.start_stepping();
         }
         state.schedule((number + 1) as f64 * settings.interval_s, entity, number + 1);
