@@ -1,19 +1,28 @@
-//! Two hundred robots that report five times a second, and a page that draws every report.
+//! A thousand robots that report five times a second, and a page that draws every report.
 
 use crate::browser::Browser;
 use crate::shown_model::ShownModel;
 use crate::support::Folder;
 use consort_dashboard::fleet_model::FleetModel;
 use consort_protocol::keys::Key;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, WorldTime};
 use consort_skills::actions::Telemetry;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-const ROBOTS: usize = 200;
+const ROBOTS: usize = 1000;
 
 /// Largest number of table rows that change in a frame: the visible rows (a dozen, and a partly
 /// visible row at either end), and ten of the others in turn.
 const ROWS_AT_ONCE: u64 = 40;
+
+/// Largest number of rows that the table has as elements.
+const ROWS_SHOWN: u64 = 60;
+
+/// Least number of frames per second, unless an empty page has less than twice as many.
+const FRAMES_PER_S: f64 = 30.0;
 
 fn name(index: usize) -> String {
     format!("robot-{index:03}")
@@ -42,12 +51,16 @@ fn telemetry(index: usize, now_ms: u64) -> Telemetry {
     let share = index as f64 / ROBOTS as f64;
     let turn = TAU * ((now_ms % 3_600_000) as f64 / 40_000.0 + share * 7.0);
     let (x, y) = (18.0 + (3.0 + 13.0 * share) * turn.cos(), 17.0 + (3.0 + 13.0 * share) * turn.sin());
-    let pose = json!({ "x_m": x, "y_m": y, "yaw_rad": turn % TAU + TAU / 4.0 });
     let spent = (now_ms / 1000 % 20) as f64 / 100.0;
-    let battery = 0.2 + 0.8 * share - spent;
-    let telemetry =
-        json!({ "time": 1.0, "pose": pose, "place": "Crossing", "battery": battery, "able": true, "closed": [] });
-    serde_json::from_value(telemetry).expect("telemetry of a robot")
+    Telemetry {
+        time: WorldTime::from_secs(1.0),
+        pose: Pose::new(x, y, turn % TAU + TAU / 4.0),
+        place: "Crossing".parse().expect("a place"),
+        battery: BatteryShare::new(0.2 + 0.8 * share - spent).expect("a share"),
+        able: true,
+        closed: vec![],
+        readings: BTreeMap::new(),
+    }
 }
 
 fn report(model: &mut FleetModel, now_ms: u64) {
@@ -92,7 +105,7 @@ const MEASURE: &str = "((seconds) => new Promise((tell) => {
 
 #[test]
 #[expect(clippy::print_stderr, reason = "the measurements are printed")]
-fn two_hundred_robots_are_drawn_in_every_frame() {
+fn a_thousand_robots_are_drawn_in_every_frame() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     let shown = ShownModel::serve("many", report);
@@ -102,7 +115,8 @@ fn two_hundred_robots_are_drawn_in_every_frame() {
     browser.open("about:blank");
     let machine = measure(5);
     browser.open(&shown.url());
-    browser.wait_until("all robots", &format!("document.querySelectorAll('#robots tbody tr').length === {ROBOTS}"));
+    let rows = ROBOTS + 1; // with the heading
+    browser.wait_until("all robots", &format!("document.querySelector('#robots').ariaRowCount === '{rows}'"));
     // By then the initial work is done.
     browser.wait_until("frames", "consort.drawStats.frames > 100");
     let page = measure(10);
@@ -120,9 +134,23 @@ fn two_hundred_robots_are_drawn_in_every_frame() {
     assert!(undrawn <= 1 && number("missed_with_a_frame_between") == 0, "{page}");
     // It changes few table rows at a time, although the row of every robot changes all the time.
     assert!(number("rows_in_a_frame") <= ROWS_AT_ONCE, "{page}");
+    // The map is shown whole, so robots cover each other.
+    assert!(number("frames") as f64 / 10.0 >= FRAMES_PER_S.min(machine_rate(&machine) / 2.0), "{machine}, {page}");
+    assert!(browser.value("consort.drawStats.groups").as_u64() > Some(0), "no groups of robots on the map");
     let age = browser.value(
         "consort.connection.now() - Math.min(...Object.values(consort.connection.model.robots).map((robot) => robot.telemetry_ms))",
     );
     assert!(age.as_f64().expect("a number") < 5000.0, "the page is {age} ms behind");
+    // The table has the visible rows only, and scrolling shows the others.
+    let elements = browser.value("document.querySelectorAll('#robots tbody tr').length");
+    assert!(elements.as_u64().is_some_and(|rows| rows <= ROWS_SHOWN), "{elements} rows");
+    browser.value("document.querySelector('#robots').closest('.scroll').scrollTop = 1e6");
+    let last = name(ROBOTS - 1);
+    browser.wait_until("the last robot", &format!("document.querySelector('#robots tr[data-row={last}]') !== null"));
     assert_eq!(browser.console(), Vec::<String>::new());
+}
+
+/// Returns the frames per second of a measurement of 5 s.
+fn machine_rate(machine: &Value) -> f64 {
+    machine["frames"].as_f64().expect("a number of frames") / 5.0
 }

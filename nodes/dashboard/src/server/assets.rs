@@ -40,6 +40,7 @@ assets! {
     "/missions.js" "text/javascript; charset=utf-8" "assets/missions.js",
     "/mission_orders.js" "text/javascript; charset=utf-8" "assets/mission_orders.js",
     "/gantt.js" "text/javascript; charset=utf-8" "assets/gantt.js",
+    "/crowd.js" "text/javascript; charset=utf-8" "assets/crowd.js",
     "/sprites.js" "text/javascript; charset=utf-8" "assets/sprites.js",
     "/schedule.js" "text/javascript; charset=utf-8" "assets/schedule.js",
     "/alarms.js" "text/javascript; charset=utf-8" "assets/alarms.js",

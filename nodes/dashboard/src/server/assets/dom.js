@@ -51,34 +51,117 @@ const watch = new IntersectionObserver((entries) => {
   }
 });
 
+/** A table with more rows than this has elements only for the visible rows, and for some rows beside them. */
+const [ROWS_WHOLE, ROWS_BESIDE] = [200, 8];
+/** Row height in pixels until one has been measured. */
+const ROW_HEIGHT = 30;
+
 /**
- * Updates the rows of a table to `items`, which have a `key`. `fill(row, item)` creates or updates
- * the row's cells. It is called only for changed items: at once for visible rows, and in batches
- * for the rest, so that hundreds of rows never delay the map.
+ * Updates the rows of a table to `items`, which have a `key`. `fill(row, shown)` creates or updates
+ * the row's cells from `describe(item)`. It is called only for changed items: at once for visible rows, and in batches
+ * for the rest, so that hundreds of rows never delay the map. A table of more rows in a scrolled box has only those
+ * around the visible ones.
  */
-export function rows(body, items, fill) {
+export function rows(body, items, fill, describe = (item) => item) {
+  const scroller = items.length > ROWS_WHOLE ? body.closest('.scroll') : null;
+  body.table = { items, fill, describe };
+  if (scroller) showOnScroll(body, scroller);
+  const shown = scroller ? visible(body, scroller, items) : items.map((item) => ({ item }));
+  updateRows(body, shown, fill, describe);
+  if (!scroller) return body.parentElement.removeAttribute('aria-rowcount');
+  body.parentElement.setAttribute('aria-rowcount', items.length + 1);
+  if (!body.rowHeight) measureRows(body);
+}
+
+/** Notes the height of the lowest row so far: as many rows as fit if all are that low are shown. */
+function measureRows(body) {
+  const heights = [...body.rows].filter((row) => !row.classList.contains('gap')).map((row) => row.offsetHeight).filter(Boolean);
+  if (heights.length) body.rowHeight = Math.min(body.rowHeight ?? Infinity, ...heights);
+}
+
+/** Shows other rows when the box around a table is scrolled. */
+function showOnScroll(body, scroller) {
+  if (body.followsScroll) return;
+  body.followsScroll = true;
+  let requested = false;
+  scroller.addEventListener('scroll', () => {
+    if (requested) return;
+    requested = true;
+    requestAnimationFrame(() => {
+      requested = false;
+      const { items, fill, describe } = body.table;
+      if (items.length <= ROWS_WHOLE) return;
+      measureRows(body);
+      rows(body, items, fill, describe);
+    });
+  }, { passive: true });
+}
+
+/** Returns the visible items with their indices, the one with the focus, and the gaps between them. */
+function visible(body, scroller, items) {
+  const height = body.rowHeight ?? ROW_HEIGHT;
+  const first = Math.max(Math.floor(scroller.scrollTop / height) - ROWS_BESIDE, 0);
+  const end = Math.min(Math.ceil((scroller.scrollTop + scroller.clientHeight) / height) + ROWS_BESIDE, items.length);
+  const indices = Array.from({ length: Math.max(end - first, 0) }, (_, index) => first + index);
+  const focused = body.contains(document.activeElement) ? document.activeElement.closest('tr').dataset.row : undefined;
+  const index = focused === undefined ? -1 : items.findIndex((item) => item.key === focused);
+  if (index >= 0 && index < first) indices.unshift(index);
+  else if (index >= end) indices.push(index);
+  const shown = [];
+  const columns = body.parentElement.tHead.rows[0].cells.length;
+  let next = 0;
+  const gapTo = (index) => {
+    if (index > next) shown.push({ item: { key: `gap:${next}`, gap: (index - next) * height, columns } });
+    next = index + 1;
+  };
+  for (const index of indices) {
+    gapTo(index);
+    shown.push({ item: items[index], index });
+  }
+  gapTo(items.length);
+  return shown;
+}
+
+/** Fills a row that stands for rows that are not shown. */
+function fillGap(row, { gap, columns }) {
+  row.className = 'gap';
+  row.setAttribute('aria-hidden', 'true');
+  const cell = make('td', { colSpan: columns });
+  cell.style.height = `${gap}px`;
+  row.replaceChildren(cell);
+}
+
+function updateRows(body, items, fillItem, describe) {
   clearTimeout(body.turn);
+  // Rows that end are removed first: a row that stays is then not moved, which would take its focus.
+  const keys = new Set(items.map(({ item }) => item.key));
+  for (const row of [...body.rows].filter((row) => !keys.has(row.dataset.row))) {
+    watch.unobserve(row);
+    row.remove();
+  }
   const known = new Map([...body.rows].map((row) => [row.dataset.row, row]));
   let place = body.firstElementChild;
   const waiting = [];
-  for (const item of items) {
+  for (const { item, index } of items) {
     let row = known.get(item.key);
-    const shown = JSON.stringify(item);
+    const [described, fill] = item.gap ? [item, fillGap] : [describe(item), fillItem];
+    const shown = JSON.stringify(described);
     const isNew = !row;
     if (isNew) {
       row = make('tr');
       row.dataset.row = item.key;
       watch.observe(row);
     }
-    known.delete(item.key);
+    const number = index === undefined ? null : String(index + 2);
+    if (row.ariaRowIndex !== number) row.ariaRowIndex = number;
     row.due = undefined;
     if (row.shown !== shown) {
       const change = () => {
         row.due = undefined;
-        fill(row, item);
+        fill(row, described);
         row.shown = shown;
       };
-      if (isNew || !hidden.has(row)) change();
+      if (isNew || item.gap || !hidden.has(row)) change();
       else {
         row.due = change;
         waiting.push(row);
@@ -86,10 +169,6 @@ export function rows(body, items, fill) {
     }
     if (row === place) place = place.nextElementSibling;
     else body.insertBefore(row, place);
-  }
-  for (const row of known.values()) {
-    watch.unobserve(row);
-    row.remove();
   }
   // Continues after the last updated row, so that constant changes delay no row forever.
   const after = waiting.findIndex((row) => row.dataset.row === body.last) + 1;

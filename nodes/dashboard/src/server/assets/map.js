@@ -1,6 +1,7 @@
-// The map: static parts are drawn once. Robots are drawn in each browser frame, interpolated
-// between two reports.
+// The map: static parts are drawn once for each zoom. Robots are drawn in each browser frame, interpolated
+// between two reports. In a crowd, robots that cover each other are drawn as groups, until the map is zoomed in.
 
+import { grouped, sideOf } from './crowd.js';
 import { chargersOf } from './chargers.js';
 import { brief, byId, make } from './dom.js';
 import { assemblyPlaces, closedNames, laneName, partName, placesOf, zonePlaces } from './places.js';
@@ -17,8 +18,14 @@ const INTERPOLATION_MAX = 700;
 const [ROBOT_NEAR, PLACE_NEAR, LANE_NEAR] = [24, 16, 8];
 /** Radius of the area around the places of a zone, and of the sign of a speed limit, in pixels. */
 const [ZONE_RADIUS, LIMIT_RADIUS] = [16, 10];
-/** Above this number of robots no tasks are shown below the names. */
+/** Above this number of robots no tasks are shown below the names, and robots may be grouped. */
 const TASKS = 40;
+/** Above this number of robots only the selected one has a name and a route. */
+const NAMES = 120;
+/** Greatest zoom, and the steps of the buttons and of the wheel. */
+const [ZOOM_MAX, ZOOM_STEP, ZOOM_WHEEL] = [16, 1.6, 1.0015];
+/** Distance in pixels from which a press is a drag, and no click. */
+const DRAG_MIN = 4;
 
 let plan;
 /** Places of the plan by name, and lanes and walls of each level. */
@@ -40,6 +47,11 @@ let level;
 let scale = 1;
 let offset = [0, 0];
 let size = [0, 0];
+/** Zoom, 1 for the whole plan, and the point of the plan in the middle of the canvas, in metres. */
+let zoom = 1;
+let middle = [0, 0];
+/** Groups of robots as drawn, with their positions and radii in pixels. */
+let groups = [];
 let colours = {};
 /** The selected robot, and the name of the selected place, lane or zone. */
 let chosen;
@@ -47,14 +59,15 @@ let chosenPart;
 let stale = false;
 let moving = new Map();
 let frameRequested = false;
+let layOutRequested = false;
 /** Sprites of robots, for crowds; painted again when sizes or colours change. */
 let sprites;
 /**
  * Statistics for tests: drawn frames; total and maximum drawing time in milliseconds; reports that
  * were drawn; reports that were replaced by the next report before they were drawn, with and
- * without a browser frame in between.
+ * without a browser frame in between; groups of robots in the latest frame.
  */
-export const drawStats = { frames: 0, took: 0, worst: 0, reports: 0, missed: 0, missed_with_a_frame_between: 0 };
+export const drawStats = { groups: 0, frames: 0, took: 0, worst: 0, reports: 0, missed: 0, missed_with_a_frame_between: 0 };
 let fresh = false;
 let framePassed = false;
 
@@ -69,8 +82,35 @@ export function start(onChoose, onChoosePart) {
     level = event.target.value;
     layOut();
   };
+  byId('zoom-in').onclick = () => zoomBy(ZOOM_STEP);
+  byId('zoom-out').onclick = () => zoomBy(1 / ZOOM_STEP);
+  byId('zoom-whole').onclick = () => zoomBy(0);
+  // A wheel alone scrolls the page. Pinching a touchpad is a wheel with the control key.
+  canvas.addEventListener('wheel', (event) => {
+    if (!event.ctrlKey) return;
+    event.preventDefault();
+    zoomBy(ZOOM_WHEEL ** -event.deltaY, [event.offsetX, event.offsetY]);
+  }, { passive: false });
+  let drag;
+  canvas.onpointerdown = (event) => { drag = { at: [event.clientX, event.clientY], moved: false }; };
+  canvas.onpointermove = (event) => {
+    if (!drag || !event.buttons) return;
+    const [dx, dy] = [event.clientX - drag.at[0], event.clientY - drag.at[1]];
+    if (zoom === 1 || (!drag.moved && Math.hypot(dx, dy) < DRAG_MIN)) return;
+    canvas.setPointerCapture(event.pointerId);
+    drag = { at: [event.clientX, event.clientY], moved: true };
+    middle = [middle[0] - dx / scale, middle[1] + dy / scale];
+    requestLayOut();
+  };
   canvas.onclick = (event) => {
+    const wasDragged = drag?.moved;
+    drag = undefined;
+    if (wasDragged) return;
     const [x, y] = [event.offsetX, event.offsetY];
+    if (zoom < ZOOM_MAX && groups.some((group) => Math.hypot(group.px - x, group.py - y) <= group.radius)) {
+      zoomBy(ZOOM_STEP ** 2, [x, y]);
+      return;
+    }
     const robot = nearest(x, y);
     if (robot) onChoose(robot);
     else {
@@ -90,6 +130,11 @@ export function repaint() {
 
 export function choose(robot) {
   chosen = robot;
+  const pose = moving.get(robot)?.to;
+  if (pose && zoom > 1 && !isInside(pose, 0)) {
+    middle = pose.slice(0, 2);
+    requestLayOut();
+  }
   requestFrame();
 }
 
@@ -181,10 +226,10 @@ export function update(model, patch) {
   requestFrame();
 }
 
-const interpolate = (motion, now) => {
-  const share = motion.time ? Math.min((now - motion.at) / motion.time, 1) : 1;
-  const turn = ((motion.to[2] - motion.from[2] + Math.PI * 3) % (Math.PI * 2)) - Math.PI;
-  return [0, 1].map((index) => motion.from[index] + (motion.to[index] - motion.from[index]) * share).concat(motion.from[2] + turn * share);
+const interpolate = ({ from, to, at, time }, now) => {
+  const share = time ? Math.min((now - at) / time, 1) : 1;
+  const turn = ((to[2] - from[2] + Math.PI * 3) % (Math.PI * 2)) - Math.PI;
+  return [from[0] + (to[0] - from[0]) * share, from[1] + (to[1] - from[1]) * share, from[2] + turn * share];
 };
 
 const at = (x, y) => [offset[0] + x * scale, offset[1] - y * scale];
@@ -216,17 +261,43 @@ function nearestPart(x, y) {
   return closest(byPlace, PLACE_NEAR) ?? closest(byLane, LANE_NEAR);
 }
 
-/** Computes the layout again, for another size, plan, level or colours. */
+/** Zooms the map by a factor, 0 for the whole plan. The point of the plan at a position of the canvas stays there. */
+function zoomBy(factor, [x, y] = [size[0] / 2, size[1] / 2]) {
+  const before = zoom;
+  zoom = Math.min(Math.max(zoom * factor, 1), ZOOM_MAX);
+  const change = zoom / before;
+  const [mx, my] = [(x - size[0] / 2) / scale, (size[1] / 2 - y) / scale];
+  middle = [middle[0] + mx * (1 - 1 / change), middle[1] + my * (1 - 1 / change)];
+  // Another change may follow before the layout.
+  scale *= change;
+  requestLayOut();
+}
+
+/** Requests a layout before the next frame, if there is no request yet. */
+function requestLayOut() {
+  if (layOutRequested) return;
+  layOutRequested = true;
+  requestAnimationFrame(layOut);
+}
+
+/** Computes the layout again, for another size, plan, level, zoom or colours. */
 function layOut() {
+  layOutRequested = false;
   if (plan?.bounds_m?.west === undefined) return;
   const { west: x0, south: y0, east: x1, north: y1 } = plan.bounds_m;
   const width = byId('floor').clientWidth;
   if (!width) return;
   const [w, h] = [Math.max(x1 - x0, 1), Math.max(y1 - y0, 1)];
   const height = Math.min(Math.max((width - 2 * MARGIN) * (h / w) + 2 * MARGIN, 180), Math.max(innerHeight * 0.66, 320));
-  scale = Math.min((width - 2 * MARGIN) / w, (height - 2 * MARGIN) / h);
-  offset = [(width - w * scale) / 2 - x0 * scale, (height + h * scale) / 2 + y0 * scale];
+  scale = Math.min((width - 2 * MARGIN) / w, (height - 2 * MARGIN) / h) * zoom;
+  const within = (value, least, length) => (zoom === 1 ? least + length / 2 : Math.min(Math.max(value, least), least + length));
+  middle = [within(middle[0], x0, w), within(middle[1], y0, h)];
+  offset = [width / 2 - middle[0] * scale, height / 2 + middle[1] * scale];
   size = [width, height];
+  // A finger moves a zoomed map instead of the page.
+  canvas.style.touchAction = zoom === 1 ? '' : 'none';
+  byId('zoom-in').disabled = zoom === ZOOM_MAX;
+  byId('zoom-out').disabled = byId('zoom-whole').disabled = zoom === 1;
   const ratio = devicePixelRatio || 1;
   for (const layer of [canvas, staticLayer]) {
     layer.width = Math.round(width * ratio);
@@ -312,27 +383,38 @@ function draw(now) {
   drawClosures();
   drawAssemblyPlaces();
   for (const door of plan?.doors ?? []) if (door.level === level) for (const posts of door.posts) drawDoor(posts, doors[door.name]);
-  const onLevel = [...moving].filter(([, { robot }]) => isOnLevel(robot));
   let interpolating = false;
-  const poses = onLevel.map(([name, motion]) => {
+  const onLevel = [];
+  for (const [name, motion] of moving) {
+    if (!isOnLevel(motion.robot)) continue;
     interpolating ||= now - motion.at < motion.time;
-    return [name, motion.robot, interpolate(motion, now)];
-  });
-  for (const [name, robot, pose] of poses) if (robot.route?.length) drawRoute(robot, pose, name === chosen);
-  const crowd = crowded();
+    onLevel.push([name, motion.robot, interpolate(motion, now)]);
+  }
+  const [crowd, radius] = [crowded(), radiusOf()];
+  const isNamed = (name) => name === chosen || moving.size <= NAMES;
+  for (const [name, robot, pose] of onLevel) if (robot.route?.length && isNamed(name)) drawRoute(robot, pose, name === chosen);
   for (const person of Object.values(people)) if (person.x !== undefined && isOnLevel(person)) drawPerson(person);
-  const radius = radiusOf();
+  const shown = zoom === 1 ? onLevel : onLevel.filter(([, , pose]) => isInside(pose, radius * 2));
+  const { single: poses, groups: crowds } = crowd ? grouped(shown, sideOf(radius) / scale, chosen) : { single: shown, groups: [] };
   if (crowd) sprites ??= sheet(LOOKS, radius * 1.7 + 2, devicePixelRatio || 1, (pen, look, x, y, yaw) => paintRobot(pen, look, x, y, yaw, radius));
+  groups = crowds.map((group) => drawGroup(group, radius));
   for (const [name, robot, pose] of poses) drawRobot(name, robot, pose, radius, crowd);
   const taken = [];
-  for (const [name, robot, pose] of poses) label(name, robot, pose, radius, crowd, taken);
+  for (const [name, robot, pose] of poses) if (isNamed(name)) label(name, robot, pose, radius, crowd, taken);
   const took = performance.now() - began;
+  drawStats.groups = groups.length;
   drawStats.frames += 1;
   drawStats.took += took;
   drawStats.worst = Math.max(drawStats.worst, took);
   drawStats.reports += fresh;
   fresh = false;
   if (interpolating && !stale) requestFrame();
+}
+
+/** Checks whether a pose is on the canvas, or at most `beside` pixels beside it. */
+function isInside([x, y], beside) {
+  const [px, py] = at(x, y);
+  return px > -beside && py > -beside && px < size[0] + beside && py < size[1] + beside;
 }
 
 const isOnLevel = (item) => (places[item.place]?.level ?? level) === level;
@@ -492,6 +574,25 @@ function drawRobot(name, robot, [x, y, yaw], radius, crowd) {
   else paintRobot(pen, lookOf(robot), px, py, yaw, radius);
 }
 
+/** Draws a group of robots as a disc with their number, and returns its position and radius in pixels. */
+function drawGroup({ robots, x, y }, radius) {
+  const [px, py] = at(x, y);
+  const isWarned = (looks) => robots.some(([, robot]) => looks.includes(lookOf(robot)));
+  const own = radius * 1.4 + Math.min(Math.sqrt(robots.length), radius);
+  pen.fillStyle = colours.accent;
+  pen.strokeStyle = isWarned(['out']) ? colours.bad : isWarned(['suspended']) ? colours.warn : colours.floor;
+  pen.lineWidth = 2;
+  pen.beginPath();
+  pen.arc(px, py, own, 0, 7);
+  pen.fill();
+  pen.stroke();
+  pen.font = '600 10px system-ui, sans-serif';
+  pen.textAlign = 'center';
+  pen.fillStyle = colours['on-accent'];
+  pen.fillText(robots.length, px, py + 3.5);
+  return { px, py, radius: own };
+}
+
 function paintRobot(pen, look, px, py, yaw, radius) {
   const colour = { out: colours.bad, suspended: colours.warn }[look] ?? colours.accent;
   // The nose shows the heading.
@@ -515,11 +616,9 @@ function paintRobot(pen, look, px, py, yaw, radius) {
 /** Draws name, battery and task below a robot; skipped if it would cover another label. */
 function label(name, robot, [x, y], radius, crowd, taken) {
   const [px, py] = at(x, y);
-  const text = crowd && name !== chosen && moving.size > 120 ? null : name;
   const task = crowd ? null : robot.task;
-  if (!text) return;
   pen.font = '600 11px system-ui, sans-serif';
-  const width = Math.max(pen.measureText(text).width, task ? pen.measureText(task).width : 0, 26);
+  const width = Math.max(pen.measureText(name).width, task ? pen.measureText(task).width : 0, 26);
   const box = [px - width / 2 - 3, py + radius + 3, width + 6, task ? 34 : 21];
   box[0] = Math.min(Math.max(box[0], 2), size[0] - box[2] - 2);
   // Above the robot, if there is no space below.
@@ -532,19 +631,19 @@ function label(name, robot, [x, y], radius, crowd, taken) {
   pen.roundRect(...box, 4);
   pen.fill();
   pen.globalAlpha = 1;
-  const middle = box[0] + box[2] / 2;
+  const centre = box[0] + box[2] / 2;
   pen.textAlign = 'center';
   pen.fillStyle = colours.text;
-  pen.fillText(text, middle, box[1] + 11);
+  pen.fillText(name, centre, box[1] + 11);
   const low = robot.battery <= (robot.useful_charge ?? 0) + 0.1;
   pen.fillStyle = colours.line;
-  pen.fillRect(middle - 13, box[1] + 14.5, 26, 3.5);
+  pen.fillRect(centre - 13, box[1] + 14.5, 26, 3.5);
   pen.fillStyle = low ? colours.bad : colours.good;
-  pen.fillRect(middle - 13, box[1] + 14.5, 26 * Math.min(Math.max(robot.battery ?? 0, 0), 1), 3.5);
+  pen.fillRect(centre - 13, box[1] + 14.5, 26 * Math.min(Math.max(robot.battery ?? 0, 0), 1), 3.5);
   if (task) {
     pen.font = '10.5px system-ui, sans-serif';
     pen.fillStyle = colours.muted;
-    pen.fillText(task, middle, box[1] + 29);
+    pen.fillText(task, centre, box[1] + 29);
   }
 }
 

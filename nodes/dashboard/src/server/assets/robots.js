@@ -6,7 +6,7 @@ export function update(model, chosen, onChoose) {
   const robots = Object.entries(model.robots ?? {});
   const count = (word) => robots.filter(([, robot]) => robot.alive && robot.availability === word).length;
   setText(byId('robots-count'), `${robots.length}: ${count('holding') + count('suspended')} at work, ${count('free')} free`);
-  const items = robots.map(([key, robot]) => ({
+  const describe = ({ key, robot }) => ({
     key,
     alive: robot.alive,
     canMove: robot.can_move,
@@ -22,9 +22,9 @@ export function update(model, chosen, onChoose) {
     place: robot.place,
     readings: Object.entries(robot.readings ?? {}).map(([name, value]) => `${name} ${brief(value)}`).join(', '),
     chosen: key === chosen,
-  }));
+  });
   const body = byId('robots').tBodies[0];
-  rows(body, items, (row, item) => {
+  const fill = (row, item) => {
     const choose = make('button', { className: 'rowbutton', type: 'button' }, item.key);
     choose.setAttribute('aria-pressed', String(item.chosen));
     // A press of a key has no click count. Such a user continues at the orders of the robot.
@@ -37,12 +37,12 @@ export function update(model, chosen, onChoose) {
     else row.removeAttribute('aria-current');
     const charge = make('td', {}, meter(item.battery, percent(item.battery), item.low ? 'bad' : 'good'), item.forecast ? make('span', { className: 'sub' }, item.forecast) : null);
     cells(row, choose, does, charge, where, row.cells[4] ?? numberCell(since(0)));
-  });
+    // The age of a row that scrolling adds.
+    dateRow(row, model);
+  };
+  rows(body, robots.map(([key, robot]) => ({ key, robot })), fill, describe);
   // Ages are updated without redrawing the row.
-  for (const row of body.rows) {
-    const { last_contact_ms = 0, telemetry_ms = 0 } = model.robots[row.dataset.row];
-    row.querySelector('[data-since]').dataset.since = Math.max(last_contact_ms, telemetry_ms);
-  }
+  for (const row of body.rows) dateRow(row, model);
   const people = Object.entries(model.people ?? {}).map(([key, person]) => ({ key, ...person }));
   byId('people-block').hidden = people.length === 0;
   rows(byId('people').tBodies[0], people, (row, person) => {
@@ -51,6 +51,13 @@ export function update(model, chosen, onChoose) {
   const doors = Object.entries(model.doors ?? {}).map(([key, is]) => ({ key, state: is }));
   byId('doors-block').hidden = doors.length === 0;
   rows(byId('doors').tBodies[0], doors, (row, door) => cells(row, door.key, make('td', {}, state(DOORS[door.state] ?? 'wait', readable(door.state)))));
+}
+
+function dateRow(row, model) {
+  const robot = model.robots?.[row.dataset.row];
+  if (!robot) return;
+  const { last_contact_ms = 0, telemetry_ms = 0 } = robot;
+  row.querySelector('[data-since]').dataset.since = Math.max(last_contact_ms, telemetry_ms);
 }
 
 /** Describes when the charge of a robot reaches the next threshold. */
