@@ -55,7 +55,7 @@ mod stall_detector;
 mod status;
 pub(crate) mod submission;
 #[cfg(test)]
-mod test_ledger;
+pub(crate) mod test_ledger;
 mod voter_clocks;
 
 pub(crate) use actor::Coordinator;

@@ -18,22 +18,22 @@ const MISSION: &str = r#"{"mission": "bring", "roles": {"arm": {"kind": "managed
 
 /// A ledger, and the index of its latest entry.
 #[derive(Default)]
-pub(super) struct Log(pub(super) Ledger, u64);
+pub(crate) struct Log(pub(crate) Ledger, u64);
 
 impl Log {
-    pub(super) fn apply(&mut self, command: Command) {
+    pub(crate) fn apply(&mut self, command: Command) {
         self.1 += 1;
         let outcome = self.0.apply(Epoch { term: 1, index: self.1 }, command);
         assert!(!matches!(outcome, CommandOutcome::Refused(_)), "{outcome:?}");
     }
 
     /// Submits a mission with a cart of its own, and promises its role for the arm, which needs a tenth of the battery.
-    pub(super) fn add_mission(&mut self, cart: &str) -> MissionId {
+    pub(crate) fn add_mission(&mut self, cart: &str) -> MissionId {
         self.add_mission_of(cart, 0)
     }
 
     /// Does the same for a mission of a priority.
-    pub(super) fn add_mission_of(&mut self, cart: &str, priority: i64) -> MissionId {
+    pub(crate) fn add_mission_of(&mut self, cart: &str, priority: i64) -> MissionId {
         let mission = MissionTemplate::parse(MISSION, Format::Json).unwrap();
         let mission = mission.instantiate(&BTreeMap::new(), &hospital()).unwrap();
         let division = divide_and_check(&mission).unwrap();
@@ -58,7 +58,7 @@ impl Log {
     }
 
     /// Passes the promised role of the arm to another robot.
-    pub(super) fn pass_arm(&mut self, mission: &MissionId, robot: &str) {
+    pub(crate) fn pass_arm(&mut self, mission: &MissionId, robot: &str) {
         let role: RoleId = "arm".parse().unwrap();
         let epoch = self.0.mission(mission).unwrap().role_robots()[&role].epoch;
         let empty = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
@@ -68,7 +68,7 @@ impl Log {
     }
 
     /// Ends the role of the cart.
-    pub(super) fn end_cart(&mut self, mission: &MissionId) {
+    pub(crate) fn end_cart(&mut self, mission: &MissionId) {
         let role: RoleId = "cart".parse().unwrap();
         let epoch = self.0.mission(mission).unwrap().role_robots()[&role].epoch;
         let accept = Command::Accept {

@@ -140,10 +140,7 @@ impl ViewService {
         let seen = self.view(&Key::ViewEnsembles).await;
         let mut ensembles = seen.and_then(|seen| EnsemblesView::deserialize(seen).ok()).unwrap_or_default().ensembles;
         ensembles.retain(|ensemble| called.is_empty() || called.contains(&ensemble.name));
-        let robots: BTreeSet<NodeId> = self.views.knowledge.read(|base| {
-            let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
-            robots.map(|(node, _)| node.clone()).filter(|node| !asked.contains(node)).collect()
-        });
+        let robots = self.views.robot_nodes().into_iter().filter(|node| !asked.contains(node));
         let uninvited = |robot: NodeId| {
             let joined = ensembles.iter().find(|ensemble| ensemble.members.contains(&robot));
             let why = match joined {
@@ -159,7 +156,7 @@ impl ViewService {
             };
             UninvitedRobot { robot, why }
         };
-        robots.into_iter().map(uninvited).collect()
+        robots.map(uninvited).collect()
     }
 }
 

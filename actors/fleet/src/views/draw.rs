@@ -1,27 +1,31 @@
 //! Views of a fleet as seen by a single node.
+//!
+//! A view is drawn from copies of what it needs from the knowledge and the ledger, so gossip and the
+//! ledger go on meanwhile.
 
 use super::Views;
 use super::cluster_status::ClusterStatus;
 use super::health::{Blocking, HealthInputs, health};
-use super::mission::{auctions, ended_mission, mission, missions, schedules};
+use super::mission::{auctions, auctions_shown, ended_mission, mission, missions, schedules};
 use crate::charger_users::charger_users;
 use crate::robot_driver::RobotDriver;
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
+use consort_protocol::auction::AuctionRecord;
 use consort_protocol::chargers::ChargerQueue;
 use consort_protocol::ensemble::{Ensemble, KnowledgeExchange, MemberValues, Membership};
 use consort_protocol::ids::{ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId};
 use consort_protocol::keys::Key;
-use consort_protocol::knowledge::{Availability, KnownRecord};
+use consort_protocol::knowledge::{Availability, KnowledgeBase, KnownRecord};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{ChargerLease, Ledger, MissionState};
+use consort_protocol::ledger::{ChargerLease, Ledger, MissionState, RobotOrders};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{NodeTime, Seconds};
 use consort_protocol::view::{
     AuditView, ChargerLeaseView, ChargerView, Contact, CoordinatorView, EnsembleKnowledgeView, EnsembleMember,
-    EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, LedgerCopy, MemberKnowledge, NodeStatus, NodeTraits,
-    NodeView, PersonRequestView, PromisedRoleView, Provenance, PublishedRecord, RequestsView, RobotView,
-    WithProvenance,
+    EnsembleView, EnsemblesView, FleetView, HealthView, HeldRole, LedgerCopy, MemberKnowledge, MissionView,
+    MissionsView, NodeStatus, NodeTraits, NodeView, PersonRequestView, PromisedRoleView, Provenance, PublishedRecord,
+    RequestsView, RobotView, SchedulesView, WithProvenance,
 };
 use consort_raft::Replica;
 use serde::Serialize;
@@ -42,9 +46,49 @@ pub(super) struct ViewContext<'a> {
     pub(super) linearizable: bool,
     /// Values of the drivers of the robots of other nodes, from these nodes.
     pub(super) received_values: BTreeMap<NodeId, DriverValues>,
-    /// Promised roles of each robot, once they are needed.
-    pub(super) promised: OnceLock<BTreeMap<RobotId, Vec<PromisedRoleView>>>,
+    /// Copies, once they are needed.
+    pub(super) copies: Copies,
     pub(super) now: NodeTime,
+}
+
+/// Copies of what views are drawn from.
+#[derive(Default)]
+pub(super) struct Copies {
+    base: OnceLock<KnowledgeBase>,
+    statuses: OnceLock<BTreeMap<NodeId, MemberStatus>>,
+    /// `None` without a copy of the ledger.
+    robots: OnceLock<Option<RobotsInLedger>>,
+}
+
+/// The part of the ledger about each robot, from a single pass over the missions.
+struct RobotsInLedger {
+    held: BTreeMap<RobotId, HeldRole>,
+    orders: BTreeMap<RobotId, RobotOrders>,
+    /// Promised roles in their order.
+    promised: BTreeMap<RobotId, Vec<PromisedRoleView>>,
+}
+
+/// A view of the ledger, or what it is drawn from. Its JSON is written while the ledger is not locked.
+enum LedgerView {
+    Missions(MissionsView),
+    Requests(RequestsView),
+    Schedules(SchedulesView),
+    Audit(AuditView),
+    Auctions(Vec<AuctionRecord>),
+    Mission(Box<MissionView>),
+}
+
+impl LedgerView {
+    fn draw(self, provenance: &Provenance) -> Value {
+        match self {
+            LedgerView::Missions(view) => with(provenance, view),
+            LedgerView::Requests(view) => with(provenance, view),
+            LedgerView::Schedules(view) => with(provenance, view),
+            LedgerView::Audit(view) => with(provenance, view),
+            LedgerView::Auctions(records) => with(provenance, auctions(records)),
+            LedgerView::Mission(view) => with(provenance, view),
+        }
+    }
 }
 
 /// Values that the driver of a robot has published, by name; `None` if they are not known.
@@ -73,12 +117,11 @@ impl ViewContext<'_> {
                 views.push((key, value));
             }
         }
-        let statuses = self.views.knowledge.statuses();
-        views.extend(self.views.knowledge.read(|base| {
-            let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
-            let keys = robots.map(|(node, stored)| (Key::ViewRobot(RobotId::from(node.clone())), node, stored));
-            let wanted = keys.filter(|(key, ..)| wanted(key));
-            wanted.map(|(key, node, stored)| (key, self.robot(node, stored, &statuses))).collect::<Vec<_>>()
+        let robots = self.views.robot_nodes().into_iter();
+        let robots = robots.map(|node| (Key::ViewRobot(RobotId::from(node.clone())), node));
+        views.extend(robots.filter(|(key, _)| wanted(key)).filter_map(|(key, node)| {
+            let stored = self.views.knowledge.read(|base| base.get(&node).cloned())?;
+            Some((key, self.robot(&node, &stored)))
         }));
         views.extend(self.exchanged(wanted));
         views.extend(self.ledger_views(wanted, named));
@@ -88,17 +131,19 @@ impl ViewContext<'_> {
     /// Returns the values that the members of ensembles exchange, of the ensembles that this node
     /// belongs to.
     fn exchanged(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
-        let exchanges = self.views.exchanges.lock();
-        let keys = exchanges.iter().map(|(name, exchange)| (Key::ViewEnsemble(name.clone()), name, exchange));
         let view = |(key, name, exchange): (Key, &EnsembleId, &KnowledgeExchange)| {
             let member = |(robot, (MemberValues { attributes, readings }, age))| {
                 (robot, MemberKnowledge { age_ms: millis(age), attributes, readings })
             };
             let robots = exchange.latest(self.now)?.into_iter().map(member).collect();
-            let content = EnsembleKnowledgeView { ensemble: name.clone(), member: self.views.node.clone(), robots };
-            Some((key, self.with_provenance(content)))
+            Some((key, EnsembleKnowledgeView { ensemble: name.clone(), member: self.views.node.clone(), robots }))
         };
-        keys.filter(|(key, ..)| wanted(key)).filter_map(view).collect()
+        let copied: Vec<_> = {
+            let exchanges = self.views.exchanges.lock();
+            let keys = exchanges.iter().map(|(name, exchange)| (Key::ViewEnsemble(name.clone()), name, exchange));
+            keys.filter(|(key, ..)| wanted(key)).filter_map(view).collect()
+        };
+        copied.into_iter().map(|(key, content)| (key, self.with_provenance(content))).collect()
     }
 
     /// Returns the views of the ledger, if this node has a copy.
@@ -106,35 +151,37 @@ impl ViewContext<'_> {
         let Some(replica) = self.own_copy() else { return vec![] };
         // Before the state is read: it may become newer in between, but not older.
         let age_ms = if self.linearizable { Some(0) } else { replica.staleness().map(millis) };
-        replica.read_with_position(|Epoch { index: revision, .. }, ledger| {
-            let copy = LedgerCopy { revision, age_ms, linearizable: self.linearizable };
-            let provenance = Provenance { ledger: Some(copy), ..self.provenance() };
+        let (revision, views) = replica.read_with_position(|Epoch { index: revision, .. }, ledger| {
             let mut views = vec![];
             if wanted(&Key::ViewMissions) {
-                views.push((Key::ViewMissions, with(&provenance, missions(ledger))));
+                views.push((Key::ViewMissions, LedgerView::Missions(missions(ledger))));
             }
             if wanted(&Key::ViewRequests) {
-                views.push((Key::ViewRequests, with(&provenance, self.requests(ledger))));
+                views.push((Key::ViewRequests, LedgerView::Requests(self.requests(ledger))));
             }
             if wanted(&Key::ViewSchedules) {
-                views.push((Key::ViewSchedules, with(&provenance, schedules(ledger))));
+                views.push((Key::ViewSchedules, LedgerView::Schedules(schedules(ledger))));
             }
             if wanted(&Key::ViewAudit) {
                 let entries = ledger.audit_trail().cloned().collect();
-                views.push((Key::ViewAudit, with(&provenance, AuditView { entries })));
+                views.push((Key::ViewAudit, LedgerView::Audit(AuditView { entries })));
             }
             if wanted(&Key::ViewAuctions) {
-                views.push((Key::ViewAuctions, with(&provenance, auctions(ledger))));
+                views.push((Key::ViewAuctions, LedgerView::Auctions(auctions_shown(ledger))));
             }
             let entries = ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), entry));
             let wanted = entries.filter(|(key, _)| wanted(key));
-            views.extend(wanted.map(|(key, entry)| (key, with(&provenance, mission(ledger, entry)))));
+            views.extend(wanted.map(|(key, entry)| (key, LedgerView::Mission(Box::new(mission(ledger, entry))))));
             let ended = named.filter(|id| ledger.mission(id).is_none());
             if let Some((id, tombstone)) = ended.and_then(|id| Some((id, ledger.tombstone(id)?))) {
-                views.push((Key::ViewMission(id.clone()), with(&provenance, ended_mission(id.clone(), tombstone))));
+                let view = LedgerView::Mission(Box::new(ended_mission(id.clone(), tombstone)));
+                views.push((Key::ViewMission(id.clone()), view));
             }
-            views
-        })
+            (revision, views)
+        });
+        let copy = LedgerCopy { revision, age_ms, linearizable: self.linearizable };
+        let provenance = Provenance { ledger: Some(copy), ..self.provenance() };
+        views.into_iter().map(|(key, view)| (key, view.draw(&provenance))).collect()
     }
 
     /// Returns the requests to people.
@@ -160,6 +207,21 @@ impl ViewContext<'_> {
     /// Reads the ledger, if this node has a copy.
     fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
         Some(self.own_copy()?.read(look))
+    }
+
+    /// Returns a copy of the records of all nodes.
+    fn base(&self) -> &KnowledgeBase {
+        self.copies.base.get_or_init(|| self.views.knowledge.read(KnowledgeBase::clone))
+    }
+
+    /// Returns a copy of the statuses of all nodes.
+    fn statuses(&self) -> &BTreeMap<NodeId, MemberStatus> {
+        self.copies.statuses.get_or_init(|| self.views.knowledge.statuses())
+    }
+
+    /// Returns the part of the ledger about each robot, if this node has a copy of the ledger.
+    fn robots_in_ledger(&self) -> Option<&RobotsInLedger> {
+        self.copies.robots.get_or_init(|| self.ledger(RobotsInLedger::of)).as_ref()
     }
 
     /// Returns the JSON of a view with its provenance. The fields of `view/world` and `view/map`
@@ -192,14 +254,9 @@ impl ViewContext<'_> {
     }
 
     fn fleet(&self) -> FleetView {
-        let statuses = self.views.knowledge.statuses();
-        let nodes = self
-            .views
-            .knowledge
-            .read(|base| base.iter().map(|(node, stored)| self.node(node, stored, &statuses)).collect());
         FleetView {
             cluster: self.views.membership.cluster(),
-            nodes,
+            nodes: self.base().iter().map(|(node, stored)| self.node(node, stored)).collect(),
             ensembles: self.ensembles(),
             closures: self.ledger(|ledger| ledger.closures().collect()),
             speed_limits: self.ledger(|ledger| ledger.speed_limits().collect()),
@@ -228,35 +285,32 @@ impl ViewContext<'_> {
     }
 
     fn ensembles(&self) -> Vec<EnsembleView> {
-        let statuses = self.views.knowledge.statuses();
-        self.views.ensembles.iter().map(|ensemble| self.ensemble(ensemble, &statuses)).collect()
+        self.views.ensembles.iter().map(|ensemble| self.ensemble(ensemble)).collect()
     }
 
     /// Returns an ensemble: its requirements and its members.
-    fn ensemble(&self, ensemble: &Ensemble, statuses: &BTreeMap<NodeId, MemberStatus>) -> EnsembleView {
-        let spec = ensemble.spec();
+    fn ensemble(&self, ensemble: &Ensemble) -> EnsembleView {
+        let (spec, base, statuses) = (ensemble.spec(), self.base(), self.statuses());
         // Evaluated like the coordinator does, from the records received here.
         let coordinator = self.status.coordinator.as_ref().unwrap_or(&self.views.node);
         let mut not_members = BTreeMap::new();
         let mut members = vec![];
-        let nodes = self.views.knowledge.read(|base| {
-            let judge = |(node, _): (&NodeId, &KnownRecord)| {
-                let verdict = ensemble.membership_of(node, coordinator, base, self.now);
-                // A node that is down gets no call for bids, however recent its last record is.
-                let down = verdict.member && !statuses.get(node).is_some_and(MemberStatus::is_alive);
-                let membership = match down {
-                    true => Membership { member: false, reason: "judged down".to_owned(), ..verdict },
-                    false => verdict,
-                };
-                if membership.member {
-                    members.push(node.clone());
-                } else {
-                    not_members.insert(node.clone(), membership.reason.clone());
-                }
-                EnsembleMember { node: node.clone(), membership }
+        let judge = |(node, _): (&NodeId, &KnownRecord)| {
+            let verdict = ensemble.membership_of(node, coordinator, base, self.now);
+            // A node that is down gets no call for bids, however recent its last record is.
+            let down = verdict.member && !statuses.get(node).is_some_and(MemberStatus::is_alive);
+            let membership = match down {
+                true => Membership { member: false, reason: "judged down".to_owned(), ..verdict },
+                false => verdict,
             };
-            base.iter().map(judge).collect()
-        });
+            if membership.member {
+                members.push(node.clone());
+            } else {
+                not_members.insert(node.clone(), membership.reason.clone());
+            }
+            EnsembleMember { node: node.clone(), membership }
+        };
+        let nodes = base.iter().map(judge).collect();
         EnsembleView {
             name: spec.name.clone(),
             membership: spec.membership.clone(),
@@ -270,10 +324,10 @@ impl ViewContext<'_> {
     }
 
     /// Returns the JSON of a robot's node. The age and the version are those of its record.
-    fn robot(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
+    fn robot(&self, node: &NodeId, stored: &KnownRecord) -> Value {
         let Provenance { coordinator, term, at_ms, .. } = self.provenance();
         let DriverValues { readings, feedback } = self.driver_values(node);
-        json(RobotView { node: self.node(node, stored, statuses), coordinator, term, at_ms, readings, feedback })
+        json(RobotView { node: self.node(node, stored), coordinator, term, at_ms, readings, feedback })
     }
 
     /// Returns the values of the driver of a node's robot, if they are known here.
@@ -286,19 +340,12 @@ impl ViewContext<'_> {
         self.received_values.get(node).cloned().unwrap_or_default()
     }
 
-    /// Returns a single node. The caller passes the statuses, because the knowledge is locked while
-    /// its records are read.
-    fn node(&self, node: &NodeId, stored: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> NodeView {
-        let record = &stored.record;
-        let alive = statuses.get(node).is_some_and(MemberStatus::is_alive);
-        let by_ledger = self.ledger(|ledger| {
-            let held = ledger.held_by(&RobotId::from(node.clone()));
-            held.map(|(entry, role, epoch)| HeldRole {
-                mission: entry.id.clone(),
-                role: role.clone(),
-                epoch: Some(epoch.to_string()),
-            })
-        });
+    /// Returns a single node.
+    fn node(&self, node: &NodeId, stored: &KnownRecord) -> NodeView {
+        let (record, status, robot_id) = (&stored.record, self.statuses().get(node), RobotId::from(node.clone()));
+        let alive = status.is_some_and(MemberStatus::is_alive);
+        let in_ledger = self.robots_in_ledger();
+        let by_ledger = in_ledger.map(|robots| robots.held.get(&robot_id).cloned());
         let mut robot = record.knowledge.robot.clone();
         if let (false, Some(worker)) = (alive, &mut robot) {
             worker.availability =
@@ -317,7 +364,7 @@ impl ViewContext<'_> {
             contact: Contact {
                 seen_by: self.views.node.clone(),
                 alive,
-                status: node_status(statuses.get(node)),
+                status: node_status(status),
                 age_ms: millis(stored.age(self.now)),
             },
             record: PublishedRecord {
@@ -333,18 +380,9 @@ impl ViewContext<'_> {
                 mains_powered: record.knowledge.mains_powered,
             },
             holds,
-            orders: self
-                .ledger(|ledger| ledger.orders_of(&RobotId::from(node.clone())).cloned())
-                .flatten()
-                .unwrap_or_default(),
-            promised: self.promised(&RobotId::from(node.clone())),
+            orders: in_ledger.and_then(|robots| robots.orders.get(&robot_id)).cloned().unwrap_or_default(),
+            promised: in_ledger.and_then(|robots| robots.promised.get(&robot_id)).cloned().unwrap_or_default(),
         }
-    }
-
-    /// Returns the promised roles of a robot in their order, if this node has a copy of the ledger.
-    fn promised(&self, robot: &RobotId) -> Vec<PromisedRoleView> {
-        let promised = self.promised.get_or_init(|| self.ledger(promised_by_robot).unwrap_or_default());
-        promised.get(robot).cloned().unwrap_or_default()
     }
 
     /// Returns the JSON of the fleet's map, if this node has a map.
@@ -360,7 +398,7 @@ impl ViewContext<'_> {
     }
 
     fn health_inputs(&self) -> HealthInputs {
-        let statuses = self.views.knowledge.statuses();
+        let statuses = self.statuses();
         let alive = |node: &NodeId| *node == self.views.node || statuses.get(node).is_some_and(MemberStatus::is_alive);
         let mut inputs = HealthInputs {
             coordinator: self.status.coordinator.clone().map(|node| (node, self.status.term)),
@@ -372,26 +410,24 @@ impl ViewContext<'_> {
         };
         let lost = |node: &NodeId| self.status.voters_lost.contains(node);
         inputs.voters = self.status.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
-        self.views.knowledge.read(|base| {
-            for (node, stored) in base.iter() {
-                let status = statuses.get(node).copied().unwrap_or(MemberStatus::Unknown);
-                let age_ms = millis(stored.age(self.now));
-                if matches!(status, MemberStatus::Down { .. } | MemberStatus::Suspect { .. })
-                    && !stored.record.knowledge.leaving
-                {
-                    inputs.unreachable.push((node.clone(), status.as_str(), age_ms));
-                }
-                match stored.record.knowledge.robot.as_ref().map(|worker| &worker.availability) {
-                    Some(Availability::OutOfService { problem }) => {
-                        inputs.out_of_service.push((node.clone(), problem.clone()));
-                    }
-                    Some(Availability::Holding { mission, role, suspended: true }) if alive(node) => {
-                        inputs.suspended.push((node.clone(), format!("{role} of {mission}")));
-                    }
-                    Some(Availability::Holding { .. } | Availability::Free) | None => {}
-                }
+        for (node, stored) in self.base().iter() {
+            let status = statuses.get(node).copied().unwrap_or(MemberStatus::Unknown);
+            let age_ms = millis(stored.age(self.now));
+            if matches!(status, MemberStatus::Down { .. } | MemberStatus::Suspect { .. })
+                && !stored.record.knowledge.leaving
+            {
+                inputs.unreachable.push((node.clone(), status.as_str(), age_ms));
             }
-        });
+            match stored.record.knowledge.robot.as_ref().map(|worker| &worker.availability) {
+                Some(Availability::OutOfService { problem }) => {
+                    inputs.out_of_service.push((node.clone(), problem.clone()));
+                }
+                Some(Availability::Holding { mission, role, suspended: true }) if alive(node) => {
+                    inputs.suspended.push((node.clone(), format!("{role} of {mission}")));
+                }
+                Some(Availability::Holding { .. } | Availability::Free) | None => {}
+            }
+        }
         self.ledger(|ledger| {
             inputs.blocking = Blocking::of(ledger);
             inputs.alarms = ledger.alarms().map(|alarm| (alarm.alarm.clone(), alarm.text())).collect();
@@ -415,19 +451,28 @@ impl ViewContext<'_> {
     }
 }
 
-/// Returns the promised roles of each robot in their order.
-fn promised_by_robot(ledger: &Ledger) -> BTreeMap<RobotId, Vec<PromisedRoleView>> {
-    let mut robots: BTreeMap<RobotId, Vec<PromisedRoleView>> = BTreeMap::new();
-    for (entry, role, promise) in ledger.promises_in_order() {
-        robots.entry(promise.robot.clone()).or_default().push(PromisedRoleView {
-            mission: entry.id.clone(),
-            role: role.clone(),
-            planned_at_ms: promise.planned_ms,
-            // Zero if the bid was stored without its parts.
-            time_s: Some(promise.time).filter(|time| *time > Seconds::ZERO),
-        });
+impl RobotsInLedger {
+    fn of(ledger: &Ledger) -> RobotsInLedger {
+        let mut held = BTreeMap::new();
+        for entry in ledger.missions().filter(|entry| !entry.state.is_final()) {
+            for (role, _, holder) in entry.held_roles() {
+                let (mission, epoch) = (entry.id.clone(), Some(holder.epoch.to_string()));
+                held.entry(holder.robot.clone()).or_insert(HeldRole { mission, role: role.clone(), epoch });
+            }
+        }
+        let mut promised: BTreeMap<RobotId, Vec<PromisedRoleView>> = BTreeMap::new();
+        for (entry, role, promise) in ledger.promises_in_order() {
+            promised.entry(promise.robot.clone()).or_default().push(PromisedRoleView {
+                mission: entry.id.clone(),
+                role: role.clone(),
+                planned_at_ms: promise.planned_ms,
+                // Zero if the bid was stored without its parts.
+                time_s: Some(promise.time).filter(|time| *time > Seconds::ZERO),
+            });
+        }
+        let orders = ledger.robot_orders().map(|(robot, orders)| (robot.clone(), orders.clone())).collect();
+        RobotsInLedger { held, orders, promised }
     }
-    robots
 }
 
 fn with<T: Serialize>(provenance: &Provenance, content: T) -> Value {
@@ -462,5 +507,33 @@ fn availability_when_down(published: &Availability, held: Option<&HeldRole>) -> 
             Availability::Holding { mission: mission.clone(), role: role.clone(), suspended }
         }
         (_, None) => Availability::Free,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::coordinator::test_ledger::Log;
+
+    #[test]
+    fn a_single_pass_finds_the_roles_that_the_ledger_states_for_each_robot() {
+        let mut log = Log::default();
+        let first = log.add_mission("cart-1");
+        log.add_mission("cart-2");
+        log.add_mission("cart-3");
+        log.end_cart(&first);
+        let robots = RobotsInLedger::of(&log.0);
+        for robot in ["lab-arm", "cart-1", "cart-2", "cart-3"].map(|name| RobotId::new(name).unwrap()) {
+            let stated = log.0.held_by(&robot).map(|(entry, role, epoch)| HeldRole {
+                mission: entry.id.clone(),
+                role: role.clone(),
+                epoch: Some(epoch.to_string()),
+            });
+            assert_eq!(robots.held.get(&robot), stated.as_ref(), "{robot}");
+        }
+        assert!(robots.held.contains_key(&RobotId::new("cart-2").unwrap()), "{:?}", robots.held);
+        let promised: usize = robots.promised.values().map(Vec::len).sum();
+        assert_eq!(promised, log.0.promises_in_order().len());
+        assert!(promised > 0);
     }
 }

@@ -136,12 +136,17 @@ pub(super) fn schedules(ledger: &Ledger) -> SchedulesView {
     SchedulesView { schedules: ledger.schedules().map(schedule_view).collect() }
 }
 
-/// Returns the latest auction of each mission, latest first, with its explanation.
-pub(super) fn auctions(ledger: &Ledger) -> AuctionsView {
+/// Returns the latest auctions, latest first, at most one of each mission.
+pub(super) fn auctions_shown(ledger: &Ledger) -> Vec<AuctionRecord> {
     let mut records: Vec<&AuctionRecord> = ledger.missions().filter_map(|entry| entry.auction.as_ref()).collect();
     records.sort_by_key(|record| std::cmp::Reverse((record.at_ms, record.auction.clone())));
     records.truncate(AUCTIONS_SHOWN);
-    let shown = |record: &AuctionRecord| AuctionView { record: record.clone(), explanation: explanation_of(record) };
+    records.into_iter().cloned().collect()
+}
+
+/// Returns auctions with their explanations.
+pub(super) fn auctions(records: Vec<AuctionRecord>) -> AuctionsView {
+    let shown = |record: AuctionRecord| AuctionView { explanation: explanation_of(&record), record };
     AuctionsView { auctions: records.into_iter().map(shown).collect() }
 }
 

@@ -49,7 +49,7 @@ use consort_protocol::ledger::Ledger;
 use consort_protocol::units::NodeTime;
 use consort_protocol::view::{ChargingView, DeclarationsView, MapView, RobotView};
 use consort_raft::{RaftId, Replica};
-use draw::{DriverValues, ViewContext, json, millis};
+use draw::{Copies, DriverValues, ViewContext, json, millis};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -116,6 +116,14 @@ pub(crate) struct Views {
 }
 
 impl Views {
+    /// Returns the nodes that have robots.
+    fn robot_nodes(&self) -> Vec<NodeId> {
+        self.knowledge.read(|base| {
+            let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
+            robots.map(|(node, _)| node.clone()).collect()
+        })
+    }
+
     /// Serves views and read-only requests for as long as `tasks` lives.
     pub(crate) async fn serve(self, tasks: &mut Tasks) -> Result<(), BusError> {
         let (bus, keys) = (self.bus.clone(), self.keys.clone());
@@ -204,16 +212,12 @@ impl ViewService {
         if !keyexpr::new(any_robot.as_str()).is_ok_and(|robots| robots.includes(requested)) {
             return vec![];
         }
-        let robots = self.views.knowledge.read(|base| {
-            let robots = base.iter().filter(|(_, stored)| stored.record.knowledge.robot.is_some());
-            robots.map(|(node, _)| node.clone()).collect::<Vec<_>>()
-        });
         let is_asked = |node: &NodeId| {
             *node != self.views.node
                 && self.is_requested(requested, &Key::ViewRobot(RobotId::from(node.clone())))
                 && self.views.knowledge.is_alive(node)
         };
-        robots.into_iter().filter(is_asked).collect()
+        self.views.robot_nodes().into_iter().filter(is_asked).collect()
     }
 
     /// Returns the values of the drivers of the robots of other nodes that reply. The nodes are queried at once.
@@ -386,7 +390,7 @@ impl ViewService {
             status: self.status(coordinator_status, now),
             linearizable: false,
             received_values: BTreeMap::new(),
-            promised: OnceLock::new(),
+            copies: Copies::default(),
             now,
         }
     }
