@@ -10,8 +10,8 @@ use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::view::{
-    AuctionsView, AuditView, CoordinatorView, EnsemblesView, FleetView, HealthView, MapView, MissionView, MissionsView,
-    RequestsView, RobotView, SchedulesView, WithProvenance,
+    AuctionsView, AuditView, CoordinatorView, EnsemblesView, FleetView, HealthView, ListPart, MapView, MissionView,
+    MissionsView, RequestsView, RobotView, SchedulesView, WithProvenance,
 };
 use consort_raft::store::Backup;
 use consort_skills::domain_file::DomainFile;
@@ -374,6 +374,30 @@ fn every_node_answers_views_with_their_origin_and_age() {
         let expected: Vec<(String, &str)> =
             nodes.iter().map(|node| (format!("seen/{node}/coordinator"), "aster")).collect();
         assert!(seen.iter().map(|(key, who)| ((*key).to_owned(), *who)).eq(expected), "seed {seed}: {seen:?}");
+    });
+}
+
+#[test]
+fn a_view_of_missions_has_changes_and_pages() {
+    for_each_seed(SEEDS, async |seed| {
+        let fleet = fleet(seed, ROOM).await;
+        let part = async |parameters: &str| {
+            let view = fleet.view_of("aster", &format!("missions?{parameters}")).await;
+            let part: ListPart = serde_json::from_value(view["part"].clone()).expect("a part");
+            let missions = view["missions"].as_array().expect("a list").iter();
+            (missions.map(|mission| mission["mission"].clone()).collect::<Vec<_>>(), part)
+        };
+        let first = json!(fleet.submit("a", ROOM).await);
+        let (all, before) = part("since=").await;
+        assert_eq!((all, &before.since), (vec![first.clone()], &None), "seed {seed}");
+        let second = json!(fleet.submit("b", ROOM).await);
+        let (changed, after) = part(&format!("since={}", before.version)).await;
+        assert!(changed.contains(&second), "seed {seed}: {changed:?}");
+        assert_eq!((after.since, after.removed), (Some(before.version), vec![]), "seed {seed}");
+        let (page, ListPart { next, .. }) = part("limit=1").await;
+        assert_eq!(page, [first], "seed {seed}");
+        let (page, last) = part(&format!("limit=1;after={}", next.expect("another page"))).await;
+        assert_eq!((page, last.next), (vec![second], None), "seed {seed}");
     });
 }
 

@@ -21,13 +21,14 @@
 //! | `view/map` | [`MapView`] |
 //! | `view/health` | [`HealthView`] |
 //!
-//! All of them carry their [`Provenance`]. The simulator defines the type of `view/world`.
+//! A part of a list is stated by a [`ListPart`]. All of them carry their [`Provenance`]. The simulator defines the type of `view/world`.
 
 mod auction;
 mod audit;
 mod coordinator;
 mod fleet;
 mod health;
+mod list_part;
 mod map;
 mod mission;
 mod person_request;
@@ -43,6 +44,7 @@ pub use fleet::{
     PromisedRoleView, PublishedRecord, RobotView,
 };
 pub use health::{HealthFinding, HealthLevel, HealthView};
+pub use list_part::ListPart;
 pub use map::{DoorView, LaneView, LevelView, LiftView, MapBounds, MapView, PlaceView, WallView};
 pub use mission::{
     MissionBrief, MissionProgress, MissionStateName, MissionStatus, MissionSummary, MissionView, MissionsView,

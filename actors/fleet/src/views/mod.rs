@@ -13,7 +13,8 @@
 //! All nodes declare `view/**` as complete, so a client with Zenoh's default target gets a single
 //! reply, from the nearest node. Each reply contains its source and its age. A node that Zenoh
 //! queries in addition replies too; the client then gets the replies of only 1 of these nodes: see
-//! `bus`. `seen/{node}/**` serves the same views, computed by that node alone. With the payload
+//! `bus`. The parameters `since`, `limit` and `after` of a selector request a part of a list:
+//! [`list_parts`]. `seen/{node}/**` serves the same views, computed by that node alone. With the payload
 //! `{"linearizable": true}` it serves a single view of the ledger, after a majority has confirmed that
 //! the node leads. For a mission that its copy of the ledger lacks, it replies with an error.
 //!
@@ -25,6 +26,7 @@ mod cluster_status;
 mod draw;
 mod health;
 mod linearizable;
+mod list_parts;
 mod mission;
 
 use crate::api_help::call_help;
@@ -50,10 +52,11 @@ use consort_protocol::units::NodeTime;
 use consort_protocol::view::{ChargingView, DeclarationsView, MapView, RobotView};
 use consort_raft::{RaftId, Replica};
 use draw::{Copies, DriverValues, ViewContext, json, millis};
+use list_parts::{ListParts, PartRequest};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
@@ -133,7 +136,8 @@ impl Views {
             Arc::clone(&latest_beacon),
             self.clock,
         ));
-        let service = ViewService { views: Arc::new(self), latest_beacon };
+        let parts = Arc::new(Mutex::new(ListParts::new(&self.node, self.clock.wall_ms())));
+        let service = ViewService { views: Arc::new(self), latest_beacon, parts };
         tasks.spawn(service.clone().serve(bus.serve_complete(&keys.any_view()).await?, Service::Views));
         tasks.spawn(service.clone().serve(bus.serve_complete(&keys.any_help()).await?, Service::Help));
         for call in ApiCall::ALL.iter().copied().filter(|call| call.is_read_only()) {
@@ -164,6 +168,7 @@ enum Service {
 struct ViewService {
     views: Arc<Views>,
     latest_beacon: LastBeacon,
+    parts: Arc<Mutex<ListParts>>,
 }
 
 impl ViewService {
@@ -187,7 +192,12 @@ impl ViewService {
                 requested.map(|(key, call)| (key, json(call_help(call)))).collect()
             }
         };
-        for (key, value) in replies {
+        let part = PartRequest::parse(&query.parameters);
+        for (key, mut value) in replies {
+            if let Some(part) = &part {
+                // Each change of the versions is complete before the next operation that may panic.
+                self.parts.lock().unwrap_or_else(PoisonError::into_inner).select(&key, &mut value, part);
+            }
             reply::json(&query, &self.views.keys.write(&key), &value).await;
         }
     }
@@ -248,7 +258,15 @@ impl ViewService {
             let view = self.own_linearizable_view(&key).await;
             return vec![(Key::Seen(node, key), view.unwrap_or_else(|error| error))];
         }
-        let wanted = |key: &Key| self.is_requested(requested, &seen(key));
+        let single = match self.views.keys.read(requested.as_str()) {
+            Some(Key::Seen(node, view)) if node == self.views.node => Some(*view),
+            _ => None,
+        };
+        // A single key is compared: matching a key expression with a thousand keys takes milliseconds.
+        let wanted = |key: &Key| match &single {
+            Some(single) => single == key,
+            None => self.is_requested(requested, &seen(key)),
+        };
         let (context, named) = (self.context().await, self.named_mission(requested));
         let mut own_views = context.draw(&wanted, named.as_ref());
         if let Some(mission) = named
@@ -263,7 +281,11 @@ impl ViewService {
 
     /// Returns the requested views. A voter, the robots' nodes and the driver server contribute what this node lacks.
     async fn requested_views(&self, requested: &keyexpr) -> Vec<(Key, Value)> {
-        let wanted = |key: &Key| self.is_requested(requested, key);
+        let single = self.views.keys.read(requested.as_str());
+        let wanted = |key: &Key| match &single {
+            Some(single) => single == key,
+            None => self.is_requested(requested, key),
+        };
         let mut context = self.context().await;
         context.received_values = self.driver_values_from(self.requested_robots(requested)).await;
         let named = self.named_mission(requested);
