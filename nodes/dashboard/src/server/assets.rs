@@ -40,6 +40,8 @@ assets! {
     "/missions.js" "text/javascript; charset=utf-8" "assets/missions.js",
     "/mission_orders.js" "text/javascript; charset=utf-8" "assets/mission_orders.js",
     "/gantt.js" "text/javascript; charset=utf-8" "assets/gantt.js",
+    "/pointer.js" "text/javascript; charset=utf-8" "assets/pointer.js",
+    "/robot_signs.js" "text/javascript; charset=utf-8" "assets/robot_signs.js",
     "/crowd.js" "text/javascript; charset=utf-8" "assets/crowd.js",
     "/sprites.js" "text/javascript; charset=utf-8" "assets/sprites.js",
     "/schedule.js" "text/javascript; charset=utf-8" "assets/schedule.js",

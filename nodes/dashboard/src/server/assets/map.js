@@ -5,6 +5,8 @@ import { grouped, sideOf } from './crowd.js';
 import { chargersOf } from './chargers.js';
 import { brief, byId, make } from './dom.js';
 import { assemblyPlaces, closedNames, laneName, partName, placesOf, zonePlaces } from './places.js';
+import { followPointer } from './pointer.js';
+import { LOOKS, lookOf, paintGroup, paintRobot } from './robot_signs.js';
 import { sheet } from './sprites.js';
 
 const canvas = byId('map');
@@ -22,10 +24,8 @@ const [ZONE_RADIUS, LIMIT_RADIUS] = [16, 10];
 const TASKS = 40;
 /** Above this number of robots only the selected one has a name and a route. */
 const NAMES = 120;
-/** Greatest zoom, and the steps of the buttons and of the wheel. */
-const [ZOOM_MAX, ZOOM_STEP, ZOOM_WHEEL] = [16, 1.6, 1.0015];
-/** Distance in pixels from which a press is a drag, and no click. */
-const DRAG_MIN = 4;
+/** Greatest zoom, and the step of the buttons. */
+const [ZOOM_MAX, ZOOM_STEP] = [16, 1.6];
 
 let plan;
 /** Places of the plan by name, and lanes and walls of each level. */
@@ -85,39 +85,29 @@ export function start(onChoose, onChoosePart) {
   byId('zoom-in').onclick = () => zoomBy(ZOOM_STEP);
   byId('zoom-out').onclick = () => zoomBy(1 / ZOOM_STEP);
   byId('zoom-whole').onclick = () => zoomBy(0);
-  // A wheel alone scrolls the page. Pinching a touchpad is a wheel with the control key.
-  canvas.addEventListener('wheel', (event) => {
-    if (!event.ctrlKey) return;
-    event.preventDefault();
-    zoomBy(ZOOM_WHEEL ** -event.deltaY, [event.offsetX, event.offsetY]);
-  }, { passive: false });
-  let drag;
-  canvas.onpointerdown = (event) => { drag = { at: [event.clientX, event.clientY], moved: false }; };
-  canvas.onpointermove = (event) => {
-    if (!drag || !event.buttons) return;
-    const [dx, dy] = [event.clientX - drag.at[0], event.clientY - drag.at[1]];
-    if (zoom === 1 || (!drag.moved && Math.hypot(dx, dy) < DRAG_MIN)) return;
-    canvas.setPointerCapture(event.pointerId);
-    drag = { at: [event.clientX, event.clientY], moved: true };
-    middle = [middle[0] - dx / scale, middle[1] + dy / scale];
-    requestLayOut();
-  };
-  canvas.onclick = (event) => {
-    const wasDragged = drag?.moved;
-    drag = undefined;
-    if (wasDragged) return;
-    const [x, y] = [event.offsetX, event.offsetY];
-    if (zoom < ZOOM_MAX && groups.some((group) => Math.hypot(group.px - x, group.py - y) <= group.radius)) {
-      zoomBy(ZOOM_STEP ** 2, [x, y]);
-      return;
-    }
-    const robot = nearest(x, y);
-    if (robot) onChoose(robot);
-    else {
-      const part = nearestPart(x, y);
-      if (part) onChoosePart(part);
-    }
-  };
+  followPointer(canvas, {
+    onZoom: zoomBy,
+    canDrag: () => zoom > 1,
+    onDrag: (dx, dy) => {
+      middle = [middle[0] - dx / scale, middle[1] + dy / scale];
+      requestLayOut();
+    },
+    onClick: (x, y) => click(x, y, onChoose, onChoosePart),
+  });
+}
+
+/** Zooms into the group of robots at a position, or selects the nearest robot, place or lane. */
+function click(x, y, onChoose, onChoosePart) {
+  if (zoom < ZOOM_MAX && groups.some((group) => Math.hypot(group.px - x, group.py - y) <= group.radius)) {
+    zoomBy(ZOOM_STEP ** 2, [x, y]);
+    return;
+  }
+  const robot = nearest(x, y);
+  if (robot) onChoose(robot);
+  else {
+    const part = nearestPart(x, y);
+    if (part) onChoosePart(part);
+  }
 }
 
 export function repaint() {
@@ -396,7 +386,7 @@ function draw(now) {
   for (const person of Object.values(people)) if (person.x !== undefined && isOnLevel(person)) drawPerson(person);
   const shown = zoom === 1 ? onLevel : onLevel.filter(([, , pose]) => isInside(pose, radius * 2));
   const { single: poses, groups: crowds } = crowd ? grouped(shown, sideOf(radius) / scale, chosen) : { single: shown, groups: [] };
-  if (crowd) sprites ??= sheet(LOOKS, radius * 1.7 + 2, devicePixelRatio || 1, (pen, look, x, y, yaw) => paintRobot(pen, look, x, y, yaw, radius));
+  if (crowd) sprites ??= sheet(LOOKS, radius * 1.7 + 2, devicePixelRatio || 1, (pen, look, x, y, yaw) => paintRobot(pen, colours, look, x, y, yaw, radius));
   groups = crowds.map((group) => drawGroup(group, radius));
   for (const [name, robot, pose] of poses) drawRobot(name, robot, pose, radius, crowd);
   const taken = [];
@@ -551,16 +541,6 @@ function drawPerson(person) {
   pen.globalAlpha = 1;
 }
 
-const isOut = (robot) => !robot.alive || robot.availability === 'out_of_service' || robot.can_move === false;
-
-const LOOKS = ['busy', 'free', 'suspended', 'out'];
-
-const lookOf = (robot) => {
-  if (isOut(robot)) return 'out';
-  if (robot.orders?.hold) return 'suspended';
-  return { holding: 'busy', suspended: 'suspended' }[robot.availability] ?? 'free';
-};
-
 function drawRobot(name, robot, [x, y, yaw], radius, crowd) {
   const [px, py] = at(x, y);
   if (name === chosen) {
@@ -571,46 +551,13 @@ function drawRobot(name, robot, [x, y, yaw], radius, crowd) {
     pen.stroke();
   }
   if (crowd) sprites.stamp(pen, lookOf(robot), px, py, yaw);
-  else paintRobot(pen, lookOf(robot), px, py, yaw, radius);
+  else paintRobot(pen, colours, lookOf(robot), px, py, yaw, radius);
 }
 
-/** Draws a group of robots as a disc with their number, and returns its position and radius in pixels. */
+/** Draws a group of robots, and returns its position and radius in pixels. */
 function drawGroup({ robots, x, y }, radius) {
   const [px, py] = at(x, y);
-  const isWarned = (looks) => robots.some(([, robot]) => looks.includes(lookOf(robot)));
-  const own = radius * 1.4 + Math.min(Math.sqrt(robots.length), radius);
-  pen.fillStyle = colours.accent;
-  pen.strokeStyle = isWarned(['out']) ? colours.bad : isWarned(['suspended']) ? colours.warn : colours.floor;
-  pen.lineWidth = 2;
-  pen.beginPath();
-  pen.arc(px, py, own, 0, 7);
-  pen.fill();
-  pen.stroke();
-  pen.font = '600 10px system-ui, sans-serif';
-  pen.textAlign = 'center';
-  pen.fillStyle = colours['on-accent'];
-  pen.fillText(robots.length, px, py + 3.5);
-  return { px, py, radius: own };
-}
-
-function paintRobot(pen, look, px, py, yaw, radius) {
-  const colour = { out: colours.bad, suspended: colours.warn }[look] ?? colours.accent;
-  // The nose shows the heading.
-  pen.fillStyle = colour;
-  pen.beginPath();
-  pen.moveTo(px + Math.cos(yaw) * radius * 1.7, py - Math.sin(yaw) * radius * 1.7);
-  pen.lineTo(px + Math.cos(yaw + 0.75) * radius, py - Math.sin(yaw + 0.75) * radius);
-  pen.lineTo(px + Math.cos(yaw - 0.75) * radius, py - Math.sin(yaw - 0.75) * radius);
-  pen.fill();
-  pen.beginPath();
-  pen.arc(px, py, radius, 0, 7);
-  pen.fillStyle = look === 'busy' || look === 'suspended' ? colour : colours.floor;
-  pen.fill();
-  pen.strokeStyle = colour;
-  pen.lineWidth = 2;
-  if (look === 'out') pen.setLineDash([3, 3]);
-  pen.stroke();
-  pen.setLineDash([]);
+  return { px, py, radius: paintGroup(pen, colours, robots.map(([, robot]) => robot), px, py, radius) };
 }
 
 /** Draws name, battery and task below a robot; skipped if it would cover another label. */
