@@ -24,6 +24,7 @@ fn the_figures_of_a_fleet_follow_from_its_size() {
         assert!(figures.auction_ms.expect("auctions were measured").p50 > 1.0, "{figures:?}");
         assert!(figures.join_bytes > 1000, "{figures:?}");
         assert!(figures.coordinator_cpu_percent > 0.0, "{figures:?}");
+        assert!(figures.view_ms.expect("views were measured").p50 > 0.0, "{figures:?}");
     }
     assert_eq!(moving.trace, again.trace);
     assert_eq!(moving.takeover_ms, again.takeover_ms);

@@ -48,6 +48,8 @@ pub struct ScaleFigures {
     pub auction_ms: Option<Percentiles>,
     /// Milliseconds from a request of a client to the acknowledgement, and the coordinator's computing time.
     pub commit_ms: Option<Percentiles>,
+    /// Milliseconds of computing time of the coordinator to draw the view of the fleet.
+    pub view_ms: Option<Percentiles>,
     /// Milliseconds from the kill of the coordinator to the election of the next, without computing time.
     pub takeover_ms: Option<Percentiles>,
     /// Seconds until all nodes of a fleet that starts at once know each other.

@@ -1,7 +1,7 @@
 //! Measurements of fleets by size, on the virtual bus.
 //!
 //! ```text
-//!  start, first coordinator, records everywhere ─▶ computing time ─▶ auctions
+//!  start, first coordinator, records everywhere ─▶ computing time ─▶ views ─▶ auctions
 //!  the same start ─▶ traffic ─▶ auctions ─▶ a robot joins ─▶ a tenth of the robots is lost ─▶ takeovers
 //! ```
 //!
@@ -51,6 +51,9 @@ const START_LIMIT: Duration = Duration::from_secs(600);
 
 /// Limit for each later step.
 const STEP_LIMIT: Duration = Duration::from_secs(120);
+
+/// Number of views.
+const VIEWS: usize = 20;
 
 /// Number of takeovers.
 const TAKEOVERS: usize = 10;
@@ -144,6 +147,7 @@ async fn measure_messages(setup: ScaleSetup, computing: Computing, progress: &im
         messages_per_auction: bid_messages as f64 / setup.missions.max(1) as f64,
         auction_ms: computing.latencies.auction_ms,
         commit_ms: computing.latencies.commit_ms,
+        view_ms: computing.view_ms,
         takeover_ms,
         start_s,
         join_bytes,
@@ -161,6 +165,7 @@ async fn measure_messages(setup: ScaleSetup, computing: Computing, progress: &im
 struct Computing {
     coordinator_percent: f64,
     robot_percent: f64,
+    view_ms: Option<Percentiles>,
     latencies: Latencies,
 }
 
@@ -181,8 +186,9 @@ fn measure_computing(setup: ScaleSetup) -> Computing {
         let percent = |now: Duration, before: Duration| (now - before).as_secs_f64() / MEASURED.as_secs_f64() * 100.0;
         let coordinator_percent = percent(coordinator.cpu(), before[0]);
         let robot_percent = percent(robot.cpu(), before[1]);
+        let view_ms = draw_views(&fleet, || coordinator.cpu()).await;
         let latencies = auctions(&mut fleet, setup.missions, || coordinator.cpu()).await;
-        Computing { coordinator_percent, robot_percent, latencies }
+        Computing { coordinator_percent, robot_percent, view_ms, latencies }
     })
 }
 
@@ -235,6 +241,17 @@ async fn drive(fleet: &Fleet, setup: ScaleSetup) {
     }
     // The robots set off, and their knowledge changes from then on.
     sleep(Duration::from_secs(5)).await;
+}
+
+/// Queries the view of the fleet several times. `cpu` returns the computing time of the coordinator, which draws it.
+async fn draw_views(fleet: &Fleet, cpu: impl Fn() -> Duration) -> Option<Percentiles> {
+    let mut times = vec![];
+    for _ in 0..VIEWS {
+        let before = cpu();
+        fleet.view_of(STATIONS[0], "fleet").await;
+        times.push((cpu() - before).as_secs_f64() * 1000.0);
+    }
+    Percentiles::of(times)
 }
 
 /// Latencies of auctions and of commits.

@@ -30,8 +30,8 @@ Examples:
 
 With --json: an object for each size. Rates are per second of virtual time; percentages are of a core. auction_ms is the
 time from the commit of a request to the commit of the award, commit_ms from a client's request to the acknowledgement;
-both include the coordinator's computing time. takeover_ms is the time from the kill of the coordinator to the election
-of the next.
+both include the coordinator's computing time. view_ms is the computing time of the coordinator for view/fleet, with its
+other work meanwhile. takeover_ms is the time from the kill of the coordinator to the election of the next.
 
 The same sizes and seed give the same messages on any machine. Computing times, wall_s and memory_mb depend on the
 machine.")]
