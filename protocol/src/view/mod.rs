@@ -21,7 +21,8 @@
 //! | `view/map` | [`MapView`] |
 //! | `view/health` | [`HealthView`] |
 //!
-//! A part of a list is stated by a [`ListPart`]. All of them carry their [`Provenance`]. The simulator defines the type of `view/world`.
+//! All of them carry their [`Provenance`], and a reply with a part of a list has a [`ListPart`]. The
+//! simulator defines the type of `view/world`.
 
 mod auction;
 mod audit;
