@@ -28,6 +28,8 @@ pub(crate) struct Aerial {
     settings: AerialSettings,
     pub(super) max_mps: f64,
     radius_m: f64,
+    /// Greatest change of velocity in a control cycle, in metres per second.
+    change_mps: f64,
     position: Vector3<f64>,
     velocity: Vector3<f64>,
     yaw: f64,
@@ -46,10 +48,12 @@ impl Aerial {
     /// outermost part, in metres.
     pub(crate) fn new(settings: AerialSettings, max_mps: f64, radius_m: f64, pose: &Isometry2<f64>) -> Aerial {
         let (at, yaw) = (pose.translation.vector, pose.rotation.angle());
+        let acceleration = settings.acceleration_mps2.hypot(settings.climb_acceleration_mps2);
         Aerial {
             settings,
             max_mps,
             radius_m,
+            change_mps: acceleration * settings.control_period_s,
             position: Vector3::new(at.x, at.y, 0.0),
             velocity: Vector3::zeros(),
             yaw,
@@ -99,11 +103,12 @@ impl Aerial {
     /// bodies with a radius of at most `radius_m`. Bodies beyond it do not matter until the next
     /// control cycle.
     pub(crate) fn neighbour_range_m(&self, radius_m: f64) -> f64 {
-        let AerialSettings { acceleration_mps2, climb_acceleration_mps2, climb_mps, control_period_s, .. } =
-            self.settings;
-        let (now, change_mps) =
-            (self.velocity.norm(), acceleration_mps2.hypot(climb_acceleration_mps2) * control_period_s);
-        let speed = (now + change_mps).min(self.max_mps.hypot(climb_mps).max(now));
+        let (now, climb_mps) = (self.velocity.norm(), self.settings.climb_mps);
+        let mut speed = now + self.change_mps;
+        // A slow drone, as most are, stays below the top speed in any direction.
+        if speed > self.max_mps.max(climb_mps) {
+            speed = speed.min(self.max_mps.hypot(climb_mps).max(now));
+        }
         let stops_m = self.agility().stopping_distance(speed);
         2.0 * stops_m + self.radius_m + radius_m + self.settings.margin_m
     }
