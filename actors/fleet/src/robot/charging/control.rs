@@ -98,9 +98,13 @@ impl ChargeControl {
         self.leases.receive(LeaseOffer { charger, lease }, &mut self.activity);
     }
 
-    /// Accepts leases from any position on: those of another cluster are counted anew.
+    /// Accepts leases from any position on: those of another cluster are counted anew. The lease of a claim is void, and
+    /// would prevail over those of the other cluster.
     pub(in crate::robot) fn change_cluster(&mut self) {
         self.leases = ReceivedLeases::default();
+        if let Activity::Claimed(claim) | Activity::Connected(claim) = &mut self.activity {
+            claim.published.lease = None;
+        }
     }
 
     /// Checks whether the charge was too low for a role since the robot last had enough.

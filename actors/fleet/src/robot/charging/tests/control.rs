@@ -9,7 +9,7 @@ use crate::robot::test_values::at;
 use consort_protocol::auction::{BidLimits, RefusalReason};
 use consort_protocol::charging_curve::{ChargingCurve, CurveStep};
 use consort_protocol::ids::PlaceId;
-use consort_protocol::knowledge::{Attributes, Availability, Charging, RobotKnowledge};
+use consort_protocol::knowledge::{Attributes, Availability, ChargerClaim, Charging, RobotKnowledge};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond, WattHours, Watts};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
@@ -267,6 +267,22 @@ impl AtCharger {
         self.control.next_task(others, &self.estimator, &self.context, now);
         (changed, published_by(&self.control))
     }
+}
+
+#[test]
+fn the_lease_of_a_claim_ends_with_its_cluster() {
+    let mut robot = AtCharger::new();
+    let mut lease_after = |lease, now| {
+        robot.control.receive_lease(place("A"), lease);
+        robot.decide(0.2, &[], now).1.and_then(|published| published.claim()?.lease)
+    };
+    assert_eq!(lease_after(90, at(0)), Some(90));
+    assert_eq!(lease_after(5, at(100)), Some(90), "it is an earlier one");
+    robot.control.change_cluster();
+    assert_eq!(robot.decide(0.2, &[], at(200)).1, Some(Charging::Bound(claim("A", 0.2))));
+    robot.control.receive_lease(place("A"), 5);
+    let leased = ChargerClaim { lease: Some(5), ..claim("A", 0.2) };
+    assert_eq!(robot.decide(0.2, &[], at(300)).1, Some(Charging::Bound(leased)));
 }
 
 #[test]
