@@ -58,9 +58,19 @@ impl ChargingCurve {
         self.0.iter().rev().find(|step| step.above.get() <= charge).map_or(1.0, |step| step.power)
     }
 
+    /// Returns the share of the full power just below this charge.
+    pub fn power_below(&self, charge: f64) -> f64 {
+        self.0.iter().rev().find(|step| step.above.get() < charge).map_or(1.0, |step| step.power)
+    }
+
     /// Returns the charge at which the next step begins; `None` after the last.
     pub fn next_step(&self, charge: f64) -> Option<f64> {
         self.0.iter().map(|step| step.above.get()).find(|above| *above > charge)
+    }
+
+    /// Returns the charge below this one at which a step begins; `None` up to the first.
+    pub fn step_below(&self, charge: f64) -> Option<f64> {
+        self.0.iter().rev().map(|step| step.above.get()).find(|above| *above < charge)
     }
 
     /// Returns the forecast of the time in which a battery charges, with this gain at its full power.
@@ -89,6 +99,8 @@ mod tests {
         let curve = curve(&[(0.8, 0.5), (0.9, 0.25)]).unwrap();
         assert_eq!([0.0, 0.79, 0.8, 0.9, 1.0].map(|charge| curve.power_at(charge)), [1.0, 1.0, 0.5, 0.25, 0.25]);
         assert_eq!([0.0, 0.8, 0.9].map(|charge| curve.next_step(charge)), [Some(0.8), Some(0.9), None]);
+        assert_eq!([0.8, 0.81, 0.9].map(|charge| curve.power_below(charge)), [1.0, 0.5, 0.5]);
+        assert_eq!([0.8, 0.9, 1.0].map(|charge| curve.step_below(charge)), [None, Some(0.8), Some(0.9)]);
         let full = SharePerSecond::new(0.01).unwrap();
         let time = |from, to| curve.time(from, to, full).get();
         assert!((time(0.7, 1.0) - (10.0 + 20.0 + 40.0)).abs() < 1e-9, "{}", time(0.7, 1.0));

@@ -72,7 +72,7 @@ impl Battery {
 
     /// Returns the instant at which the battery reaches the next step of the charging curve, if it does.
     fn step_time(&self) -> Option<f64> {
-        let step = self.next_step.filter(|_| self.rate < 0.0)?;
+        let step = self.next_step.filter(|_| self.rate != 0.0)?;
         Some(self.since + (self.charge - step) / self.rate).filter(|time| time.is_finite())
     }
 }
@@ -160,14 +160,24 @@ impl SimState {
         let docked = self.find::<Docked>(robot).is_some_and(|docked| docked.0);
         let now = self.now;
         let charge = self.get::<Battery>(robot).at(now).get();
-        let gain = if docked { self.charging_rate(robot).get() * self.charging_curve.power_at(charge) } else { 0.0 };
-        let rate = self.get::<SimRobot>(robot).0.rate(working).get() - gain;
-        let next_step = self.charging_curve.next_step(charge).filter(|_| docked);
+        let loss = self.get::<SimRobot>(robot).0.rate(working).get();
+        let full_gain = if docked { self.charging_rate(robot).get() } else { 0.0 };
+        let curve = &self.charging_curve;
+        let [above, below] = [curve.power_at(charge), curve.power_below(charge)].map(|power| loss - full_gain * power);
+        let (rate, next_step) = if above < 0.0 {
+            (above, curve.next_step(charge))
+        } else if below > 0.0 {
+            (below, curve.step_below(charge).filter(|_| docked))
+        } else {
+            // At a step from which on it would lose charge, the battery keeps its charge.
+            (0.0, None)
+        };
         let (old, next) = {
             let mut battery = self.get_mut::<Battery>(robot);
             (battery.charge, battery.since, battery.rate, battery.next_step) = (charge, now, rate, next_step);
             let depletion = battery.depletion_time().map(|time| (time, DEPLETION));
-            let next = depletion.or_else(|| battery.step_time().map(|time| (time, CURVE_STEP)));
+            let step = battery.step_time().map(|time| (time, CURVE_STEP));
+            let next = depletion.into_iter().chain(step).min_by(|(one, _), (other, _)| one.total_cmp(other));
             (battery.timer.take(), next)
         };
         if let Some(timer) = old {

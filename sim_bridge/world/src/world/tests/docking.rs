@@ -75,6 +75,22 @@ fn a_docked_robot_charges_along_the_charging_curve() {
 }
 
 #[test]
+fn a_docked_robot_keeps_the_charge_at_which_it_gains_what_it_loses() {
+    // Above 60 % it gains 0.004 % a second, and loses 0.01 % idle.
+    let steps = vec![CurveStep { above: BatteryShare::new(0.6).unwrap(), power: 0.01 }];
+    let charging_curve = steps.try_into().unwrap();
+    let mut world = World::new(WorldSetup { charging_curve, ..yard().robot(half_full("r1", "Charger")) }).unwrap();
+    run_to_success(&mut world, "r1", 1, dock());
+    assert_eq!(world.advance(at(20_000.0)), [], "it does not strand");
+    assert!((charge(&world) - 0.6).abs() < 1e-9, "{}", charge(&world));
+    world.set_charge(&robot("r1"), BatteryShare::new(0.7).unwrap());
+    world.advance(at(20_100.0));
+    assert!((charge(&world) - 0.7 + 100.0 * 0.00006).abs() < 1e-9, "{}", charge(&world));
+    world.advance(at(40_000.0));
+    assert!((charge(&world) - 0.6).abs() < 1e-9, "{}", charge(&world));
+}
+
+#[test]
 fn a_charger_is_at_a_place_of_the_map() {
     let chargers = BTreeMap::from([(place("Gat"), None)]);
     let error = World::new(WorldSetup { chargers, ..yard() }).err().unwrap().to_string();
