@@ -162,6 +162,7 @@ fn chargers_are_shown_with_their_robots_and_charges_with_forecasts() {
             robot("bob", charging("connected", claim("Dock")), json!({})),
             robot("cyd", charging("waiting", json!({ "chargers": ["Dock"] })), json!({})),
             robot("dot", charging("bound", claim("IC Room 3")), json!({})),
+            robot("eve", charging("leaving", json!({ "to": "IC Room 4" })), json!({})),
         ],
         "charging": { "below": 0.3, "until": 0.9, "opportunistic": null, "chargers": ["Dock", "IC Room 3"] },
     });
@@ -175,7 +176,7 @@ fn chargers_are_shown_with_their_robots_and_charges_with_forecasts() {
         reported.set(now_ms);
     });
     browser.open(&shown.url());
-    browser.wait_until("the robots", "document.querySelectorAll('#robots tbody tr').length === 4");
+    browser.wait_until("the robots", "document.querySelectorAll('#robots tbody tr').length === 5");
     browser.wait_until(
         "the chargers",
         "/^Dock\\s+bob\\s+–\\s+cyd\\s+IC Room 3\\s+–\\s+dot\\s+–$/.test(document.querySelector('#chargers tbody').innerText)",
@@ -201,6 +202,8 @@ fn chargers_are_shown_with_their_robots_and_charges_with_forecasts() {
     wait_for_notes(&browser, &format!("charge 70 %, 90 % at {time}, charges at Dock"));
     browser.value("document.querySelector('#robots tr[data-row=cyd] .rowbutton').click()");
     wait_for_notes(&browser, "charge 80 %, waits for Dock");
+    browser.value("document.querySelector('#robots tr[data-row=eve] .rowbutton').click()");
+    wait_for_notes(&browser, "charge 80 %, drives to IC Room 4, to make room");
     check_access(&browser, "chargers");
     browser.screenshot("chargers");
     assert_eq!(browser.console(), Vec::<String>::new());

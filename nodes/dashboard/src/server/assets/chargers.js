@@ -19,7 +19,7 @@ export function chargingText({ connected, bound, waiting, leaving }) {
   if (connected) return `charges at ${connected.charger}`;
   if (bound) return `goes to the charger ${bound.charger}`;
   if (waiting) return `waits for ${waiting.chargers.join(' or ') || 'a charger'}`;
-  return leaving ? `leaves a charger, to ${leaving.to}` : '';
+  return leaving ? `drives to ${leaving.to}, to make room` : '';
 }
 
 /** Shows the table of chargers. */
