@@ -200,7 +200,14 @@ impl ChargeControl {
         let may_park = next == Activity::Idle && situation.battery >= thresholds.below && !parking.is_empty();
         let is_in_the_way = may_park && !parking.contains(situation.place);
         self.idle_since = is_in_the_way.then(|| self.idle_since.unwrap_or(situation.now));
-        if self.is_parking_due(situation.now) {
+        let charges_again = |farthest: Drive| {
+            let left = BatteryShare::new((situation.battery.get() - farthest.energy).clamp(0.0, 1.0));
+            !left.is_ok_and(|left| thresholds.is_enough(left, false))
+        };
+        // Otherwise it would drive back and forth.
+        let stays_at_charger =
+            || usable.contains(situation.place) && nearest(estimator, context, parking).pop().is_none_or(charges_again);
+        if self.is_parking_due(situation.now) && !stays_at_charger() {
             next = Activity::Leaving;
         }
         let changed = drives_elsewhere || next != self.activity;

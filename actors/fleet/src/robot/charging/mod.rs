@@ -12,6 +12,7 @@
 //! charge, or may not use that charger itself: it drives to the nearest place to which no other robot leaves. A robot
 //! whose charge does not rise at a charger tries another. A robot that has been idle for some seconds elsewhere than at a
 //! parking place drives to one in the same way; a robot that leaves a charger drives to a parking place if any is free.
+//! A robot that would charge again after the drive to a parking place stays at its charger until another waits for it.
 //!
 //! An award, a hold, an alarm and maintenance end each of these activities. After a start of its node a robot begins
 //! only when it has received its orders, or after 10 s. A robot bids at any charge that suffices for the role

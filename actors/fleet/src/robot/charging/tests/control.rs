@@ -351,6 +351,22 @@ fn a_robot_that_leaves_a_charger_parks_if_it_can() {
 }
 
 #[test]
+fn a_robot_that_would_charge_again_after_parking_stays_at_its_charger() {
+    let parks = |parking: &[&str], battery| {
+        let control = parking_control(places(&["A"]), parking);
+        let mut robot = AtCharger { control, ..AtCharger::new() };
+        [at(0), at(10_000)].map(|now| robot.decide(battery, &[], now).1)
+    };
+    let leaves = |to: &str| [None, Some(Charging::Leaving { to: place(to) })];
+    // The drive to C takes 6 %, and the robot charges below 60 %.
+    assert_eq!(parks(&["C"], 0.65), [None, None]);
+    assert_eq!(parks(&["C"], 0.67), leaves("C"));
+    assert_eq!(parks(&["B", "C"], 0.65), [None, None], "B may be taken");
+    assert_eq!(parks(&["B"], 0.65), leaves("B"));
+    assert_eq!(parks(&["D"], 0.9), [None, None], "there is no way to D");
+}
+
+#[test]
 fn a_robot_leaves_a_charger_that_gives_no_current() {
     let mut robot = AtCharger::new();
     let mut published = |battery: f64, minute: u64| {
