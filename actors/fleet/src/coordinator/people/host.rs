@@ -32,7 +32,8 @@ impl PeopleHost {
         PeopleHost { bus: bus.clone(), key: keys.write(&Key::People(PeopleCall::Ask)) }
     }
 
-    /// Sends a command, and passes the replies to `receive`. Returns false if there are none.
+    /// Sends a command, and passes the replies to `receive`. Returns whether a host has done what is requested: each host
+    /// replies, also those of other robots.
     pub(super) async fn send(&self, command: &PersonCommand, receive: impl Fn(PersonRequestState, Author)) -> bool {
         let bytes = match codec::encode(command) {
             Ok(bytes) => bytes.into(),
@@ -42,20 +43,20 @@ impl PeopleHost {
             }
         };
         let Ok(mut replies) = self.bus.query(&self.key, bytes, HOST_TIMEOUT).await else { return false };
-        let mut has_replied = false;
+        let mut is_done = false;
         while let Some(reply) = replies.recv().await {
             match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
                 Ok(Ok(state)) => {
-                    has_replied = true;
+                    is_done |= matches!(state, PersonRequestState::Ended(Ok(_)));
                     receive(state, reply.author);
                 }
                 other => debug!(?other, "person request got no reply"),
             }
         }
-        has_replied
+        is_done
     }
 
-    /// Sends the commands at once, and returns when all are replied to, or after the last attempt.
+    /// Sends the commands at once, and returns when all are done, or after the last attempt.
     pub(in crate::coordinator) async fn send_all(&self, commands: Vec<PersonCommand>) {
         let mut sent = JoinSet::new();
         for command in commands {

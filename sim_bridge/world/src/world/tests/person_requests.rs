@@ -140,6 +140,10 @@ fn the_items_are_taken_off_a_robot_once() {
     world.request_person(GoalId(8), take());
     assert_eq!(world.advance(at(99.0)), []);
     assert_eq!(sample_holders(&world)[2], SampleHolder::Drawer(robot("r1")));
+    // Another host may have the robot.
+    world.request_person(GoalId(9), PersonRequest::taking_items(role("r1"), robot("r2")));
+    let absent = ActionError::rejected(ErrorCode::Unknown, "none of the robots is here".to_owned());
+    assert_eq!(world.advance(at(99.0)), [answer(9, Err(absent))]);
 }
 
 #[test]

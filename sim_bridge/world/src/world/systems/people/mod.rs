@@ -186,8 +186,12 @@ impl SimState {
         if request.takes_items() {
             let robots: Vec<Entity> =
                 request.holders.values().filter_map(|robot| self.robots.get(robot).copied()).collect();
+            let result = match robots.is_empty() {
+                true => Err(action_error(ErrorCode::Unknown, "none of the robots is here".to_owned())),
+                false => Ok(BTreeMap::new()),
+            };
             robots.into_iter().for_each(|robot| self.take_samples_off(robot));
-            self.end_request(id, Ok(BTreeMap::new()));
+            self.end_request(id, result);
             return;
         }
         match self.requested_work(request) {
