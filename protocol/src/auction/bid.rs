@@ -290,7 +290,7 @@ impl RefusalReason {
     }
 }
 
-fn list(skills: &[TaskType]) -> String {
+pub(super) fn list(skills: &[TaskType]) -> String {
     skills.iter().map(TaskType::as_str).collect::<Vec<_>>().join(", ")
 }
 
@@ -341,6 +341,12 @@ pub enum ViabilityError {
 /// Maximum cost of a bid: sums of such costs are exact.
 const COST_MAX: f64 = 1e15;
 
+/// Returns the cost of a time in seconds and an energy in full batteries, from 0 to the maximum.
+pub(super) fn bounded_cost(objective: Objective, time_s: f64, energy: f64) -> f64 {
+    let cost = objective.cost(time_s, energy);
+    if cost.is_nan() { COST_MAX } else { cost.clamp(0.0, COST_MAX) }
+}
+
 impl Bid {
     /// Returns the estimate of the tasks of the role.
     pub fn estimate(&self) -> RoleEstimate {
@@ -352,8 +358,7 @@ impl Bid {
     pub(super) fn cost(&self, objective: Objective) -> f64 {
         let planned = self.planned.as_ref();
         let (delay_s, detour) = planned.map_or((0.0, 0.0), |planned| (planned.delay_sum_s(), planned.detour_energy));
-        let cost = objective.cost(self.time.get() + delay_s, self.energy + detour);
-        if cost.is_nan() { COST_MAX } else { cost.clamp(0.0, COST_MAX) }
+        bounded_cost(objective, self.time.get() + delay_s, self.energy + detour)
     }
 
     /// Checks the bid against the limits: the time limit, and a remaining charge above both the

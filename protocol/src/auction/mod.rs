@@ -4,11 +4,13 @@
 //! assignment in place of a greedy choice per role). A robot fills at most 1 role, and either all
 //! open roles are filled or none. A role whose robot is busy may be promised (the module `promise`), at the best
 //! position among the promised roles of the robot (the module `insertion`). Missions that are auctioned at the same time are
-//! allocated together (the module `together`).
+//! allocated together (the module `together`). In a large fleet the robots that may get a role are asked first (the module
+//! `candidates`).
 
 mod allocator;
 mod assignment;
 mod bid;
+mod candidates;
 mod clearing;
 mod energy;
 mod energy_exceeded;
@@ -26,6 +28,7 @@ pub use bid::{
     AuctionId, Bid, BidLimits, BidPart, BidRefusal, BidResponse, CallForBids, PresentRole, RefusalReason, RoleEstimate,
     RoleReply, ViabilityError,
 };
+pub use candidates::{Candidates, Expectation, Price, RoleTerms};
 pub use clearing::{AuctionContext, AuctionOutcome, clear_auction, clear_auction_with};
 pub use energy::EnergyBudget;
 pub use energy_exceeded::EnergyExceeded;
@@ -35,6 +38,6 @@ pub use insertion::{
 };
 pub use invitation::Invitation;
 pub use promise::{PromiseContext, PromiseTerms, RobotQueue};
-pub use record::{AuctionEntry, AuctionRecord, BidVerdict};
+pub use record::{AuctionEntry, AuctionRecord, BidVerdict, NotAskedReason};
 pub use restriction::{RobotRestriction, restrict_replies};
 pub use together::{OpenAuction, allocate_together, joint_count};

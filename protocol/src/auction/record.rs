@@ -1,14 +1,14 @@
 //! Record of an auction, for display.
 
-use super::bid::{AuctionId, BidPart, RefusalReason, RoleEstimate, ViabilityError};
+use super::bid::{AuctionId, BidPart, RefusalReason, RoleEstimate, ViabilityError, list};
 use super::insertion::PlannedRole;
-use crate::bounds::{TEXT_BYTES_MAX, limit_text};
+use crate::bounds::{self, ELEMENTS_MAX, TEXT_BYTES_MAX, limit_text};
 use crate::codec::{self, encoded_size};
-use crate::ids::{RobotId, RoleId};
+use crate::ids::{RobotId, RoleId, TaskType};
 use crate::units::{Energy, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Replies and decision of an auction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -69,9 +69,15 @@ impl AuctionRecord {
         let entry = self.entry(role, robot);
         let energy = match entry.map(|entry| &entry.verdict) {
             Some(BidVerdict::Viable { energy, .. } | BidVerdict::Unviable { energy, .. }) => Energy::of_share(*energy),
-            Some(BidVerdict::Refused { .. }) | None => Energy::ZERO,
+            Some(BidVerdict::Refused { .. } | BidVerdict::NotAsked { .. }) | None => Energy::ZERO,
         };
         RoleEstimate { time: entry.into_iter().flat_map(|entry| &entry.parts).map(|part| part.time).sum(), energy }
+    }
+
+    /// Adds the robots that were not asked.
+    pub fn add_not_asked(&mut self, entries: Vec<AuctionEntry>) {
+        self.entries.extend(entries);
+        self.limit();
     }
 
     /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:
@@ -95,7 +101,7 @@ impl AuctionRecord {
         let count = entries.len();
         entries.sort_by_key(|entry| {
             let is_chosen = self.chosen.get(&entry.role) == Some(&entry.robot);
-            (!is_chosen, matches!(entry.verdict, BidVerdict::Refused { .. }))
+            (!is_chosen, matches!(entry.verdict, BidVerdict::Refused { .. } | BidVerdict::NotAsked { .. }))
         });
         entries.truncate(Self::ENTRIES_MAX);
         entries.retain(|entry| {
@@ -122,6 +128,17 @@ pub struct AuctionEntry {
     /// are kept first, then those of the fastest bids.
     #[serde(default)]
     pub parts: Vec<BidPart>,
+}
+
+impl AuctionEntry {
+    /// Returns the robots of the entry: one, or all that were not asked for the same reason.
+    pub fn robots(&self) -> impl Iterator<Item = &RobotId> {
+        let others = match &self.verdict {
+            BidVerdict::NotAsked { others, .. } => Some(others),
+            BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } => None,
+        };
+        std::iter::once(&self.robot).chain(others.into_iter().flatten())
+    }
 }
 
 /// Verdict on a robot's reply.
@@ -153,4 +170,45 @@ pub enum BidVerdict {
         /// Reason of the refusal.
         reason: RefusalReason,
     },
+    /// The robot was not asked, nor were others, for the same reason.
+    NotAsked {
+        /// Reason, from the records of the robots and from the ledger.
+        reason: NotAskedReason,
+        /// Lower bound of the costs of all these robots, in seconds of the objective; 0 if they would refuse.
+        cost_min: f64,
+        /// The other robots.
+        #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+        others: BTreeSet<RobotId>,
+    },
+}
+
+/// Reason for which the coordinator did not ask a robot.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, thiserror::Error)]
+#[serde(rename_all = "snake_case")]
+pub enum NotAskedReason {
+    /// Its bid could not have changed the result.
+    #[error("by its record its bid could not have changed the result")]
+    NotNeeded,
+    /// It lacks skills that the role needs.
+    #[error("by its record it lacks {}", list(.skills))]
+    MissingSkills {
+        /// Missing skills, in the order of their names.
+        #[serde(deserialize_with = "bounds::collection::<_, _, ELEMENTS_MAX>")]
+        skills: Vec<TaskType>,
+    },
+    /// It holds or has promised other roles, or carries an item of another mission.
+    #[error("it is busy with other missions")]
+    Busy,
+    /// It is out of service.
+    #[error("by its record it is out of service")]
+    OutOfService,
+    /// It does not meet the condition of the role on its robot.
+    #[error("by its record it does not meet the condition of the role")]
+    NotEligible,
+    /// The tasks of the role cannot be estimated from its place.
+    #[error("by its record it cannot do the tasks of the role from its place")]
+    NotFeasible,
+    /// Too little charge would be left.
+    #[error("by its record too little charge would be left")]
+    LowCharge,
 }

@@ -1,6 +1,6 @@
 //! Local plans as values.
 
-use crate::ids::{RoleId, TaskId};
+use crate::ids::{RoleId, TaskId, TaskType};
 use crate::mission::TaskSpec;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -130,6 +130,12 @@ impl LocalPlan {
     /// fails.
     pub fn tasks_used(&self) -> BTreeSet<TaskId> {
         self.tasks().flat_map(|(_, spec)| spec.tasks_used().unwrap_or_default()).collect()
+    }
+
+    /// Returns the skills that the plan needs beyond these, in the order of their names.
+    pub fn skills_missing_in(&self, skills: &BTreeSet<TaskType>) -> Vec<TaskType> {
+        let needed: BTreeSet<&TaskType> = self.tasks().map(|(_, spec)| &spec.task_type).collect();
+        needed.into_iter().filter(|skill| !skills.contains(*skill)).cloned().collect()
     }
 
     /// Returns the tasks of the plan, in order. Signals are steps that take time, too, but are not

@@ -3,8 +3,8 @@
 use crate::message_values::task_question;
 use crate::values::*;
 use consort_protocol::auction::{
-    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, Objective, PlannedRole, PresentRole,
-    PromisedRole, RefusalReason, RoleOfMission, RoleSpan, Timelines, ViabilityError,
+    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, NotAskedReason, Objective, PlannedRole,
+    PresentRole, PromisedRole, RefusalReason, RoleOfMission, RoleSpan, Timelines, ViabilityError,
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
@@ -19,6 +19,7 @@ use consort_protocol::units::Energy;
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
 use proptest::prelude::*;
+use proptest::sample::select;
 use std::collections::BTreeMap;
 use std::fmt::Debug;
 
@@ -116,6 +117,19 @@ pub(crate) fn reason() -> impl Strategy<Value = RefusalReason> {
     ]
 }
 
+fn not_asked_reason() -> impl Strategy<Value = NotAskedReason> {
+    let skills = vec(name(), 0..4).prop_map(|skills| NotAskedReason::MissingSkills { skills });
+    let fixed = [
+        NotAskedReason::NotNeeded,
+        NotAskedReason::Busy,
+        NotAskedReason::OutOfService,
+        NotAskedReason::NotEligible,
+        NotAskedReason::NotFeasible,
+        NotAskedReason::LowCharge,
+    ];
+    prop_oneof![skills, select(fixed.to_vec())]
+}
+
 pub(crate) fn auction_record() -> impl Strategy<Value = AuctionRecord> {
     let verdict = prop_oneof![
         (seconds(), 0.0..2.0, -1.0..1.0).prop_map(|(time, energy, remaining)| BidVerdict::Viable {
@@ -127,6 +141,8 @@ pub(crate) fn auction_record() -> impl Strategy<Value = AuctionRecord> {
             BidVerdict::Unviable { time, energy, remaining, why: ViabilityError::LowCharge { remaining, floor } }
         }),
         reason().prop_map(|reason| BidVerdict::Refused { reason }),
+        (not_asked_reason(), 0.0..2.0, btree_set(name(), 0..4))
+            .prop_map(|(reason, cost_min, others)| BidVerdict::NotAsked { reason, cost_min, others }),
     ];
     let entry = (name(), name(), verdict, vec(part(), 0..3)).prop_map(|(role, robot, verdict, parts)| AuctionEntry {
         role,

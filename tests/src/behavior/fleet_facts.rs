@@ -255,11 +255,13 @@ fn robot_did_not_get_role() -> FactStep {
         })?
         .into_iter()
         .flat_map(|record| record.entries)
-        .filter(|entry| entry.robot.as_str() == arguments.value(0) && entry.role.as_str() == arguments.value(1))
+        .filter(|entry| entry.robots().any(|robot| robot.as_str() == arguments.value(0)))
+        .filter(|entry| entry.role.as_str() == arguments.value(1))
         .map(|entry| match entry.verdict {
             BidVerdict::Viable { time, .. } => format!("nothing: it bid {:.1} s", time.get()),
             BidVerdict::Unviable { why, .. } => why.to_string(),
             BidVerdict::Refused { reason } => reason.to_string(),
+            BidVerdict::NotAsked { reason, .. } => reason.to_string(),
         })
         .collect();
         expect_that(reasons.iter().any(|reason| reason.contains(arguments.value(2))), || {

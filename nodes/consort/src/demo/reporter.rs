@@ -101,7 +101,7 @@ impl DemoReporter {
 
     fn closed(&self, at: Duration, record: &AuctionRecord) -> Result<(), Failure> {
         let mission = &record.auction.mission;
-        for AuctionEntry { role, robot, verdict, .. } in &record.entries {
+        for entry @ AuctionEntry { role, robot, verdict, .. } in &record.entries {
             let price = |time: f64, energy: f64, remaining: f64| {
                 let (energy, remaining) = (energy * 100.0, remaining * 100.0);
                 format!("{time:.1} s, {energy:.1} % of its charge, {remaining:.1} % left")
@@ -117,6 +117,10 @@ impl DemoReporter {
                     ("unviable", format!("{robot:10} {role:8} {price}: {why}"))
                 }
                 BidVerdict::Refused { reason } => ("refusal", format!("{robot:10} {role:8} {reason}")),
+                BidVerdict::NotAsked { reason, .. } => {
+                    let robots = count(entry.robots().count(), "robot", "robots");
+                    ("not asked", format!("{robots:10} {role:8} {reason}"))
+                }
             };
             self.print_timed(at, label, text)?;
         }

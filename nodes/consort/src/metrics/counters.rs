@@ -99,8 +99,8 @@ impl EventCounters {
     fn closed(&self, record: &AuctionRecord) {
         let result = if record.failure.is_none() { "awarded" } else { "no_award" };
         self.auctions.get_or_create(&[("result", result)]).inc();
-        for entry in &record.entries {
-            self.bids.get_or_create(&[("verdict", word(&entry.verdict))]).inc();
+        for word in record.entries.iter().filter_map(|entry| word(&entry.verdict)) {
+            self.bids.get_or_create(&[("verdict", word)]).inc();
         }
     }
 
@@ -119,10 +119,12 @@ impl EventCounters {
     }
 }
 
-fn word(verdict: &BidVerdict) -> &'static str {
+/// Returns the word for an answer; `None` for robots that were not asked.
+fn word(verdict: &BidVerdict) -> Option<&'static str> {
     match verdict {
-        BidVerdict::Viable { .. } => "viable",
-        BidVerdict::Unviable { .. } => "unviable",
-        BidVerdict::Refused { .. } => "refused",
+        BidVerdict::Viable { .. } => Some("viable"),
+        BidVerdict::Unviable { .. } => Some("unviable"),
+        BidVerdict::Refused { .. } => Some("refused"),
+        BidVerdict::NotAsked { .. } => None,
     }
 }

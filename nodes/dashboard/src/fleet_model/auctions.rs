@@ -64,6 +64,10 @@ impl FleetModel {
                     ("unviable", Some((time, energy, remaining)), Some(why.to_string()))
                 }
                 BidVerdict::Refused { reason } => ("refused", None, Some(reason.to_string())),
+                BidVerdict::NotAsked { reason, .. } => {
+                    let robots = entry.robots().count();
+                    ("not_asked", None, Some(format!("one of {robots}: {reason}")))
+                }
             };
             word.clone_into(&mut offer.verdict);
             offer.why = why;

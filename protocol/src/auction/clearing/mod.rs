@@ -48,6 +48,20 @@ pub struct AuctionContext<'a> {
     pub at_ms: u64,
 }
 
+impl<'a> AuctionContext<'a> {
+    /// Checks whether costs alone decide: the mission prefers no robots, has no bound on energy, and needs all its roles.
+    pub(super) fn is_by_cost(&self, call: &CallForBids) -> bool {
+        self.invitation.preferred.is_empty() && self.energy.is_none() && call.spread.is_empty()
+    }
+
+    /// Returns the replies and the context for promises; `None` if there are no promises.
+    pub(super) fn later(&self, responses: &[BidResponse]) -> Option<(Vec<BidResponse>, AuctionContext<'a>)> {
+        let promises = self.promises.as_ref()?;
+        let later = AuctionContext { unavailable: promises.unavailable, promises: None, ..self.clone() };
+        Some((promises.later(responses), later))
+    }
+}
+
 /// Evaluates all replies to a call and assigns the roles. Invited robots without a reply are
 /// recorded as silent. So the record contains every robot that could have had a role, and the
 /// reason if it did not get it.
@@ -64,8 +78,7 @@ pub fn clear_auction_with(
 ) -> AuctionOutcome {
     let now = clear_by_preference(call, responses, context, allocator);
     let Some(promises) = context.promises.as_ref().filter(|_| now.holders.is_none()) else { return now };
-    let later_responses = promises.later(responses);
-    let later_context = AuctionContext { unavailable: promises.unavailable, promises: None, ..context.clone() };
+    let Some((later_responses, later_context)) = context.later(responses) else { return now };
     let later = clear_by_preference(call, &later_responses, &later_context, allocator);
     match later.holders.as_ref().and_then(|holders| promises.promised(holders, responses)) {
         Some(promised) => AuctionOutcome { record: AuctionRecord { promised, ..later.record }, ..later },
@@ -222,7 +235,7 @@ fn is_out(call: &CallForBids, entry: &AuctionEntry) -> bool {
             *mission == call.auction.mission && !call.spread.contains(&entry.role)
         }
         BidVerdict::Refused { reason } => reason.is_permanent(),
-        BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => false,
+        BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } | BidVerdict::NotAsked { .. } => false,
     }
 }
 
@@ -236,7 +249,7 @@ fn inevitable_excess(call: &CallForBids, entries: &[AuctionEntry], budget: Energ
         robot: &entry.robot,
         energy: match entry.verdict {
             BidVerdict::Viable { energy, .. } | BidVerdict::Unviable { energy, .. } => Energy::of_share(energy),
-            BidVerdict::Refused { .. } => Energy::ZERO,
+            BidVerdict::Refused { .. } | BidVerdict::NotAsked { .. } => Energy::ZERO,
         },
     });
     let offers: Vec<EnergyOffer<'_>> = offers.collect();
@@ -296,7 +309,7 @@ fn keep_parts<'a>(
                 Some((chosen.get(&entry.role) != Some(&entry.robot), false, time, entry))
             }
             BidVerdict::Unviable { time, .. } => Some((true, true, time, entry)),
-            BidVerdict::Refused { .. } => None,
+            BidVerdict::Refused { .. } | BidVerdict::NotAsked { .. } => None,
         })
         .collect();
     order.sort_by(|one, other| (one.0, one.1).cmp(&(other.0, other.1)).then(one.2.get().total_cmp(&other.2.get())));
@@ -318,6 +331,7 @@ fn is_candidate(verdict: &BidVerdict) -> bool {
         BidVerdict::Refused { reason } => {
             matches!(reason, RefusalReason::MissingSkills { .. } | RefusalReason::NotFeasible { .. })
         }
+        BidVerdict::NotAsked { .. } => false,
     }
 }
 

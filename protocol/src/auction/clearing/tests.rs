@@ -93,6 +93,7 @@ fn the_record_contains_every_robot_with_its_reason() {
             BidVerdict::Viable { time, .. } => format!("{}: {time:.0}", entry.robot),
             BidVerdict::Unviable { why, .. } => format!("{}: {why}", entry.robot),
             BidVerdict::Refused { reason } => format!("{}: {reason}", entry.robot),
+            BidVerdict::NotAsked { reason, .. } => format!("{}: {reason}", entry.robot),
         })
         .collect();
     assert_eq!(

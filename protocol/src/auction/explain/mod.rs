@@ -1,8 +1,8 @@
 //! Explanation of an auction in text: the reason for which each robot got or did not get each role.
-//! Computed from the record of the auction alone.
+//! Computed from the record of the auction alone, which also names the robots that were not asked.
 
 use super::bid::{BidPart, RefusalReason};
-use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
+use super::record::{AuctionEntry, AuctionRecord, BidVerdict, NotAskedReason};
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
 use consort_text::count;
@@ -77,6 +77,8 @@ pub enum RobotOutcome {
     NotPreferred,
     /// The robot did not reply in time.
     Silent,
+    /// The robot was not asked: by its record its bid could not have changed the result.
+    NotAsked,
 }
 
 /// Values of a bid that are compared.
@@ -171,8 +173,10 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
         Some(ChosenBid { price: viable_cost(&entry.verdict)?, parts: &entry.parts })
     };
     let won = winner.and_then(taken);
-    let mut robots: Vec<RobotExplanation> =
-        entries.iter().map(|entry| explain_robot(record, role, entry, winner, won)).collect();
+    let mut robots: Vec<RobotExplanation> = entries
+        .iter()
+        .flat_map(|entry| entry.robots().map(move |robot| explain_robot(record, robot, entry, won)))
+        .collect();
     robots.sort_by(|one, other| {
         let time = |robot: &RobotExplanation| robot.bid.map_or(f64::INFINITY, |bid| bid.time_s);
         let won = |robot: &RobotExplanation| robot.outcome != RobotOutcome::Won;
@@ -254,6 +258,9 @@ fn why_won(
         };
     }
     match rivals.first().map(|rival| (rival, rival.behind_s.unwrap_or(0.0))) {
+        None if robots.iter().any(|robot| robot.outcome == RobotOutcome::NotAsked) => {
+            format!("{bid}: no other robot that was asked has a viable bid")
+        }
         None => format!("{bid}: there is no other viable bid"),
         Some((rival, behind)) if behind < 0.05 => {
             format!("{bid}: as fast as {}, of {}", rival.robot, count(rivals.len() + 1, "bid", "bids"))
@@ -270,12 +277,12 @@ fn why_won(
 
 fn explain_robot(
     record: &AuctionRecord,
-    role: &RoleId,
+    robot: &RobotId,
     entry: &AuctionEntry,
-    winner: Option<&RobotId>,
     won: Option<ChosenBid<'_>>,
 ) -> RobotExplanation {
-    let robot = &entry.robot;
+    let role = &entry.role;
+    let winner = record.chosen.get(role);
     let elsewhere = record.chosen.iter().find(|(other, chosen)| *other != role && *chosen == robot);
     let (outcome, bid, why) = match &entry.verdict {
         BidVerdict::Viable { time, energy, remaining } => {
@@ -308,6 +315,13 @@ fn explain_robot(
         BidVerdict::Refused { reason } => {
             let (outcome, why) = explain_refusal(robot, reason);
             (outcome, None, why)
+        }
+        BidVerdict::NotAsked { reason, cost_min, .. } => {
+            let bound = match reason {
+                NotAskedReason::NotNeeded => format!(", since it would cost at least {cost_min:.1} s"),
+                _ => String::new(),
+            };
+            (RobotOutcome::NotAsked, None, format!("{robot} was not asked: {reason}{bound}"))
         }
     };
     let behind_s = bid.zip(won).map(|(bid, won)| bid.time_s - won.price.time_s);
@@ -348,7 +362,7 @@ fn explain_refusal(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, St
 fn viable_cost(verdict: &BidVerdict) -> Option<BidCost> {
     match verdict {
         BidVerdict::Viable { time, energy, remaining } => Some(BidCost::of(*time, *energy, *remaining)),
-        BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } => None,
+        BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } | BidVerdict::NotAsked { .. } => None,
     }
 }
 

@@ -167,3 +167,35 @@ fn an_auction_without_assignment_states_the_missing_bid() {
         ]
     );
 }
+
+#[test]
+fn robots_that_were_not_asked_have_the_reason_of_their_group() {
+    let not_asked = |robot: &str, reason, cost_min, others: &[&str]| {
+        let others = others.iter().copied().map(slug).collect();
+        let verdict = BidVerdict::NotAsked { reason, cost_min, others };
+        AuctionEntry { role: slug("r1"), robot: slug(robot), verdict, parts: vec![] }
+    };
+    let skills = vec![slug("navigation")];
+    let entries = vec![
+        bid("r1", "ada", 40.0),
+        not_asked("cyd", NotAskedReason::NotNeeded, 41.0, &["dan"]),
+        not_asked("bob", NotAskedReason::MissingSkills { skills }, 0.0, &[]),
+    ];
+    let explanation = explain(&record(entries, &[("r1", "ada")], None));
+    let unneeded =
+        "was not asked: by its record its bid could not have changed the result, since it would cost at least 41.0 s";
+    assert_eq!(
+        words(&explanation),
+        [
+            "r1: ada gets the role with 40.0 s, 6.0 % of its charge, 84.0 % left: no other robot that was asked has a \
+             viable bid"
+                .to_owned(),
+            "  ada bid 40.0 s, 6.0 % of its charge, 84.0 % left, and gets the role".to_owned(),
+            "  bob was not asked: by its record it lacks navigation".to_owned(),
+            format!("  cyd {unneeded}"),
+            format!("  dan {unneeded}"),
+        ]
+    );
+    let outcomes = explanation.roles[0].robots.iter().map(|robot| robot.outcome).collect::<Vec<_>>();
+    assert_eq!(outcomes[1..], [RobotOutcome::NotAsked; 3]);
+}

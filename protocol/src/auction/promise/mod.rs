@@ -116,13 +116,26 @@ impl PromiseContext<'_> {
         let Some(reason) = reason.filter(|_| self.is_later(bid)) else {
             return RoleReply::Bid(bid.clone());
         };
-        let may_be_late = queue.is_some_and(RobotQueue::serves_in_turn) || !self.startable.contains(&bid.role);
         let is_too_late = self.terms.horizon.is_some_and(|horizon| self.start_of(bid) > horizon);
-        let is_full = queue.map_or(0, |queue| queue.preceding) >= self.terms.promises_max;
-        if is_full || is_too_late || !may_be_late {
+        if is_too_late || !self.may_promise(queue, &bid.role) {
             return RoleReply::Refusal(BidRefusal { robot: bid.robot.clone(), role: bid.role.clone(), reason });
         }
         RoleReply::Bid(self.at_its_start(bid))
+    }
+
+    /// Checks whether a robot with this queue may promise a role.
+    fn may_promise(&self, queue: Option<&RobotQueue>, role: &RoleId) -> bool {
+        let may_be_late = queue.is_some_and(RobotQueue::serves_in_turn) || !self.startable.contains(role);
+        may_be_late && queue.map_or(0, |queue| queue.preceding) < self.terms.promises_max
+    }
+
+    /// Returns a lower bound of the cost at which a robot may be promised a role, or take it now; `None` if its bid would not
+    /// count. `alone` is the bound of a robot without a queue.
+    pub(super) fn bound(&self, robot: &RobotId, role: &RoleId, alone: f64) -> Option<f64> {
+        let Some(queue) = self.queues.get(robot) else { return Some(alone) };
+        let is_later = queue.is_held || !self.startable.contains(role);
+        // The end of what it holds is unknown, and with it the place at which it would begin.
+        (!is_later || self.may_promise(Some(queue), role)).then_some(0.0)
     }
 
     /// Returns a later bid with the time from now on, and with the charge that is left after all that its robot has promised.

@@ -7,6 +7,7 @@
 
 use super::assignment::{Offer, cheapest_assignment};
 use super::bid::{Bid, BidResponse, CallForBids};
+use super::candidates::Candidates;
 use super::clearing::{AuctionContext, viable_bids};
 use crate::ids::{RobotId, RoleId};
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,14 +24,8 @@ pub struct OpenAuction<'a> {
     pub responses: &'a [BidResponse],
     /// Inputs of its clearing.
     pub context: AuctionContext<'a>,
-}
-
-impl OpenAuction<'_> {
-    /// Checks whether costs alone decide: the mission prefers no robots, has no bound on energy, and needs all its roles.
-    fn is_by_cost(&self) -> bool {
-        let AuctionContext { invitation, energy, .. } = &self.context;
-        invitation.preferred.is_empty() && energy.is_none() && self.call.spread.is_empty()
-    }
+    /// Robots that were not asked, with their bounds.
+    pub candidates: &'a Candidates,
 }
 
 /// Returns the number of calls, from the first one on, whose missions are allocated together.
@@ -44,11 +39,13 @@ pub fn joint_count<'a>(calls: impl IntoIterator<Item = &'a CallForBids>) -> usiz
 }
 
 /// Returns the robots of each auction in the allocation of all, in the order of the missions; none for an auction that is left
-/// out. There are at most [`joint_count`] auctions.
+/// out. There are at most [`joint_count`] auctions. A robot that was not asked counts with its bound: an allocation with such
+/// robots holds once they have been asked.
 pub fn allocate_together(auctions: &[OpenAuction<'_>]) -> Vec<BTreeMap<RoleId, RobotId>> {
     let bids: Vec<Vec<&Bid>> =
         auctions.iter().map(|auction| viable_bids(auction.call, auction.responses, &auction.context)).collect();
-    let members: Vec<usize> = (0..auctions.len()).filter(|index| auctions[*index].is_by_cost()).collect();
+    let is_by_cost = |auction: &OpenAuction<'_>| auction.context.is_by_cost(auction.call);
+    let members: Vec<usize> = (0..auctions.len()).filter(|index| is_by_cost(&auctions[*index])).collect();
     if let Some(all) = assign(auctions, &bids, &members) {
         return all;
     }
@@ -80,6 +77,11 @@ fn assign(
         let objective = auctions[*member].call.timelines.objective;
         for bid in bids[*member].iter().filter(|bid| bid.role == **role) {
             offers.push(Offer { role: &names[number], robot: &bid.robot, cost: bid.cost(objective) });
+            numbers.push(number);
+        }
+        let OpenAuction { candidates, context, .. } = &auctions[*member];
+        for offer in candidates.offers_now(role, context) {
+            offers.push(Offer { role: &names[number], ..offer });
             numbers.push(number);
         }
     }

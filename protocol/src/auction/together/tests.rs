@@ -64,9 +64,11 @@ fn allocate(missions: &[Times], bounded: &[usize]) -> Vec<Vec<usize>> {
     let bids: Vec<Vec<BidResponse>> = numbered().map(|(mission, times)| responses(mission, times)).collect();
     let (invitation, unavailable, excluded) = (Invitation::default(), BTreeMap::new(), BTreeMap::new());
     let (limits, limit) = (BidLimits::default(), EnergyLimit::new(9.0).unwrap());
+    let asked_all = Candidates::default();
     let open = |(index, (call, responses))| OpenAuction {
         call,
         responses,
+        candidates: &asked_all,
         context: AuctionContext {
             invitation: &invitation,
             unavailable: &unavailable,

@@ -53,14 +53,15 @@ function reason(auction, role) {
 }
 
 function offers(auction, role) {
-  const rank = { bid: 0, unviable: 1, refused: 2 };
+  const rank = { bid: 0, unviable: 1, refused: 2, not_asked: 3 };
+  const words = { refused: ['wait', 'refused'], not_asked: ['wait', 'not asked'], unviable: ['warn', 'not viable'] };
   const list = auction.offers.filter((offer) => offer.role === role);
   list.sort((a, b) => Number(b.chosen) - Number(a.chosen) || rank[a.verdict] - rank[b.verdict] || (a.time_s ?? 0) - (b.time_s ?? 0));
   const longest = Math.max(...list.map((offer) => offer.time_s ?? 0), 1);
   const body = make('tbody');
   for (const offer of list) {
     const row = make('tr', { className: offer.chosen ? 'won' : '' });
-    const verdict = offer.chosen ? state('good', 'won') : offer.verdict === 'bid' ? state('work', 'bid') : state(offer.verdict === 'refused' ? 'wait' : 'warn', offer.verdict === 'refused' ? 'refused' : 'not viable');
+    const verdict = offer.chosen ? state('good', 'won') : offer.verdict === 'bid' ? state('work', 'bid') : state(...(words[offer.verdict] ?? words.unviable));
     const why = make('td', { className: 'wrap' }, verdict, offer.why ? make('span', { className: 'sub' }, offer.why) : null);
     const time = offer.time_s === undefined ? '–' : meter(offer.time_s / longest, `${offer.time_s.toFixed(1)} s`);
     cells(row, offer.robot, why, time, numberCell(offer.energy === undefined ? '–' : percent(offer.energy, 1)), numberCell(offer.remaining === undefined ? '–' : percent(offer.remaining, 1)));

@@ -1,0 +1,171 @@
+//! What a robot would reply for a role, by its record.
+
+use crate::auction::bid::{BidLimits, CallForBids, bounded_cost};
+use crate::auction::insertion::Objective;
+use crate::auction::record::NotAskedReason;
+use crate::ensemble::Eligibility;
+use crate::ids::{RobotId, RoleId};
+use crate::knowledge::{Availability, RobotKnowledge};
+use crate::plan::LocalPlan;
+use crate::units::Seconds;
+use std::collections::BTreeMap;
+
+/// Charge by which a robot may have more than its record states, as a share of a full battery. A robot publishes changes of a
+/// fiftieth at intervals of a second. Raised: more robots with little charge are asked in vain.
+const CHARGE_TOLERANCE: f64 = 0.05;
+
+/// Expected reply of a robot for a role.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Expectation {
+    /// The robot would refuse, or its bid would not count.
+    Refuses(NotAskedReason),
+    /// The robot may bid this cost or more, in seconds of the objective.
+    CostsAtLeast(f64),
+}
+
+/// Price of a plan for a robot, as far as its record shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Price {
+    /// The robot needs at least this time and this energy, as a share of a full battery.
+    AtLeast {
+        /// The time.
+        time: Seconds,
+        /// The energy.
+        energy: f64,
+    },
+    /// The record does not show it.
+    Unknown,
+    /// The robot cannot do the tasks.
+    Impossible,
+}
+
+/// Conditions of a role on its robot.
+#[derive(Debug)]
+pub struct RoleTerms<'a> {
+    plan: &'a LocalPlan,
+    /// Compiled condition; `Err` for an invalid condition, which no robot meets.
+    eligible: Option<Result<Eligibility, String>>,
+    objective: Objective,
+    limits: BidLimits,
+}
+
+impl<'a> RoleTerms<'a> {
+    /// Returns the conditions of each role of a call.
+    pub fn of(call: &'a CallForBids, limits: &BidLimits) -> BTreeMap<&'a RoleId, RoleTerms<'a>> {
+        let terms = |(role, plan): (&'a RoleId, &'a LocalPlan)| {
+            let eligible = call.eligible.get(role).map(|condition| Eligibility::compile(condition));
+            (role, RoleTerms { plan, eligible, objective: call.timelines.objective, limits: *limits })
+        };
+        call.roles.iter().map(terms).collect()
+    }
+
+    /// Returns the plan of the role.
+    pub fn plan(&self) -> &'a LocalPlan {
+        self.plan
+    }
+
+    /// Returns what a robot would reply, in the order in which it checks a role itself. `price` returns its price from its place.
+    pub fn expect(&self, robot: &RobotId, worker: &RobotKnowledge, price: impl FnOnce() -> Price) -> Expectation {
+        let missing = self.plan.skills_missing_in(&worker.skills);
+        if !missing.is_empty() {
+            return Expectation::Refuses(NotAskedReason::MissingSkills { skills: missing });
+        }
+        let is_free = match &worker.availability {
+            Availability::OutOfService { .. } => return Expectation::Refuses(NotAskedReason::OutOfService),
+            Availability::Free => true,
+            Availability::Holding { .. } => false,
+        };
+        let is_eligible = |condition: &Result<Eligibility, String>| {
+            condition.as_ref().is_ok_and(|condition| condition.check(robot, worker).is_ok())
+        };
+        if !self.eligible.iter().all(is_eligible) {
+            return Expectation::Refuses(NotAskedReason::NotEligible);
+        }
+        // The place at which a busy robot would begin is unknown.
+        if !is_free {
+            return Expectation::CostsAtLeast(0.0);
+        }
+        match price() {
+            Price::Unknown => Expectation::CostsAtLeast(0.0),
+            Price::Impossible => Expectation::Refuses(NotAskedReason::NotFeasible),
+            Price::AtLeast { time, energy } => {
+                let charge_max = worker.battery.get() + CHARGE_TOLERANCE;
+                match charge_max - energy <= self.limits.charge_floor(worker.useful_charge).get() {
+                    true => Expectation::Refuses(NotAskedReason::LowCharge),
+                    false => Expectation::CostsAtLeast(bounded_cost(self.objective, time.get(), energy)),
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::auction::bid::AuctionId;
+    use crate::auction::insertion::Timelines;
+    use crate::mission::TaskSpec;
+    use crate::plan::{Step, StepAction};
+    use crate::pose::Pose;
+    use crate::units::{BatteryShare, SharePerSecond};
+    use std::collections::BTreeSet;
+
+    fn robot(battery: f64, availability: Availability) -> RobotKnowledge {
+        RobotKnowledge {
+            skills: BTreeSet::from(["navigation".parse().unwrap()]),
+            attributes: serde_json::from_value(serde_json::json!({ "section": "icu" })).unwrap(),
+            place: "dock".parse().unwrap(),
+            pose: Pose::default(),
+            battery: BatteryShare::new(battery).unwrap(),
+            discharge: SharePerSecond::new(0.001).unwrap(),
+            useful_charge: BatteryShare::new(0.1).unwrap(),
+            speed: None,
+            availability,
+            estimator: String::new(),
+            charging: None,
+        }
+    }
+
+    fn expect(skill: &str, condition: &str, worker: &RobotKnowledge, price: Price) -> Expectation {
+        let role: RoleId = "r1".parse().unwrap();
+        let spec = TaskSpec::of(skill.parse().unwrap(), vec![role.clone()]);
+        let action = StepAction::Task { id: "go".parse().unwrap(), spec };
+        let plan = LocalPlan::of(role.clone(), vec![Step { action, after: vec![] }]);
+        let call = CallForBids {
+            auction: AuctionId { mission: "visit-1".parse().unwrap(), term: 1, round: 1 },
+            ensembles: vec![],
+            roles: BTreeMap::from([(role.clone(), plan)]),
+            eligible: BTreeMap::from([(role.clone(), condition.to_owned())]),
+            spread: BTreeSet::new(),
+            timelines: Timelines { objective: Objective::LeastEnergy, ..Timelines::default() },
+        };
+        RoleTerms::of(&call, &BidLimits::default())[&role].expect(&"ada".parse().unwrap(), worker, || price)
+    }
+
+    #[test]
+    fn the_record_of_a_robot_shows_a_refusal_or_a_bound() {
+        use NotAskedReason::{LowCharge, MissingSkills, NotEligible, NotFeasible, OutOfService};
+        let free = robot(0.5, Availability::Free);
+        let (mission, role) = ("visit-0".parse().unwrap(), "r1".parse().unwrap());
+        let busy = robot(0.5, Availability::Holding { mission, role, suspended: false });
+        let broken = robot(0.5, Availability::OutOfService { problem: "no driver".to_owned() });
+        let price = |energy| Price::AtLeast { time: Seconds::new(20.0).unwrap(), energy };
+        let icu = r#"robot.attributes.section == "icu""#;
+        let refuses = Expectation::Refuses;
+        let skills = vec!["pick_up".parse().unwrap()];
+        for (worker, skill, condition, price, expected) in [
+            (&free, "navigation", icu, price(0.1), Expectation::CostsAtLeast(100_020.0)),
+            (&free, "navigation", icu, Price::Unknown, Expectation::CostsAtLeast(0.0)),
+            (&free, "navigation", icu, Price::Impossible, refuses(NotFeasible)),
+            (&free, "navigation", icu, price(0.5), refuses(LowCharge)),
+            (&free, "navigation", icu, price(0.44), Expectation::CostsAtLeast(440_020.0)),
+            (&free, "navigation", "robot.battery > 0.9", price(0.1), refuses(NotEligible)),
+            (&free, "navigation", "robot.batery > 0.9", price(0.1), refuses(NotEligible)),
+            (&free, "pick_up", icu, price(0.1), refuses(MissingSkills { skills })),
+            (&busy, "navigation", icu, price(0.1), Expectation::CostsAtLeast(0.0)),
+            (&broken, "navigation", icu, price(0.1), refuses(OutOfService)),
+        ] {
+            assert_eq!(expect(skill, condition, worker, price), expected, "{skill}, {condition}, {price:?}");
+        }
+    }
+}
