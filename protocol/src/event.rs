@@ -162,7 +162,7 @@ pub enum EventKind {
         roles: Vec<RoleId>,
         /// Round of the auction.
         round: u32,
-        /// Number of robots that received the call.
+        /// Number of robots that received the first call. An auction in a large fleet may call others later.
         asked: usize,
     },
     /// A robot sent a bid.

@@ -3,12 +3,13 @@
 use crate::charging_setup::ChargingSetup;
 use crate::credentials::{Credentials, Signatures};
 use crate::event_log::{EventLog, Observation};
-use crate::robot_spec::RobotSpec;
+use crate::robot_spec::{ESTIMATOR_VERSION, RobotSpec};
 use crate::slug;
 use crate::ward::{logistics, ward};
 use consort_bus::clock::Clock;
 use consort_bus::trust::SigningBus;
 use consort_bus::{LinkModel, SharedBus, VirtualBus, VirtualNetwork};
+use consort_fleet::coordinator::CandidateSettings;
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::event::EventKind;
@@ -19,6 +20,7 @@ use consort_protocol::versions::VersionRange;
 use consort_raft::store::NodeStore;
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::domain_file::DomainFile;
+use consort_skills::environment::{Environment, Routes};
 use consort_skills::extensions::Extensions;
 use consort_world::SharedWorld;
 use consort_world::map;
@@ -94,6 +96,8 @@ pub(crate) struct NodeOptions {
     pub(crate) charging: Option<ChargingSetup>,
     /// Runtimes of their own, by node.
     pub(crate) runtimes: BTreeMap<String, Handle>,
+    /// Number of robots that an auction asks first.
+    pub(crate) candidates: usize,
 }
 
 /// Domain, ensembles and people of a hospital.
@@ -121,6 +125,7 @@ impl Default for NodeOptions {
             ensembles: vec![logistics(&["operate_drawer", "pick_up"])],
             charging: None,
             runtimes: BTreeMap::new(),
+            candidates: CandidateSettings::DEFAULT_COUNT,
         }
     }
 }
@@ -137,6 +142,18 @@ pub(crate) struct FleetSetup {
     /// Ensembles of the fleet.
     pub(crate) ensembles: Vec<EnsembleSpec>,
     pub(crate) options: NodeOptions,
+}
+
+/// Returns the choice of the robots that auctions ask in a large fleet.
+fn candidates(world: &SharedWorld, options: &NodeOptions) -> CandidateSettings {
+    let routes = world.with(|world| Routes::shortest(&world.map().topology(), &world.map().passages()));
+    let environment = Environment::new().with(routes.expect("the map of a world is sound"));
+    let estimator = options.extensions.descriptors(DescriptorRegistry::standard()).resolve(environment);
+    CandidateSettings {
+        count: options.candidates,
+        estimator: Arc::new(estimator.expect("routes are there")),
+        estimator_version: ESTIMATOR_VERSION.to_owned(),
+    }
 }
 
 /// Returns a nurse that waits in a room with one sample; both are named after the room.
@@ -259,6 +276,7 @@ impl Fleet {
         let places = world.with(|world| world.map().topology().places);
         let task_types = options.extensions.domain().with_places(places.into_keys());
         settings.charging = options.charging.as_ref().map(|charging| Arc::new(charging.settings.clone()));
+        settings.candidates = Some(candidates(&world, &options));
         settings.domain = Arc::new(task_types.with_ensembles(settings.ensembles.names().cloned()));
         let client = network.bus(slug("client"));
         let credentials =

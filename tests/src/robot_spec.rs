@@ -11,6 +11,9 @@ use consort_world::map::Map;
 use consort_world::world::RobotSetup;
 use std::collections::BTreeMap;
 
+/// Version of the estimators of all robots.
+pub(crate) const ESTIMATOR_VERSION: &str = "1";
+
 /// Setup of a robot.
 #[derive(Debug, Clone)]
 pub struct RobotSpec {
@@ -140,7 +143,7 @@ impl RobotSpec {
             useful_charge: BatteryShare::new(0.08).expect("a share"),
             speed: self.speed.map(|speed| MetresPerSecond::new(speed).expect("a speed")),
             availability: Availability::Free,
-            estimator: "1".to_owned(),
+            estimator: ESTIMATOR_VERSION.to_owned(),
             charging: None,
         }
     }

@@ -38,6 +38,7 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
         request_limits: RequestLimits::default(),
         history_limits: HistoryLimits::default(),
         allocator: Arc::new(OptimalAssignment),
+        candidates: None,
         lease_terms: LeaseTerms::default(),
         bid_window: Duration::from_millis(200),
         stall_timeout: Duration::from_secs(15 * 60),

@@ -4,6 +4,7 @@ mod alarms;
 mod answers;
 mod building;
 mod canceling;
+mod candidates;
 mod causes;
 mod charging;
 mod checkpoints;

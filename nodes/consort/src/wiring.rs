@@ -14,7 +14,7 @@ use consort_bus::zenoh_bus::LinkTrust;
 use consort_dashboard::loaded_map::LoadedMap;
 use consort_driver::{DriverEndpoint, DriverSetting, EndpointError, ProcessDriver, RobotStart};
 use consort_fleet::autopilot;
-use consort_fleet::coordinator::RequestLimits;
+use consort_fleet::coordinator::{CandidateSettings, RequestLimits};
 use consort_fleet::node::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
 use consort_protocol::ensemble::Ensembles;
@@ -131,6 +131,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         Some(charging) => Some(Arc::new(charging.settings(chargers(charging, &floor)?))),
         None => None,
     };
+    let candidates = candidates(config, &floor, extensions);
     let TopologicalMap { places, edges } = floor.topology;
     let wrong = zone_problems(&config.zones, &places).into_iter();
     Diagnostics::into_result(wrong.map(|problem| Diagnostic::for_file("", problem)).collect())?;
@@ -159,6 +160,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
         history_limits: config.history.limits(),
         allocator: Arc::new(OptimalAssignment),
+        candidates,
         lease_terms: LeaseTerms {
             lease: Duration::from_millis(config.lease.lease_ms),
             grace: Duration::from_millis(config.lease.grace_ms),
@@ -174,6 +176,46 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
         map: None,
     })
+}
+
+/// Returns the choice of the robots that auctions ask in a large fleet. A station may lack the calibration, or a map that its domains need:
+/// then auctions ask all robots.
+fn candidates(config: &FleetConfig, floor: &LoadedMap, extensions: Extensions) -> Option<CandidateSettings> {
+    let count = config.auction.candidates;
+    let estimator = (count > 0).then(|| bounding_estimator(config, floor, extensions))?;
+    match estimator {
+        Ok(estimator) => Some(CandidateSettings {
+            count,
+            estimator: Arc::new(estimator),
+            estimator_version: ESTIMATOR_VERSION.to_owned(),
+        }),
+        Err(problem) => {
+            warn!(%problem, "the costs of robots cannot be estimated: auctions ask all robots");
+            None
+        }
+    }
+}
+
+/// Returns an estimator that estimates no task to cost more than robots do.
+fn bounding_estimator(
+    config: &FleetConfig,
+    floor: &LoadedMap,
+    extensions: Extensions,
+) -> Result<Estimator, Diagnostics> {
+    let passages = floor.map.as_ref().map_or_else(Passages::default, Map::passages);
+    let routes =
+        Routes::shortest(&floor.topology, &passages).map_err(|problem| Diagnostic::for_file("map", problem))?;
+    let descriptors = calibrated_descriptors(config, extensions)?;
+    let estimator = descriptors.resolve(Environment::new().with(routes));
+    Ok(estimator.map_err(|problem| Diagnostic::for_file("", problem))?)
+}
+
+/// Returns the descriptors of all robots, with learned corrections.
+fn calibrated_descriptors(config: &FleetConfig, extensions: Extensions) -> Result<DescriptorRegistry, Diagnostics> {
+    let descriptors = extensions.descriptors(DescriptorRegistry::standard());
+    let Some(file) = &config.calibration else { return Ok(descriptors) };
+    let learned: Arc<Calibration> = Arc::new(config::load(file, &extensions.domain())?);
+    Ok(learned.correct(descriptors))
 }
 
 /// Returns the chargers of a fleet on its map.
@@ -219,8 +261,7 @@ pub(crate) fn fleet_skill_resources(
 ) -> Result<SkillResources, Diagnostics> {
     let equipment = skill_resources(&map_loader::load(&fleet.map)?, extensions)?;
     let Some(file) = &fleet.calibration else { return Ok(equipment) };
-    let learned: Arc<Calibration> = Arc::new(config::load(file, &extensions.domain())?);
-    let descriptors = learned.correct(extensions.descriptors(DescriptorRegistry::standard()));
+    let descriptors = calibrated_descriptors(fleet, extensions)?;
     let estimator = descriptors.resolve(equipment.estimator.environment().clone());
     let estimator = estimator.map_err(|problem| Diagnostic::for_file(file.display(), problem))?;
     Ok(SkillResources { estimator: Arc::new(estimator), ..equipment })

@@ -76,8 +76,10 @@ impl AuctionRecord {
 
     /// Adds the robots that were not asked.
     pub fn add_not_asked(&mut self, entries: Vec<AuctionEntry>) {
-        self.entries.extend(entries);
-        self.limit();
+        if !entries.is_empty() {
+            self.entries.extend(entries);
+            self.limit();
+        }
     }
 
     /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:
@@ -208,7 +210,7 @@ pub enum NotAskedReason {
     /// The tasks of the role cannot be estimated from its place.
     #[error("by its record it cannot do the tasks of the role from its place")]
     NotFeasible,
-    /// Too little charge would be left.
-    #[error("by its record too little charge would be left")]
-    LowCharge,
+    /// The order of a person gives the role to another robot.
+    #[error("by the order of a person another robot gets the role")]
+    Restricted,
 }

@@ -6,7 +6,7 @@
 //! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
 //! | `wire/bootstrap/*` | query | candidate → nodes that may vote | [`BootstrapRequest`] | [`BootstrapReply`] |
 //! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
-//! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`BidResponse`](crate::auction::BidResponse) |
+//! | `wire/bid/*`, `wire/bid/{robot}` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`BidResponse`](crate::auction::BidResponse) |
 //! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardReply`] |
 //! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportReply`] |
 //! | `wire/clock/{node}` | query | coordinator → voter | empty | `u64`: milliseconds since 1970 |

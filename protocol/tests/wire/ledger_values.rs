@@ -125,7 +125,7 @@ fn not_asked_reason() -> impl Strategy<Value = NotAskedReason> {
         NotAskedReason::OutOfService,
         NotAskedReason::NotEligible,
         NotAskedReason::NotFeasible,
-        NotAskedReason::LowCharge,
+        NotAskedReason::Restricted,
     ];
     prop_oneof![skills, select(fixed.to_vec())]
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Shortest edge: a millimetre. A shorter edge would be lost when added to a long route.
-const LENGTH_MIN_M: f64 = 0.001;
+pub(super) const LENGTH_MIN_M: f64 = 0.001;
 /// Longest edge: a thousand kilometres.
 const LENGTH_MAX_M: f64 = 1.0e6;
 

@@ -59,6 +59,11 @@ impl Passages {
         self.edges.is_empty() && self.limits.is_empty()
     }
 
+    /// Checks whether an edge is a lift ride, in this direction.
+    pub(super) fn is_lift(&self, from: &PlaceId, to: &PlaceId) -> bool {
+        matches!(self.edges.get(from).and_then(|edges| edges.get(to)), Some(Passage::Lift(_)))
+    }
+
     /// Returns the travel time from a place to its neighbour, over an edge of this length, at this
     /// speed or the lowest limit.
     pub fn time(&self, from: &PlaceId, to: &PlaceId, length: Metres, speed: MetresPerSecond) -> Seconds {

@@ -145,6 +145,7 @@ impl<'s> TrialRun<'s> {
             request_limits: RequestLimits::default(),
             history_limits: HistoryLimits::default(),
             allocator: allocator_of_policy(setup, trial, &division, &managed, seed),
+            candidates: None,
             lease_terms: LeaseTerms::default(),
             bid_window: times.auction_window,
             stall_timeout: Duration::ZERO,

@@ -27,6 +27,17 @@ pub(super) struct AuctionRound {
 }
 
 impl AuctionRound {
+    pub(super) fn is_backing_off(&self) -> bool {
+        matches!(self.phase, RoundPhase::BackingOff { .. })
+    }
+
+    /// Makes the next call due, if the round had no result.
+    pub(super) fn end_backoff(&mut self, now: NodeTime) {
+        if let RoundPhase::BackingOff { until, .. } = &mut self.phase {
+            *until = now;
+        }
+    }
+
     /// Follows the mission's branch. On a change, results for the other branch are void and the
     /// next round is due: an award of the old roles would be refused, and the count of hopeless
     /// rounds is meaningless.

@@ -1,14 +1,14 @@
 //! The auctioneer: sends a call for bids and collects the responses.
 
 use super::ensemble_members::live_members;
-use super::message::{CollectedBids, CoordinatorMessage, Reauction};
+use super::message::{CollectedBids, CoordinatorMessage};
 use super::session_context::SessionContext;
 use bytes::Bytes;
-use consort_bus::SharedBus;
+use consort_bus::{Reply, SharedBus};
 use consort_protocol::auction::{AuctionId, BidResponse, CallForBids, Invitation, PromiseTerms, Timelines};
 use consort_protocol::codec;
 use consort_protocol::ids::{NodeId, RobotId, RoleId};
-use consort_protocol::keys::Keys;
+use consort_protocol::keys::{Key, Keys};
 use consort_protocol::units::{NodeTime, Seconds};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -40,37 +40,41 @@ pub(super) fn call_for_roles(
 }
 
 /// Sends a call for bids. The session gets the bids as a message.
-pub(super) fn send_call(
-    call: CallForBids,
-    invitation: Invitation,
-    again: Option<Reauction>,
-    context: &mut SessionContext,
-) {
+pub(super) fn send_call(mut bids: CollectedBids, context: &mut SessionContext) {
     let (bus, keys) = (context.settings.parts.bus.clone(), context.settings.parts.keys.clone());
     let window = context.settings.auctions.bid_window;
     context.send_result(async move {
-        let responses = collect_bids(bus, keys, call.clone(), invitation.robots.clone(), window).await;
-        CoordinatorMessage::BidsCollected(Box::new(CollectedBids { call, invitation, responses, again }))
+        let latest = collect_bids(bus, keys, &bids, window).await;
+        bids.responses.extend(latest);
+        bids.responses.sort_by(|a, b| a.robot.cmp(&b.robot));
+        CoordinatorMessage::BidsCollected(Box::new(bids))
     });
+}
+
+async fn collect_bids(bus: SharedBus, keys: Keys, bids: &CollectedBids, window: Duration) -> Vec<BidResponse> {
+    let bytes = match codec::encode(&bids.call) {
+        Ok(bytes) => Bytes::from(bytes),
+        Err(problem) => {
+            warn!(mission = %bids.call.auction.mission, %problem, "the call for bids does not fit a message");
+            return vec![];
+        }
+    };
+    match &bids.called {
+        None => call_all(bus, keys, bytes, bids.invitation.robots.clone(), window).await,
+        Some(robots) => call_each(bus, keys, bytes, robots, window).await,
+    }
 }
 
 /// Calls all robots, and returns once every expected robot has replied or the bid window closes.
 /// Responses of unexpected robots count too: their gossip records may not have arrived here yet.
-async fn collect_bids(
+async fn call_all(
     bus: SharedBus,
     keys: Keys,
-    call: CallForBids,
+    call: Bytes,
     expected: BTreeSet<RobotId>,
     window: Duration,
 ) -> Vec<BidResponse> {
-    let bytes = match codec::encode(&call) {
-        Ok(bytes) => Bytes::from(bytes),
-        Err(problem) => {
-            warn!(mission = %call.auction.mission, %problem, "the call for bids does not fit a message");
-            return vec![];
-        }
-    };
-    let mut replies = match bus.query(&keys.any_bid(), bytes, window).await {
+    let mut replies = match bus.query(&keys.any_bid(), call, window).await {
         Ok(replies) => replies,
         Err(problem) => {
             warn!(%problem, "the call for bids was not sent");
@@ -80,18 +84,45 @@ async fn collect_bids(
     let mut missing = expected;
     let mut responses = vec![];
     while let Some(reply) = replies.recv().await {
-        match reply.payload.map(|payload| codec::decode::<BidResponse>(&payload)) {
-            Ok(Ok(response)) => {
-                missing.remove(&response.robot);
-                responses.push(response);
-            }
-            Ok(Err(problem)) => warn!(key = reply.key, %problem, "bid response cannot be decoded"),
-            Err(refused) => debug!(key = reply.key, problem = refused.0, "no bid response"),
+        if let Some(response) = response_of(reply) {
+            missing.remove(&response.robot);
+            responses.push(response);
         }
         if missing.is_empty() {
             break;
         }
     }
-    responses.sort_by(|a, b| a.robot.cmp(&b.robot));
     responses
+}
+
+/// Calls these robots, and returns once every robot has replied or the bid window closes.
+async fn call_each(
+    bus: SharedBus,
+    keys: Keys,
+    call: Bytes,
+    robots: &BTreeSet<RobotId>,
+    window: Duration,
+) -> Vec<BidResponse> {
+    let mut queries = vec![];
+    for robot in robots {
+        match bus.query(&keys.write(&Key::Bid(robot.clone())), call.clone(), window).await {
+            Ok(replies) => queries.push(replies),
+            Err(problem) => warn!(%robot, %problem, "the call for bids was not sent"),
+        }
+    }
+    // All queries are under way, so the last one ends with the window.
+    let mut responses = vec![];
+    for mut replies in queries {
+        responses.extend(replies.recv().await.and_then(response_of));
+    }
+    responses
+}
+
+fn response_of(reply: Reply) -> Option<BidResponse> {
+    match reply.payload.map(|payload| codec::decode::<BidResponse>(&payload)) {
+        Ok(Ok(response)) => return Some(response),
+        Ok(Err(problem)) => warn!(key = reply.key, %problem, "bid response cannot be decoded"),
+        Err(refused) => debug!(key = reply.key, problem = refused.0, "no bid response"),
+    }
+    None
 }

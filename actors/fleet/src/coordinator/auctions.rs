@@ -8,19 +8,23 @@
 //!
 //! Missions of the same priority whose calls are sent at about the same time are allocated together: an auction that has its
 //! bids waits for the others. So do missions that have waited for a robot, which are called when one becomes free.
+//!
+//! In a large fleet a round calls the robots that may get a role (the module `candidates`), and calls more of them until its result is
+//! proven.
 
 use super::actions::{AuctionRound, ClosedBidding, RoundPhase};
 use super::auctioneer::{call_for_roles, send_call};
+use super::candidates::{SkilledRobots, first_call};
 use super::clearing::{AuctionInputs, allocate_missions};
 use super::message::{CollectedBids, CoordinatorMessage};
 use super::reconcile::{backoff, can_be_auctioned};
 use super::session_context::{AWARD_TIMEOUT, SessionContext};
 use consort_protocol::auction::{
-    AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, RefusalReason, RoleReply,
+    AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, NotAskedReason, RefusalReason, RoleReply,
 };
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Priority};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
@@ -36,6 +40,10 @@ const HOPELESS_ROUNDS: u32 = 3;
 /// Maximum time between the calls for missions that are allocated together. Raised: more missions are, and an auction waits for
 /// later ones. A guess: requests of a client that follow each other.
 const TOGETHER: Duration = Duration::from_millis(50);
+
+/// Maximum number of waiting missions that wake beside one for each robot that has become free. Raised: more messages with a
+/// large backlog; a robot is used sooner if the missions that wake cannot use it. A guess.
+const WOKEN_MAX: usize = 16;
 
 /// Maximum number of robots named in the cause of a failed mission.
 const NAMED_ROBOTS_MAX: usize = 8;
@@ -63,10 +71,23 @@ impl Auctions {
     }
 
     /// Ends all backoffs, because a robot has become free.
-    pub(super) fn end_backoff(&mut self, now: NodeTime) {
-        for round in self.rounds.values_mut() {
-            if let RoundPhase::BackingOff { until, .. } = &mut round.phase {
-                *until = now;
+    pub(super) fn wake_all(&mut self, now: NodeTime) {
+        self.rounds.values_mut().for_each(|round| round.end_backoff(now));
+    }
+
+    /// Ends the backoffs of missions that these robots, which have become free, may serve. Of many missions the best-ranked
+    /// ones wake: the others would not get the robots.
+    pub(super) fn wake(&mut self, freed: &BTreeSet<NodeId>, context: &SessionContext, now: NodeTime) {
+        let robots = SkilledRobots::read(freed.iter().cloned().map(RobotId::from), context);
+        let missions: Vec<MissionId> = context.read_ledger(|ledger| {
+            let waits = |mission: &MissionId| self.rounds.get(mission).is_some_and(AuctionRound::is_backing_off);
+            let waiting = ledger.active_missions().into_iter().filter(|entry| waits(&entry.id));
+            let served = waiting.filter(|entry| robots.may_serve(entry)).take(freed.len() + WOKEN_MAX);
+            served.map(|entry| entry.id.clone()).collect()
+        });
+        for mission in missions {
+            if let Some(round) = self.rounds.get_mut(&mission) {
+                round.end_backoff(now);
             }
         }
     }
@@ -83,16 +104,30 @@ impl Auctions {
         let auction = AuctionId { mission: mission.clone(), term: context.term, round: number };
         let roles = open.unwrap_or_default();
         let Some((call, invitation)) = call_for_roles(&roles, auction, context, now) else { return };
+        let bids = first_call(CollectedBids::of_all(call, invitation, None), &self.rounds, context);
         context.publish_event(EventKind::BidsRequested {
             mission: mission.clone(),
-            roles: call.roles.keys().cloned().collect(),
+            roles: bids.call.roles.keys().cloned().collect(),
             round: number,
-            asked: invitation.robots.len(),
+            asked: bids.invitation.robots.len(),
         });
         let phase = RoundPhase::Bidding;
         let round = AuctionRound { number, branch, since, called_at: now, hopeless_rounds, phase };
         self.rounds.insert(mission.clone(), round);
-        send_call(call, invitation, None, context);
+        send_call(bids, context);
+    }
+
+    /// Asks further robots in the same round.
+    fn ask_more(&mut self, mission: &MissionId, robots: BTreeSet<RobotId>, context: &mut SessionContext) {
+        let Some(round) = self.rounds.get_mut(mission) else { return };
+        match std::mem::replace(&mut round.phase, RoundPhase::Bidding) {
+            RoundPhase::BiddingClosed(closed) => {
+                let mut bids = closed.bids;
+                bids.invite(robots);
+                send_call(bids, context);
+            }
+            other => round.phase = other,
+        }
     }
 
     /// Closes an auction: all bids have arrived, or the bid window has closed.
@@ -102,7 +137,7 @@ impl Auctions {
         let Some(round) = self.rounds.get_mut(&mission).filter(current) else {
             return; // the mission has ended, or another round has started
         };
-        for bid in bids.responses.iter().flat_map(|response| &response.replies) {
+        for bid in bids.latest_responses().flat_map(|response| &response.replies) {
             if let RoleReply::Bid(bid) = bid {
                 context.publish_event(EventKind::Bid { mission: mission.clone(), bid: bid.clone() });
             }
@@ -138,22 +173,45 @@ impl Auctions {
                     let has_bidding = calling || self.is_followed(&open[index..], *priority, called);
                     let may_wait = now < closed.deadline;
                     let waits = may_wait && has_bidding;
-                    if waits && closed.is_fillable {
+                    let is_restricted = closed.bids.called.is_some();
+                    // An auction among candidates calls further robots once it is known which robots it may get.
+                    if waits && (closed.is_fillable || is_restricted) {
                         calling = true; // lower-ranked missions wait, too
                         continue;
                     }
                     if !waits && !allocated.contains_key(mission) {
-                        allocated.extend(self.allocate_with(&open[index..], called, context));
+                        let allocation = self.allocate_with(&open[index..], called, context);
+                        let unasked = self.unasked_robots(&allocation, context);
+                        if !unasked.is_empty() {
+                            for (mission, robots) in unasked {
+                                self.ask_more(&mission, robots, context);
+                            }
+                            calling = true;
+                            continue;
+                        }
+                        allocated.extend(allocation);
                     }
                     let is_joint = others_in(&allocated, mission).next().is_some();
-                    let outcome = {
+                    let cleared = {
                         let mut inputs = AuctionInputs::read(&closed.bids, &self.rounds, context);
                         self.reserve_for_others(&allocated, mission, &mut inputs);
                         inputs.clear(&closed.bids, context)
                     };
+                    let outcome = match cleared {
+                        Ok(outcome) => outcome,
+                        Err(to_ask) => {
+                            self.ask_more(mission, to_ask, context);
+                            calling = true;
+                            continue;
+                        }
+                    };
                     if (outcome.holders.is_some() || is_joint) && may_wait {
+                        let taken = allocated.values().chain(&outcome.holders).flat_map(BTreeMap::values);
+                        let takers = is_restricted.then(|| SkilledRobots::read(taken.cloned(), context));
+                        let may_need =
+                            |mission: &MissionId| takers.as_ref().is_none_or(|it| it.may_serve_in(mission, context));
                         let (due, others): (Vec<_>, Vec<_>) =
-                            waiting.into_iter().partition(|(_, since)| *since < called);
+                            waiting.into_iter().partition(|(id, since)| *since < called && may_need(id));
                         waiting = others;
                         for (better_ranked, _) in due {
                             self.call_for_bids(&better_ranked, context, now);
@@ -199,6 +257,28 @@ impl Auctions {
         allocated
     }
 
+    /// Returns the robots of an allocation that were not asked, by mission, with those that are asked beside them.
+    fn unasked_robots(
+        &self,
+        allocation: &Allocation,
+        context: &SessionContext,
+    ) -> BTreeMap<MissionId, BTreeSet<RobotId>> {
+        let mut unasked = BTreeMap::new();
+        for (mission, robots) in allocation {
+            let Some(AuctionRound { phase: RoundPhase::BiddingClosed(closed), .. }) = self.rounds.get(mission) else {
+                continue;
+            };
+            let bids = &closed.bids;
+            let chosen = robots.values().filter(|robot| bids.candidates.contains(robot)).cloned();
+            let chosen: BTreeSet<RobotId> = chosen.collect();
+            if !chosen.is_empty() {
+                let inputs = AuctionInputs::read(bids, &self.rounds, context);
+                unasked.insert(mission.clone(), inputs.to_ask_with(chosen, bids, context));
+            }
+        }
+        unasked
+    }
+
     /// Checks whether a mission of this priority, called at about the same time, still collects bids.
     fn is_followed(&self, open: &[(MissionId, Priority)], priority: Priority, called: NodeTime) -> bool {
         let mut rounds = open.iter().filter(|(_, other)| *other == priority).filter_map(|(id, _)| self.rounds.get(id));
@@ -235,8 +315,10 @@ impl Auctions {
                 let since = context.now();
                 round.phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
                 let has_changed = context.read_ledger(|ledger| {
-                    let known = ledger.mission(&mission).and_then(|entry| entry.auction.as_ref());
-                    known.is_none_or(|known| differs(known, &record))
+                    let entry = ledger.mission(&mission);
+                    let holds_robots = entry.is_some_and(|entry| entry.assigned_roles().next().is_some());
+                    let known = entry.and_then(|entry| entry.auction.as_ref());
+                    known.is_none_or(|known| differs(known, &record, holds_robots))
                 });
                 let hopeless = round.hopeless_rounds >= HOPELESS_ROUNDS;
                 let class_of_failures = |ledger: &Ledger| {
@@ -322,15 +404,20 @@ fn are_together(one: NodeTime, other: NodeTime) -> bool {
 }
 
 /// Checks whether a record differs from the previous record in more than times, counters and details.
-/// The kinds of refusals count, because [`circular_waits`](super::circular_waits) reads them in the ledger.
-fn differs(known: &AuctionRecord, record: &AuctionRecord) -> bool {
+/// The kinds of refusals count, because [`circular_waits`](super::circular_waits) reads them in the ledger. So do busy robots
+/// that were not asked, if the mission holds robots: others may wait for it.
+fn differs(known: &AuctionRecord, record: &AuctionRecord, holds_robots: bool) -> bool {
     let essence = |record: &AuctionRecord| {
         let verdicts = record.entries.iter().map(|entry| {
-            let reason = match &entry.verdict {
-                BidVerdict::Refused { reason } => Some(discriminant(reason)),
-                BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => None,
+            let (reason, not_asked, counts) = match &entry.verdict {
+                BidVerdict::Refused { reason } => (Some(discriminant(reason)), None, true),
+                BidVerdict::NotAsked { reason, .. } => {
+                    (None, Some(reason.clone()), holds_robots && *reason == NotAskedReason::Busy)
+                }
+                BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => (None, None, true),
             };
-            (entry.role.clone(), entry.robot.clone(), discriminant(&entry.verdict), reason)
+            let robots: Vec<RobotId> = entry.robots().filter(|_| counts).cloned().collect();
+            (entry.role.clone(), robots, discriminant(&entry.verdict), reason, not_asked)
         });
         (record.failure.clone(), verdicts.collect::<Vec<_>>())
     };
@@ -342,7 +429,7 @@ fn no_robot_left(hopeless: &BTreeSet<RoleId>, entries: &[AuctionEntry]) -> Strin
     let of_role = |role: &RoleId| {
         let refusals = entries.iter().filter(|entry| entry.role == *role).filter_map(|entry| match &entry.verdict {
             BidVerdict::Refused { reason } => Some(format!("{} {reason}", entry.robot)),
-            BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => None,
+            BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } | BidVerdict::NotAsked { .. } => None,
         });
         let mut refusals: Vec<String> = refusals.collect();
         // Robots that have failed come first, because they are the cause. The others only cannot

@@ -5,7 +5,7 @@ use super::message::CollectedBids;
 use super::queues::{reserve, robot_queues, unavailable_robots, unpromisable_robots};
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
-    AuctionContext, AuctionOutcome, BidResponse, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms,
+    AuctionContext, AuctionOutcome, BidResponse, Candidates, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms,
     RefusalReason, RobotQueue, RoleEstimate, allocate_together, clear_auction_with, joint_count, restrict_replies,
 };
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
@@ -18,6 +18,8 @@ use std::time::Duration;
 pub(super) struct AuctionInputs<'a> {
     /// Replies of the robots, with refusals of those that the orders of people keep from a role.
     responses: Cow<'a, [BidResponse]>,
+    /// Robots that were not asked, without the roles from which the orders of people keep them.
+    candidates: Cow<'a, Candidates>,
     /// Robots that can get no role now.
     unavailable: BTreeMap<RobotId, RefusalReason>,
     /// Robots that can be promised no role.
@@ -41,7 +43,7 @@ impl<'a> AuctionInputs<'a> {
         rounds: &BTreeMap<MissionId, AuctionRound>,
         context: &SessionContext,
     ) -> AuctionInputs<'a> {
-        let CollectedBids { call, responses, again, .. } = bids;
+        let CollectedBids { call, responses, again, candidates, .. } = bids;
         let mission = &call.auction.mission;
         // A mission that has waited for as long as a promise may be delayed and late might never start in a busy fleet.
         let PromiseTerms { delay_max, late_max, .. } = context.settings.auctions.promises;
@@ -58,6 +60,7 @@ impl<'a> AuctionInputs<'a> {
             let restrictions = entry.map(MissionEntry::restrictions).unwrap_or_default();
             AuctionInputs {
                 responses: restrict_replies(responses, &restrictions),
+                candidates: candidates.restricted(&restrictions),
                 unavailable: unavailable_robots(ledger, &queues, mission),
                 unpromisable: unpromisable_robots(ledger, mission),
                 queues,
@@ -111,10 +114,43 @@ impl<'a> AuctionInputs<'a> {
         }
     }
 
+    /// Returns the robots to ask next; none if the result of the auction is proven.
+    pub(super) fn to_ask(&self, bids: &CollectedBids, context: &SessionContext) -> BTreeSet<RobotId> {
+        if self.candidates.is_empty() {
+            return BTreeSet::new();
+        }
+        let terms = context.settings.auctions.promises;
+        let promises = (terms.promises_max > 0).then(|| self.promises(terms));
+        let inputs = AuctionContext { promises, ..self.without_promises(bids, &self.released, context) };
+        self.candidates.to_ask(&bids.call, &self.responses, &inputs, next_count(bids, context))
+    }
+
+    /// Returns the robots to ask next, if these may have to get roles.
+    pub(super) fn to_ask_with(
+        &self,
+        chosen: BTreeSet<RobotId>,
+        bids: &CollectedBids,
+        context: &SessionContext,
+    ) -> BTreeSet<RobotId> {
+        let inputs = self.without_promises(bids, &self.released, context);
+        self.candidates.with_best(chosen, &bids.call, &inputs, next_count(bids, context))
+    }
+
     /// Assigns the roles. A robot that has lost or returned a role of the mission gets it again only if
     /// the mission cannot be awarded otherwise: a robot that bids and then does not act delays the mission
     /// once, and not for ever.
-    pub(super) fn clear(&self, bids: &CollectedBids, context: &SessionContext) -> AuctionOutcome {
+    ///
+    /// # Errors
+    /// The robots to ask first, unless the result is proven.
+    pub(super) fn clear(
+        &self,
+        bids: &CollectedBids,
+        context: &SessionContext,
+    ) -> Result<AuctionOutcome, BTreeSet<RobotId>> {
+        let to_ask = self.to_ask(bids, context);
+        if !to_ask.is_empty() {
+            return Err(to_ask);
+        }
         let CollectedBids { call, .. } = bids;
         let AuctionInputs { responses, failed, released, .. } = self;
         let settings = &context.settings.auctions;
@@ -135,8 +171,16 @@ impl<'a> AuctionInputs<'a> {
             if is_possible(&outcome) { outcome } else { clear_with(excluded, false) }
         };
         let by_others = (!self.is_first()).then(|| clear(released));
-        by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(failed))
+        let mut outcome = by_others.filter(|outcome| outcome.holders.is_some()).unwrap_or_else(|| clear(failed));
+        outcome.record.add_not_asked(self.candidates.entries(&self.unavailable));
+        Ok(outcome)
     }
+}
+
+/// Returns the number of robots to ask next: as many as were asked before, since each call takes time.
+fn next_count(bids: &CollectedBids, context: &SessionContext) -> usize {
+    let first = context.settings.auctions.candidates.as_ref().map_or(0, |settings| settings.count);
+    bids.invitation.robots.len().max(first).max(1)
 }
 
 /// Returns the robots of each mission in the allocation of all together; none for a mission that is cleared by itself.
@@ -155,7 +199,8 @@ pub(super) fn allocate_missions<'a>(
     let mut open = vec![];
     for (_, bids, inputs) in &first {
         let context = inputs.without_promises(bids, &inputs.failed, context);
-        open.push(OpenAuction { call: &bids.call, responses: &inputs.responses, context });
+        let candidates = &*inputs.candidates;
+        open.push(OpenAuction { call: &bids.call, responses: &inputs.responses, context, candidates });
     }
     let allocation = allocate_together(&open);
     first.iter().map(|(mission, ..)| *mission).zip(allocation).collect()

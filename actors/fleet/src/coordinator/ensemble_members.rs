@@ -21,8 +21,8 @@ pub(super) struct EnsembleMembers {
 }
 
 impl EnsembleMembers {
-    /// Publishes changes of the ensembles' memberships. Returns true if a robot has become free.
-    pub(super) fn update(&mut self, context: &SessionContext, now: NodeTime) -> bool {
+    /// Publishes changes of the ensembles' memberships. Returns the members that have become free.
+    pub(super) fn update(&mut self, context: &SessionContext, now: NodeTime) -> BTreeSet<NodeId> {
         let CoordinatorSettings { parts, auctions, .. } = &context.settings;
         let members = live_members(&context.settings, now);
         for ensemble in auctions.ensembles.iter() {
@@ -42,10 +42,15 @@ impl EnsembleMembers {
             let is_free = |node: &&NodeId| base.get(node).is_some_and(|stored| stored.record.knowledge.is_free());
             members.values().flatten().filter(is_free).cloned().collect::<BTreeSet<_>>()
         });
-        let newly_free = !free.is_subset(&self.free);
+        let newly_free = free.difference(&self.free).cloned().collect();
         self.free = free;
         self.members = members;
         newly_free
+    }
+
+    /// Returns the number of members of all ensembles.
+    pub(super) fn count(&self) -> usize {
+        self.members.values().flatten().collect::<BTreeSet<_>>().len()
     }
 
     /// Reports each other cluster with the name of this fleet, once.

@@ -226,10 +226,15 @@ impl LeaderSession {
 
     fn update_members(&mut self) {
         let now = self.context.now();
-        if self.members.update(&self.context, now) {
-            self.auctions.end_backoff(now);
-            self.reauctions.shorten_intervals();
+        let freed = self.members.update(&self.context, now);
+        if freed.is_empty() {
+            return;
         }
+        match self.context.settings.auctions.asks_candidates(self.members.count()) {
+            true => self.auctions.wake(&freed, &self.context, now),
+            false => self.auctions.wake_all(now),
+        }
+        self.reauctions.shorten_intervals();
     }
 
     /// Starts the voter change that is due.
@@ -276,7 +281,7 @@ impl LeaderSession {
         let terms = context.settings.auctions.promises;
         let due = context.read_ledger(|ledger| reauctions.due(ledger, auctions.rounds(), &terms, now, confirmed_ms));
         if let Some(reauction) = due {
-            reauctions::call_again(reauction, context, now);
+            reauctions::call_again(reauction, auctions.rounds(), context, now);
         }
     }
 
@@ -350,10 +355,10 @@ impl LeaderSession {
     }
 
     pub(super) fn close_bidding(&mut self, bids: CollectedBids) {
-        match &bids.again {
+        match bids.again.clone() {
             Some(reauction) => {
                 let LeaderSession { auctions, reauctions, context, .. } = self;
-                reauctions::conclude(&bids, reauction, auctions.rounds(), reauctions, context);
+                reauctions::conclude(bids, &reauction, auctions.rounds(), reauctions, context);
             }
             None => self.auctions.close_bidding(bids, &mut self.context),
         }

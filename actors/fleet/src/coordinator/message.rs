@@ -4,13 +4,14 @@ use super::status::CoordinatorStatus;
 use crate::autopilot::ActionResult;
 use crate::robot_driver::PersonRequestState;
 use consort_bus::{Author, Query, Sample};
-use consort_protocol::auction::{AuctionId, Bid, BidResponse, CallForBids, Invitation, RoleReply};
+use consort_protocol::auction::{AuctionId, Bid, BidResponse, CallForBids, Candidates, Invitation, RoleReply};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{CommandOutcome, MissionEntry, RoleAssignment, TaskQuestion};
 use consort_protocol::message::AwardReply;
 use consort_raft::ProposeError;
 use consort_skills::actions::GoalId;
+use std::collections::BTreeSet;
 use tokio::sync::oneshot;
 
 /// Message for the coordinator actor.
@@ -68,9 +69,32 @@ pub(crate) struct CollectedBids {
     pub(super) responses: Vec<BidResponse>,
     /// Set if the role is promised to a robot, and may pass to another.
     pub(super) again: Option<Reauction>,
+    /// Robots that were not asked. The invitation does not contain them.
+    pub(super) candidates: Candidates,
+    /// Robots of the latest call; `None` if it went to all.
+    pub(super) called: Option<BTreeSet<RobotId>>,
 }
 
 impl CollectedBids {
+    /// Returns the bids for a call to all robots, before any has replied.
+    pub(super) fn of_all(call: CallForBids, invitation: Invitation, again: Option<Reauction>) -> CollectedBids {
+        CollectedBids { call, invitation, responses: vec![], again, candidates: Candidates::default(), called: None }
+    }
+
+    /// Invites candidates to the next call.
+    pub(super) fn invite(&mut self, robots: BTreeSet<RobotId>) {
+        self.candidates.remove(&robots);
+        self.invitation.robots.extend(robots.iter().cloned());
+        self.called = Some(robots);
+    }
+
+    /// Returns the replies to the latest call.
+    pub(super) fn latest_responses(&self) -> impl Iterator<Item = &BidResponse> {
+        let is_latest =
+            move |response: &&BidResponse| self.called.as_ref().is_none_or(|it| it.contains(&response.robot));
+        self.responses.iter().filter(is_latest)
+    }
+
     /// Returns the reply of a robot for a role.
     pub(super) fn reply_of(&self, role: &RoleId, robot: &RobotId) -> Option<&RoleReply> {
         let response = self.responses.iter().find(|response| response.robot == *robot)?;

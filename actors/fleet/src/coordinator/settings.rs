@@ -15,6 +15,7 @@ use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{AlarmPlan, HistoryLimits, Ledger};
 use consort_protocol::mission::Domain;
 use consort_raft::Replica;
+use consort_skills::descriptor::Estimator;
 use consort_skills::missions::NamedMissions;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -78,7 +79,33 @@ pub(crate) struct AuctionSettings {
     pub(crate) promises: PromiseTerms,
     /// Allocation rule of the auctions.
     pub(crate) allocator: Arc<dyn Allocator>,
+    /// Choice of the robots to ask; `None` to ask all.
+    pub(crate) candidates: Option<CandidateSettings>,
     /// Time for which an auction waits for missing bids. Raised: robots on slow links still win
     /// roles, unreachable robots delay every auction for longer. Default 200 ms.
     pub(crate) bid_window: Duration,
+}
+
+/// Choice of the robots that an auction asks in a large fleet.
+#[derive(Clone)]
+pub struct CandidateSettings {
+    /// Number of robots that an auction asks first. A fleet of at most this size asks all. Raised: more messages, and fewer auctions that
+    /// ask again. Default 16: two messages for each stay below 40.
+    pub count: usize,
+    /// Estimates no task of a robot to cost more than the robot does itself.
+    pub estimator: Arc<Estimator>,
+    /// Version of that estimator, as in the records of robots. The costs of robots with another version are unknown.
+    pub estimator_version: String,
+}
+
+impl CandidateSettings {
+    /// Default of [`count`](Self::count).
+    pub const DEFAULT_COUNT: usize = 16;
+}
+
+impl AuctionSettings {
+    /// Checks whether an auction with this number of members asks candidates only.
+    pub(super) fn asks_candidates(&self, members: usize) -> bool {
+        self.candidates.as_ref().is_some_and(|settings| members > settings.count)
+    }
 }

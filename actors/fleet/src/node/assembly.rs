@@ -295,6 +295,7 @@ impl Assembly {
                 limits: self.fleet.limits,
                 promises: self.fleet.promises,
                 allocator: Arc::clone(&self.fleet.allocator),
+                candidates: self.fleet.candidates.clone(),
                 bid_window: self.fleet.bid_window,
             },
             autopilot: AutopilotSettings {

@@ -1,7 +1,7 @@
 //! Settings of a node.
 
 use crate::autopilot::AutopilotRule;
-use crate::coordinator::RequestLimits;
+use crate::coordinator::{CandidateSettings, RequestLimits};
 use crate::observe::SharedObserver;
 use crate::robot::ChargingSettings;
 use consort_bus::clock::Clock;
@@ -52,6 +52,8 @@ pub struct FleetSettings {
     /// Allocation rule: [`OptimalAssignment`](consort_protocol::auction::OptimalAssignment), except
     /// in evaluations.
     pub allocator: Arc<dyn Allocator>,
+    /// Choice of the robots that auctions ask in a large fleet; `None` to ask all.
+    pub candidates: Option<CandidateSettings>,
     /// Durations of leases.
     pub lease_terms: LeaseTerms,
     /// Time for which an auction waits for missing bids.

@@ -56,7 +56,7 @@ impl EnergyForecast {
 /// Returns the estimator's input for the robot at its current or last passed place; `closed`
 /// contains the lanes that the driver has found closed, and what people have closed. `limits` are the speed limits of
 /// people.
-pub(super) fn pricing_context(
+pub(crate) fn pricing_context(
     worker: &RobotKnowledge,
     closed: &[(PlaceId, PlaceId)],
     limits: &SpeedLimits,

@@ -64,6 +64,7 @@ pub use bidder::{BidContext, Bidder, PresentWork};
 pub(crate) use charging::RobotCharging;
 pub use charging::{ChargeThresholds, Charger, ChargerReserve, ChargingSettings};
 pub use checkpoint::{Checkpoint, CheckpointError};
+pub(crate) use energy_check::pricing_context;
 pub use sequencer::{AlternativeProgress, OwnProgress, Sequencer, SequencerAction, StepRef};
 pub(crate) use settings::{ExecutionSettings, PricingSettings, RobotLinks, RobotSettings, RobotStart};
 pub(crate) use task_timeout::TaskTimeout;

@@ -1,6 +1,6 @@
 //! Health of a fleet: findings with a severity and a text.
 
-use consort_protocol::auction::{BidVerdict, RefusalReason};
+use consort_protocol::auction::{BidVerdict, NotAskedReason, RefusalReason};
 use consort_protocol::ids::{AlarmId, ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, PersonRequestId};
 use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
@@ -56,6 +56,11 @@ impl Blocking {
     /// Returns the missions that hold robots for which others wait: those that have the only robots for a role.
     pub(super) fn of(ledger: &Ledger) -> BTreeMap<MissionId, Blocking> {
         let mut blocking: BTreeMap<MissionId, Blocking> = BTreeMap::new();
+        let held = ledger
+            .active_missions()
+            .into_iter()
+            .flat_map(|entry| entry.held_roles().map(move |(.., holder)| (&holder.robot, &entry.id)));
+        let holders = &held.collect::<BTreeMap<&RobotId, &MissionId>>();
         for entry in ledger.missions().filter(|entry| entry.state == MissionState::Pending) {
             let Some(auction) = entry.auction.as_ref().filter(|auction| auction.failure.is_some()) else { continue };
             let offered: BTreeSet<&RoleId> = auction
@@ -64,13 +69,18 @@ impl Blocking {
                 .filter(|entry| matches!(entry.verdict, BidVerdict::Viable { .. }))
                 .map(|entry| &entry.role)
                 .collect();
-            for refusal in auction.entries.iter().filter(|entry| !offered.contains(&entry.role)) {
-                let BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } = &refusal.verdict else {
-                    continue;
-                };
+            let refusals = auction.entries.iter().filter(|entry| !offered.contains(&entry.role));
+            let busy = refusals.flat_map(|refusal| {
+                refusal.robots().filter_map(move |robot| match &refusal.verdict {
+                    BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } => Some((mission, robot)),
+                    BidVerdict::NotAsked { reason: NotAskedReason::Busy, .. } => Some((*holders.get(robot)?, robot)),
+                    _ => None,
+                })
+            });
+            for (mission, robot) in busy {
                 if ledger.mission_state(mission).is_some_and(|state| !state.is_final()) {
                     let holder = blocking.entry(mission.clone()).or_default();
-                    holder.robots.insert(refusal.robot.clone());
+                    holder.robots.insert(robot.clone());
                     holder.waiting.insert(entry.id.clone());
                 }
             }

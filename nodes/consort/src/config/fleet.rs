@@ -7,7 +7,7 @@ use super::{ConfigFile, load, load_unchecked};
 use crate::diagnostic::Diagnostics;
 use crate::map_loader::is_shipped;
 use consort_fleet::autopilot;
-use consort_fleet::coordinator::RequestLimits;
+use consort_fleet::coordinator::{CandidateSettings, RequestLimits};
 use consort_protocol::auction::{BidLimits, Objective, PromiseTerms};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue, private_attribute_problems};
 use consort_protocol::ids::{AlarmId, EnsembleId, FleetId, PlaceId, TaskType, ZoneId};
@@ -190,6 +190,10 @@ pub struct AuctionConfig {
     /// Seconds for which a full battery counts with the objective `weighted`. More: robots drive less, and roles end later.
     /// Default 3600.
     pub battery_s: u32,
+    /// Number of robots that an auction asks first, those that may cost least by their records. It asks more until no other robot could
+    /// get a role. A fleet with at most as many members asks all; 0 to ask all in any fleet. More: more messages, fewer auctions that ask
+    /// again. Default 16.
+    pub candidates: usize,
 }
 
 /// Objective of auctions.
@@ -253,6 +257,7 @@ impl Default for AuctionConfig {
             gain_s: whole(gain_min),
             objective: ObjectiveName::default(),
             battery_s: 3600,
+            candidates: CandidateSettings::DEFAULT_COUNT,
         }
     }
 }
@@ -391,6 +396,7 @@ impl ConfigFile for FleetConfig {
         within("auction.late_s", self.auction.late_s.into(), 1, PLANNED_S_MAX.into());
         within("auction.gain_s", self.auction.gain_s.into(), 1, PLANNED_S_MAX.into());
         within("auction.battery_s", self.auction.battery_s.into(), 1, 1_000_000);
+        within("auction.candidates", self.auction.candidates as u64, 0, 1_000_000);
         let LeaseConfig { lease_ms, grace_ms } = self.lease;
         let grace_min_ms = ms(LeaseTerms::grace_min(Duration::from_millis(lease_ms.min(LEASE_MS_MAX))));
         if grace_ms < grace_min_ms {

@@ -101,7 +101,8 @@ impl DemoReporter {
 
     fn closed(&self, at: Duration, record: &AuctionRecord) -> Result<(), Failure> {
         let mission = &record.auction.mission;
-        for entry @ AuctionEntry { role, robot, verdict, .. } in &record.entries {
+        for entry in &record.entries {
+            let AuctionEntry { role, robot, verdict, .. } = entry;
             let price = |time: f64, energy: f64, remaining: f64| {
                 let (energy, remaining) = (energy * 100.0, remaining * 100.0);
                 format!("{time:.1} s, {energy:.1} % of its charge, {remaining:.1} % left")

@@ -6,6 +6,7 @@
 //! process are missing.
 
 use super::ids::{SpanId, TraceId};
+use consort_protocol::auction::{AuctionEntry, BidVerdict};
 use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{ClusterId, MissionId, RoleId, TaskId};
 use consort_protocol::ledger::MissionState;
@@ -85,7 +86,9 @@ impl SpanTracker {
                 let Some(span) = self.auctions.remove(mission) else { return vec![] };
                 let chosen: Vec<String> =
                     record.chosen.iter().map(|(role, robot)| format!("{role}: {robot}")).collect();
-                let span = span.with("answers", record.entries.len()).with("chosen", chosen.join(", "));
+                let is_answer = |entry: &&AuctionEntry| !matches!(entry.verdict, BidVerdict::NotAsked { .. });
+                let answers = record.entries.iter().filter(is_answer).count();
+                let span = span.with("answers", answers).with("chosen", chosen.join(", "));
                 return vec![span.end(at, record.failure.clone())];
             }
             EventKind::Mission { mission, state, submitted_at_ms } if state.is_final() => {

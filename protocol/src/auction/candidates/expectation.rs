@@ -1,6 +1,6 @@
 //! What a robot would reply for a role, by its record.
 
-use crate::auction::bid::{BidLimits, CallForBids, bounded_cost};
+use crate::auction::bid::{CallForBids, bounded_cost};
 use crate::auction::insertion::Objective;
 use crate::auction::record::NotAskedReason;
 use crate::ensemble::Eligibility;
@@ -10,14 +10,10 @@ use crate::plan::LocalPlan;
 use crate::units::Seconds;
 use std::collections::BTreeMap;
 
-/// Charge by which a robot may have more than its record states, as a share of a full battery. A robot publishes changes of a
-/// fiftieth at intervals of a second. Raised: more robots with little charge are asked in vain.
-const CHARGE_TOLERANCE: f64 = 0.05;
-
 /// Expected reply of a robot for a role.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Expectation {
-    /// The robot would refuse, or its bid would not count.
+    /// The robot would refuse.
     Refuses(NotAskedReason),
     /// The robot may bid this cost or more, in seconds of the objective.
     CostsAtLeast(f64),
@@ -46,15 +42,14 @@ pub struct RoleTerms<'a> {
     /// Compiled condition; `Err` for an invalid condition, which no robot meets.
     eligible: Option<Result<Eligibility, String>>,
     objective: Objective,
-    limits: BidLimits,
 }
 
 impl<'a> RoleTerms<'a> {
     /// Returns the conditions of each role of a call.
-    pub fn of(call: &'a CallForBids, limits: &BidLimits) -> BTreeMap<&'a RoleId, RoleTerms<'a>> {
+    pub fn of(call: &'a CallForBids) -> BTreeMap<&'a RoleId, RoleTerms<'a>> {
         let terms = |(role, plan): (&'a RoleId, &'a LocalPlan)| {
             let eligible = call.eligible.get(role).map(|condition| Eligibility::compile(condition));
-            (role, RoleTerms { plan, eligible, objective: call.timelines.objective, limits: *limits })
+            (role, RoleTerms { plan, eligible, objective: call.timelines.objective })
         };
         call.roles.iter().map(terms).collect()
     }
@@ -70,30 +65,24 @@ impl<'a> RoleTerms<'a> {
         if !missing.is_empty() {
             return Expectation::Refuses(NotAskedReason::MissingSkills { skills: missing });
         }
-        let is_free = match &worker.availability {
+        match &worker.availability {
+            Availability::Free => {}
+            // The place at which it would begin is unknown.
+            Availability::Holding { .. } => return Expectation::CostsAtLeast(0.0),
             Availability::OutOfService { .. } => return Expectation::Refuses(NotAskedReason::OutOfService),
-            Availability::Free => true,
-            Availability::Holding { .. } => false,
-        };
+        }
         let is_eligible = |condition: &Result<Eligibility, String>| {
             condition.as_ref().is_ok_and(|condition| condition.check(robot, worker).is_ok())
         };
         if !self.eligible.iter().all(is_eligible) {
             return Expectation::Refuses(NotAskedReason::NotEligible);
         }
-        // The place at which a busy robot would begin is unknown.
-        if !is_free {
-            return Expectation::CostsAtLeast(0.0);
-        }
         match price() {
             Price::Unknown => Expectation::CostsAtLeast(0.0),
             Price::Impossible => Expectation::Refuses(NotAskedReason::NotFeasible),
+            // A robot that lacks the charge is asked, too: it charges after it has refused.
             Price::AtLeast { time, energy } => {
-                let charge_max = worker.battery.get() + CHARGE_TOLERANCE;
-                match charge_max - energy <= self.limits.charge_floor(worker.useful_charge).get() {
-                    true => Expectation::Refuses(NotAskedReason::LowCharge),
-                    false => Expectation::CostsAtLeast(bounded_cost(self.objective, time.get(), energy)),
-                }
+                Expectation::CostsAtLeast(bounded_cost(self.objective, time.get(), energy))
             }
         }
     }
@@ -110,13 +99,13 @@ mod tests {
     use crate::units::{BatteryShare, SharePerSecond};
     use std::collections::BTreeSet;
 
-    fn robot(battery: f64, availability: Availability) -> RobotKnowledge {
+    fn robot(availability: Availability) -> RobotKnowledge {
         RobotKnowledge {
             skills: BTreeSet::from(["navigation".parse().unwrap()]),
             attributes: serde_json::from_value(serde_json::json!({ "section": "icu" })).unwrap(),
             place: "dock".parse().unwrap(),
             pose: Pose::default(),
-            battery: BatteryShare::new(battery).unwrap(),
+            battery: BatteryShare::new(0.5).unwrap(),
             discharge: SharePerSecond::new(0.001).unwrap(),
             useful_charge: BatteryShare::new(0.1).unwrap(),
             speed: None,
@@ -139,16 +128,16 @@ mod tests {
             spread: BTreeSet::new(),
             timelines: Timelines { objective: Objective::LeastEnergy, ..Timelines::default() },
         };
-        RoleTerms::of(&call, &BidLimits::default())[&role].expect(&"ada".parse().unwrap(), worker, || price)
+        RoleTerms::of(&call)[&role].expect(&"ada".parse().unwrap(), worker, || price)
     }
 
     #[test]
     fn the_record_of_a_robot_shows_a_refusal_or_a_bound() {
-        use NotAskedReason::{LowCharge, MissingSkills, NotEligible, NotFeasible, OutOfService};
-        let free = robot(0.5, Availability::Free);
+        use NotAskedReason::{MissingSkills, NotEligible, NotFeasible, OutOfService};
+        let free = robot(Availability::Free);
         let (mission, role) = ("visit-0".parse().unwrap(), "r1".parse().unwrap());
-        let busy = robot(0.5, Availability::Holding { mission, role, suspended: false });
-        let broken = robot(0.5, Availability::OutOfService { problem: "no driver".to_owned() });
+        let busy = robot(Availability::Holding { mission, role, suspended: false });
+        let broken = robot(Availability::OutOfService { problem: "no driver".to_owned() });
         let price = |energy| Price::AtLeast { time: Seconds::new(20.0).unwrap(), energy };
         let icu = r#"robot.attributes.section == "icu""#;
         let refuses = Expectation::Refuses;
@@ -157,8 +146,7 @@ mod tests {
             (&free, "navigation", icu, price(0.1), Expectation::CostsAtLeast(100_020.0)),
             (&free, "navigation", icu, Price::Unknown, Expectation::CostsAtLeast(0.0)),
             (&free, "navigation", icu, Price::Impossible, refuses(NotFeasible)),
-            (&free, "navigation", icu, price(0.5), refuses(LowCharge)),
-            (&free, "navigation", icu, price(0.44), Expectation::CostsAtLeast(440_020.0)),
+            (&free, "navigation", icu, price(0.5), Expectation::CostsAtLeast(500_020.0)),
             (&free, "navigation", "robot.battery > 0.9", price(0.1), refuses(NotEligible)),
             (&free, "navigation", "robot.batery > 0.9", price(0.1), refuses(NotEligible)),
             (&free, "pick_up", icu, price(0.1), refuses(MissingSkills { skills })),

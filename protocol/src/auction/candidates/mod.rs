@@ -26,7 +26,9 @@ use super::assignment::{Offer, cheapest_assignment};
 use super::bid::{BidResponse, CallForBids, RefusalReason};
 use super::clearing::{AuctionContext, viable_bids};
 use super::record::{AuctionEntry, BidVerdict, NotAskedReason};
+use super::restriction::RobotRestriction;
 use crate::ids::{RobotId, RoleId};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Robots that were not asked, with what each would reply for each role.
@@ -44,9 +46,30 @@ impl Candidates {
         self.0.is_empty()
     }
 
+    /// Returns the number of robots that were not asked.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
     /// Checks whether a robot was not asked.
     pub fn contains(&self, robot: &RobotId) -> bool {
         self.0.contains_key(robot)
+    }
+
+    /// Returns the robots as those that refuse the roles from which restrictions exclude them.
+    pub fn restricted(&self, restrictions: &BTreeMap<RoleId, RobotRestriction>) -> Cow<'_, Candidates> {
+        if restrictions.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        let mut restricted = self.clone();
+        for (robot, expected) in &mut restricted.0 {
+            for (role, expectation) in expected {
+                if restrictions.get(role).is_some_and(|restriction| !restriction.permits(robot)) {
+                    *expectation = Expectation::Refuses(NotAskedReason::Restricted);
+                }
+            }
+        }
+        Cow::Owned(restricted)
     }
 
     /// Removes robots that are asked.
@@ -85,6 +108,18 @@ impl Candidates {
         let later: Vec<Offer<'_>> = later.collect();
         let chosen = chosen_unasked(call, &responses, &context, &later).unwrap_or_default();
         with_next(chosen, later, of_each_role)
+    }
+
+    /// Adds about `count` robots with the least bounds to robots that may have to get a role now.
+    pub fn with_best(
+        &self,
+        chosen: BTreeSet<RobotId>,
+        call: &CallForBids,
+        context: &AuctionContext<'_>,
+        count: usize,
+    ) -> BTreeSet<RobotId> {
+        let now = call.roles.keys().flat_map(|role| self.offers_now(role, context)).collect();
+        with_next(chosen, now, count.div_ceil(call.roles.len().max(1)))
     }
 
     /// Returns offers of the robots for a role at their bounds.

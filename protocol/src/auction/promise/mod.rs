@@ -133,7 +133,7 @@ impl PromiseContext<'_> {
     /// count. `alone` is the bound of a robot without a queue.
     pub(super) fn bound(&self, robot: &RobotId, role: &RoleId, alone: f64) -> Option<f64> {
         let Some(queue) = self.queues.get(robot) else { return Some(alone) };
-        let is_later = queue.is_held || !self.startable.contains(role);
+        let is_later = queue.held.is_some() || !self.startable.contains(role);
         // The end of what it holds is unknown, and with it the place at which it would begin.
         (!is_later || self.may_promise(Some(queue), role)).then_some(0.0)
     }

@@ -5,7 +5,7 @@
 //! same room, this costs a single search.
 
 use super::descriptor::EnvironmentDescriptor;
-use super::map::{MapError, TopologicalMap};
+use super::map::{Edge, LENGTH_MIN_M, MapError, TopologicalMap};
 use super::passages::Passages;
 use super::speed_limits::SpeedLimits;
 use consort_protocol::ids::PlaceId;
@@ -100,6 +100,19 @@ impl Routes {
         let costs = vec![OnceLock::new(); index.len()];
         let (closed_places, slowed) = (BTreeSet::new(), BTreeMap::new());
         Ok(Routes { graph, index, costs, reduced: false, closed_places, slowed })
+    }
+
+    /// Returns routes for lower bounds of travel times: without passages, no drive on them takes longer than on the map with these
+    /// passages, whichever lanes are closed. A lift is a leg of almost no length.
+    ///
+    /// # Errors
+    /// [`MapError`] if the map is invalid.
+    pub fn shortest(map: &TopologicalMap, passages: &Passages) -> Result<Routes, MapError> {
+        let edge = |edge: &Edge| {
+            let is_lift = passages.is_lift(&edge.a, &edge.b) || passages.is_lift(&edge.b, &edge.a);
+            Edge { length_m: if is_lift { LENGTH_MIN_M } else { edge.length_m }, ..edge.clone() }
+        };
+        Routes::new(&TopologicalMap { places: map.places.clone(), edges: map.edges.iter().map(edge).collect() })
     }
 
     /// Returns the routes without the edges between these places, in either direction. A pair of a
@@ -301,6 +314,16 @@ impl Routes {
     fn leg_length(&self, from: &PlaceId, to: &PlaceId) -> Metres {
         let edge = self.graph.find_edge(self.index[from], self.index[to]).expect("neighbours on a route have an edge");
         Metres::new(self.graph[edge]).expect("edges of a checked map have a length")
+    }
+
+    /// Returns the places that a robot at `pose` that last passed `passed` may pass next: none if it stands there, and
+    /// otherwise its neighbours.
+    pub fn places_ahead(&self, passed: &PlaceId, pose: Pose) -> Vec<&PlaceId> {
+        let Some(start) = self.index.get(passed) else { return vec![] };
+        if self.graph[*start].1.distance(pose).get() <= TOLERANCE_M {
+            return vec![];
+        }
+        self.graph.neighbors(*start).map(|place| &self.graph[place].0).collect()
     }
 
     /// Returns the pose of a place.

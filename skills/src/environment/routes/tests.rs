@@ -79,6 +79,41 @@ fn the_distance_to_the_same_place_is_zero() {
 }
 
 #[test]
+fn no_drive_is_faster_than_on_the_shortest_routes() {
+    let edge = |a, b, length_m| Edge { a: place(a), b: place(b), length_m, one_way: false };
+    let map = TopologicalMap {
+        places: ["Ground", "Lift", "Ramp", "Top"].map(|name| (place(name), Pose::default())).into(),
+        edges: vec![
+            edge("Ground", "Lift", 4.0),
+            edge("Lift", "Top", 50.0),
+            edge("Ground", "Ramp", 20.0),
+            edge("Ramp", "Top", 20.0),
+        ],
+    };
+    let length = |passages: &Passages| {
+        let routes = Routes::shortest(&map, passages).unwrap();
+        routes.distance(&place("Ground"), &place("Top")).unwrap().get()
+    };
+    let ride = Passage::Lift(Seconds::new(1.0).unwrap());
+    assert_eq!(length(&Passages::default()), 40.0);
+    assert!(length(&Passages::default().with(place("Lift"), place("Top"), ride)) < 4.1);
+}
+
+#[test]
+fn a_robot_between_places_may_pass_a_neighbour_next() {
+    let routes = corridor();
+    let ahead = |passed: &str, x| {
+        let places: BTreeSet<&PlaceId> =
+            routes.places_ahead(&place(passed), Pose::new(x, 0.0, 0.0)).into_iter().collect();
+        places.into_iter().map(PlaceId::as_str).collect::<Vec<_>>()
+    };
+    assert_eq!(ahead("M", 10.2), [""; 0], "it stands at the place");
+    assert_eq!(ahead("M", 11.0), ["E", "S", "W"]);
+    assert_eq!(ahead("W", 1.0), ["M"], "the door leads from E only");
+    assert_eq!(ahead("X", 0.0), [""; 0]);
+}
+
+#[test]
 fn a_robot_on_a_leg_takes_the_shorter_of_both_directions() {
     let routes = corridor();
     let legs = |passed: &str, x: f64, y: f64, to: &str| {

@@ -23,6 +23,7 @@ use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
 use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;
 use crate::{Fleet, Observation, paused_runtime, slug};
+use consort_fleet::coordinator::CandidateSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, RoleEntry};
@@ -53,6 +54,9 @@ const MISSION_SHARE: Duration = Duration::from_secs(45);
 
 /// Longest time without a leader in a transfer of leadership, in milliseconds.
 const TRANSFER_MAX_MS: u64 = 120;
+
+/// First seed with fleets that ask candidates: every second fleet from it on.
+const CANDIDATES_SINCE: u64 = 5001;
 
 /// Limit for the news of a restart to reach a node without a link to the restarted node.
 const RELAY_LIMIT: Duration = Duration::from_secs(30);
@@ -131,6 +135,7 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
         world_speed: schedule.world_speed.into(),
         extensions: workload.extensions,
         charging: chargers::setup(schedule.chargers),
+        candidates: candidates(config.seed),
         ..node_options(config, &injector)
     };
     let (mut members, people) = composition.participants(&workload);
@@ -153,6 +158,11 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     hasher.write_u64(fleet.network.digest());
     let digest = format!("{:016x}", hasher.finish());
     RunOutcome { seed: config.seed, violation, counters: checker.counters, digest }
+}
+
+/// Returns the number of robots that auctions ask first. These fleets are small: with the default they ask all.
+fn candidates(seed: u64) -> usize {
+    if seed >= CANDIDATES_SINCE && seed.is_multiple_of(2) { 2 } else { CandidateSettings::DEFAULT_COUNT }
 }
 
 /// Returns the options that inject the faults, and the bug if there is one.

@@ -9,6 +9,7 @@
 
 use super::actions::AuctionRound;
 use super::auctioneer::{call_for_roles, send_call};
+use super::candidates::first_call;
 use super::clearing::AuctionInputs;
 use super::message::{AwardedRole, CollectedBids, Reauction};
 use super::session_context::SessionContext;
@@ -127,20 +128,27 @@ impl Reauctions {
 }
 
 /// Calls for bids for a promised role.
-pub(super) fn call_again(reauction: Reauction, context: &mut SessionContext, now: NodeTime) {
+pub(super) fn call_again(
+    reauction: Reauction,
+    rounds: &BTreeMap<MissionId, AuctionRound>,
+    context: &mut SessionContext,
+    now: NodeTime,
+) {
     let AwardedRole { mission, role, .. } = &reauction.promised;
     let latest = |ledger: &Ledger| Some(ledger.mission(mission)?.auction.as_ref()?.auction.round);
     let round = context.read_ledger(latest).unwrap_or(0).saturating_add(1);
     let auction = AuctionId { mission: mission.clone(), term: context.term, round };
     if let Some((call, invitation)) = call_for_roles(&BTreeSet::from([role.clone()]), auction, context, now) {
-        send_call(call, invitation, Some(reauction), context);
+        let bids = first_call(CollectedBids::of_all(call, invitation, Some(reauction)), rounds, context);
+        send_call(bids, context);
     }
 }
 
 /// Passes a promised role to the winner of its auction, if the winner costs clearly less than the robot of the promise, if that
-/// does not suit the role any more, or if it is late and the winner would not be.
+/// does not suit the role any more, or if it is late and the winner would not be. Asks further robots first, unless the result
+/// is proven.
 pub(super) fn conclude(
-    bids: &CollectedBids,
+    mut bids: CollectedBids,
     reauction: &Reauction,
     rounds: &BTreeMap<MissionId, AuctionRound>,
     reauctions: &mut Reauctions,
@@ -148,8 +156,15 @@ pub(super) fn conclude(
 ) {
     let terms = context.settings.auctions.promises;
     let AwardedRole { mission, role, robot: former, epoch } = reauction.promised.clone();
-    let inputs = AuctionInputs::read(bids, rounds, context);
-    let AuctionOutcome { holders, record: mut auction, .. } = inputs.clear(bids, context);
+    let inputs = AuctionInputs::read(&bids, rounds, context);
+    let AuctionOutcome { holders, record: mut auction, .. } = match inputs.clear(&bids, context) {
+        Ok(outcome) => outcome,
+        Err(to_ask) => {
+            drop(inputs);
+            bids.invite(to_ask);
+            return send_call(bids, context);
+        }
+    };
     let winner = holders.and_then(|mut holders| holders.remove(&role)).filter(|winner| *winner != former);
     reauctions.note_rival(&reauction.promised, winner.is_some());
     let Some(robot) = winner else { return };

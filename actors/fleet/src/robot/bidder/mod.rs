@@ -8,7 +8,7 @@ use consort_protocol::auction::{
     RoleInsertion, RoleReply, RoleSpan, TimelineStart, ViabilityError, insert_role,
 };
 use consort_protocol::ensemble::{Eligibility, Ineligibility, Membership};
-use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
+use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::Award;
 use consort_protocol::plan::{LocalPlan, Step, StepAction};
@@ -17,7 +17,7 @@ use consort_protocol::timeline::Travel;
 use consort_protocol::units::{Energy, Seconds};
 use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator, PlanBudget, PriceError};
 use consort_skills::environment::{RouteError, SpeedLimits};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Maximum number of closures in a refusal: a message must have room for all of them.
@@ -122,9 +122,7 @@ impl Bidder {
         } = context;
         // A lack of skills outlasts the present work: a mission that only robots without the skill could join fails,
         // and does not wait for them.
-        let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
-        let missing: Vec<TaskType> =
-            needed.into_iter().filter(|skill| !worker.skills.contains(*skill)).cloned().collect();
+        let missing = plan.skills_missing_in(&worker.skills);
         if !missing.is_empty() {
             return Err(RefusalReason::MissingSkills { skills: missing });
         }

@@ -6,6 +6,7 @@ use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::domain_file::DomainFile;
 use consort_skills::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 
 const WATERING: &str = r#"{
     "domain": "watering",

@@ -1,0 +1,172 @@
+//! Candidates of an auction, by the records of the robots that the coordinator has received.
+//!
+//! The bound of a free robot is the price of the role from the place in its record. A robot between two places may reach a
+//! neighbouring place before it bids, so its least price from any of these counts. Closed lanes only make drives longer, and do not
+//! count. The record of a robot is older than its bid by the delay of gossip: a robot whose record has changed meanwhile may be
+//! missed, as if it had moved after the auction.
+
+use super::actions::AuctionRound;
+use super::clearing::AuctionInputs;
+use super::message::CollectedBids;
+use super::session_context::SessionContext;
+use super::settings::{AuctionSettings, CandidateSettings};
+use crate::robot::pricing_context;
+use consort_protocol::auction::{CallForBids, Candidates, Invitation, Price, RoleTerms};
+use consort_protocol::ensemble::{Ensembles, ExchangedValue};
+use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
+use consort_protocol::knowledge::{Attributes, RobotKnowledge};
+use consort_protocol::ledger::MissionEntry;
+use consort_protocol::plan::LocalPlan;
+use consort_protocol::units::MetresPerSecond;
+use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator};
+use consort_skills::environment::{RouteError, Routes, SpeedLimits};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Restricts a call to all robots to the best candidates, in a large fleet. A promised role is also offered to its robot.
+pub(super) fn first_call(
+    mut bids: CollectedBids,
+    rounds: &BTreeMap<MissionId, AuctionRound>,
+    context: &SessionContext,
+) -> CollectedBids {
+    let Some(candidates) = candidates_of(&bids.call, &bids.invitation, context) else { return bids };
+    let members = std::mem::take(&mut bids.invitation.robots);
+    bids.candidates = candidates;
+    let mut first = AuctionInputs::read(&bids, rounds, context).to_ask(&bids, context);
+    if first.len() < bids.candidates.len() {
+        first.extend(bids.again.as_ref().map(|again| again.promised.robot.clone()));
+        bids.invite(first);
+    } else {
+        (bids.candidates, bids.invitation.robots) = (Candidates::default(), members);
+    }
+    bids
+}
+
+/// Returns what the invited robots would reply to a call; `None` if the auction asks all of them.
+fn candidates_of(call: &CallForBids, invitation: &Invitation, context: &SessionContext) -> Option<Candidates> {
+    let auctions = &context.settings.auctions;
+    let AuctionSettings { candidates, ensembles, allocator, .. } = auctions;
+    let settings = candidates.as_ref().filter(|_| auctions.asks_candidates(invitation.robots.len()))?;
+    if !allocator.allocates_together() || has_private_attributes(ensembles) {
+        return None;
+    }
+    let terms = RoleTerms::of(call);
+    let expected = context.settings.parts.knowledge.read(|base| {
+        let mut prices = RecordPrices::new(settings);
+        let mut expected = BTreeMap::new();
+        for robot in &invitation.robots {
+            let record = base.get(&NodeId::from(robot.clone())).map(|known| &known.record.knowledge);
+            let Some(worker) = record.and_then(|knowledge| knowledge.robot.as_ref()) else { continue };
+            let mut by_role = BTreeMap::new();
+            for (role, terms) in &terms {
+                let expectation = terms.expect(robot, worker, || prices.price(role, terms.plan(), worker));
+                by_role.insert((*role).clone(), expectation);
+            }
+            expected.insert(robot.clone(), by_role);
+        }
+        expected
+    });
+    Some(Candidates::new(expected))
+}
+
+/// Checks whether robots have attributes that their records do not contain.
+fn has_private_attributes(ensembles: &Ensembles) -> bool {
+    let is_attribute = |value: &ExchangedValue| matches!(value, ExchangedValue::Attribute(_));
+    ensembles.iter().any(|ensemble| ensemble.spec().exchange.iter().any(is_attribute))
+}
+
+/// Skills of robots, for the choice of missions that these robots may serve.
+pub(super) struct SkilledRobots(Vec<BTreeSet<TaskType>>);
+
+impl SkilledRobots {
+    /// Reads the records of robots.
+    pub(super) fn read(robots: impl Iterator<Item = RobotId>, context: &SessionContext) -> SkilledRobots {
+        let skills = context.settings.parts.knowledge.read(|base| {
+            let skills =
+                |robot: RobotId| Some(base.get(&NodeId::from(robot))?.record.knowledge.robot.as_ref()?.skills.clone());
+            robots.filter_map(skills).collect()
+        });
+        SkilledRobots(skills)
+    }
+
+    /// Checks whether a robot has the skills for an open role of a mission.
+    pub(super) fn may_serve(&self, entry: &MissionEntry) -> bool {
+        let roles = entry.roles_to_auction();
+        let plans: Vec<&LocalPlan> = roles.iter().filter_map(|role| entry.plan(role)).collect();
+        let is_enough =
+            |skills: &BTreeSet<TaskType>| plans.iter().any(|plan| plan.skills_missing_in(skills).is_empty());
+        self.0.iter().any(is_enough)
+    }
+
+    /// Checks the same for a mission of the ledger.
+    pub(super) fn may_serve_in(&self, mission: &MissionId, context: &SessionContext) -> bool {
+        context.read_ledger(|ledger| ledger.mission(mission).is_some_and(|entry| self.may_serve(entry)))
+    }
+}
+
+/// State of a robot that determines its price for a role, without its attributes.
+type PriceKey<'a> = (&'a RoleId, Vec<&'a PlaceId>, u64, u64);
+
+/// Prices of roles by the records of robots. Robots in the same state share a price.
+struct RecordPrices<'a> {
+    settings: &'a CandidateSettings,
+    routes: Option<&'a Routes>,
+    known: BTreeMap<PriceKey<'a>, Vec<(&'a Attributes, Price)>>,
+}
+
+impl<'a> RecordPrices<'a> {
+    fn new(settings: &'a CandidateSettings) -> RecordPrices<'a> {
+        RecordPrices { settings, routes: settings.estimator.environment().find(), known: BTreeMap::new() }
+    }
+
+    /// Returns the least price of a role from the places at which the robot may be when it bids.
+    fn price(&mut self, role: &'a RoleId, plan: &LocalPlan, worker: &'a RobotKnowledge) -> Price {
+        if worker.estimator != self.settings.estimator_version {
+            return Price::Unknown;
+        }
+        let ahead = self.routes.map(|routes| routes.places_ahead(&worker.place, worker.pose)).unwrap_or_default();
+        let places: Vec<&PlaceId> = std::iter::once(&worker.place).chain(ahead).collect();
+        let speed = worker.speed.map_or(0.0, MetresPerSecond::get);
+        let known = self.known.entry((role, places.clone(), speed.to_bits(), worker.discharge.get().to_bits()));
+        let known = known.or_default();
+        if let Some((_, price)) = known.iter().find(|(attributes, _)| **attributes == worker.attributes) {
+            return *price;
+        }
+        let context = pricing_context(worker, &[], &SpeedLimits::default());
+        let from = |place: &&PlaceId| {
+            price_from(&self.settings.estimator, plan, &EstimateContext { place: (*place).clone(), ..context.clone() })
+        };
+        let price = places.iter().map(from).reduce(lower).unwrap_or(Price::Unknown);
+        known.push((&worker.attributes, price));
+        price
+    }
+}
+
+fn price_from(estimator: &Estimator, plan: &LocalPlan, context: &EstimateContext) -> Price {
+    match estimator.budget(plan, context) {
+        Ok(budget) => Price::AtLeast { time: budget.time(), energy: budget.energy },
+        Err(problem) => match problem.source {
+            EstimateError::MissingParameter { .. }
+            | EstimateError::Parameter { .. }
+            | EstimateError::Requirement { may_change: false, .. }
+            | EstimateError::Route(RouteError::Closed { .. } | RouteError::Unreachable { .. }) => Price::Impossible,
+            // The readings of the robot decide, or it has another program, domain file or map.
+            EstimateError::Route(RouteError::UnknownPlace { .. })
+            | EstimateError::Requirement { may_change: true, .. }
+            | EstimateError::Expression { .. }
+            | EstimateError::OtherDomain(_)
+            | EstimateError::Environment(_)
+            | EstimateError::NoDescriptor { .. } => Price::Unknown,
+        },
+    }
+}
+
+/// Returns a lower bound of two prices.
+fn lower(one: Price, other: Price) -> Price {
+    match (one, other) {
+        (Price::Impossible, price) | (price, Price::Impossible) => price,
+        (Price::Unknown, _) | (_, Price::Unknown) => Price::Unknown,
+        (Price::AtLeast { time, energy }, Price::AtLeast { time: other_time, energy: other_energy }) => {
+            Price::AtLeast { time: if other_time < time { other_time } else { time }, energy: energy.min(other_energy) }
+        }
+    }
+}
