@@ -142,6 +142,10 @@ impl SkillDescriptor for Calibrated {
         self.inner.destination()
     }
 
+    fn grows_with_drives(&self) -> bool {
+        self.inner.grows_with_drives()
+    }
+
     fn estimate(
         &self,
         task: &TaskSpec,

@@ -133,6 +133,12 @@ pub trait SkillDescriptor: Send + Sync {
         None
     }
 
+    /// Checks whether the task is possible after a shorter drive too, and costs no more then. An estimate on the shortest routes is then
+    /// a lower bound; auctions of large fleets ask all robots that may do other tasks.
+    fn grows_with_drives(&self) -> bool {
+        false
+    }
+
     /// Estimates the cost of `task` for the robot of `context`.
     ///
     /// # Errors

@@ -33,6 +33,10 @@ impl SkillDescriptor for FixedDuration {
         Vec::new()
     }
 
+    fn grows_with_drives(&self) -> bool {
+        true
+    }
+
     fn estimate(&self, _: &TaskSpec, context: &EstimateContext, _: &Environment) -> Result<Estimate, EstimateError> {
         Ok(Estimate::of_duration(self.time, context, context.place.clone()))
     }

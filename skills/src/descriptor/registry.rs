@@ -210,6 +210,12 @@ impl Estimator {
         task.parameters.get(parameter)?.parse().ok()
     }
 
+    /// Checks whether the estimates of a plan on shorter routes are lower bounds.
+    pub fn grows_with_drives(&self, plan: &LocalPlan) -> bool {
+        let grows = |spec: &TaskSpec| self.descriptors.get(&spec.task_type).is_some_and(|it| it.grows_with_drives());
+        plan.tasks().all(|(_, spec)| grows(spec))
+    }
+
     /// Estimates a task.
     ///
     /// # Errors

@@ -188,3 +188,19 @@ fn a_cautious_robot_keeps_a_reserve_for_the_plan_as_a_whole() {
     let sure = estimator().budget(&there_and_back, &robot("A")).unwrap();
     assert_eq!(sure.parts.iter().map(|part| part.energy).sum::<f64>(), sure.energy);
 }
+
+#[test]
+fn the_estimate_of_a_plan_is_a_bound_if_those_of_all_its_tasks_grow_with_drives() {
+    let navigation = TaskType::new("navigation").unwrap();
+    let rough = DescriptorRegistry::standard().with(Rough(navigation, estimator())).resolve(environment()).unwrap();
+    let open = || doing("open", task("operate_drawer", &[("action", "open")]));
+    let there = || doing("to_b", task("navigation", &[("to", "B")]));
+    for (actions, expected) in [
+        (vec![open(), StepAction::Send(signal())], [true, true]),
+        (vec![open(), there()], [true, false]),
+        (vec![doing("dance", task("dance", &[]))], [false, false]),
+    ] {
+        let plan = plan(actions);
+        assert_eq!([estimator().grows_with_drives(&plan), rough.grows_with_drives(&plan)], expected, "{plan:?}");
+    }
+}

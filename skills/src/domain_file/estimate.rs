@@ -299,6 +299,11 @@ impl SkillDescriptor for DeclaredEstimate {
         }
     }
 
+    fn grows_with_drives(&self) -> bool {
+        let grows = |formula: &Formula| formula.expression().is_none_or(Expression::grows_with_drives);
+        self.formulas().all(grows) && self.requires.iter().all(|requires| !requires.expression().uses_drives)
+    }
+
     fn estimate(
         &self,
         task: &TaskSpec,

@@ -1,9 +1,12 @@
 //! Candidates of an auction, by the records of the robots that the coordinator has received.
 //!
 //! The bound of a free robot is the price of the role from the place in its record. A robot between two places may reach a
-//! neighbouring place before it bids, so its least price from any of these counts. Closed lanes only make drives longer, and do not
-//! count. The record of a robot is older than its bid by the delay of gossip: a robot whose record has changed meanwhile may be
-//! missed, as if it had moved after the auction.
+//! neighbouring place before it bids, so its least price from any of these counts. Closed lanes and speed limits only make drives
+//! longer, and do not count. A robot with promised roles has no bound, nor has a robot whose latest change may not have arrived, or
+//! whose estimates may fall with longer drives.
+//!
+//! Changes of a record arrive within the delay of a message. A robot that changes in this time may be missed, as if it had changed
+//! after the auction. A new coordinator asks all robots until it has their records.
 
 use super::actions::AuctionRound;
 use super::clearing::AuctionInputs;
@@ -11,7 +14,7 @@ use super::message::CollectedBids;
 use super::session_context::SessionContext;
 use super::settings::{AuctionSettings, CandidateSettings};
 use crate::robot::pricing_context;
-use consort_protocol::auction::{CallForBids, Candidates, Invitation, Price, RoleTerms};
+use consort_protocol::auction::{CallForBids, Candidates, Expectation, Invitation, Price, RoleTerms};
 use consort_protocol::ensemble::{Ensembles, ExchangedValue};
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Attributes, RobotKnowledge};
@@ -21,6 +24,12 @@ use consort_protocol::units::MetresPerSecond;
 use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator};
 use consort_skills::environment::{RouteError, Routes, SpeedLimits};
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// Maximum age of a record for a bound. Robots renew their records at least every 5 s, and a change that was lost arrives with the
+/// next renewal. Raised: a robot without contact may be missed; lowered: more robots are asked. A guess: the interval and two rounds
+/// of gossip.
+const RECORD_AGE_MAX: Duration = Duration::from_secs(7);
 
 /// Restricts a call to all robots to the best candidates, in a large fleet. A promised role is also offered to its robot.
 pub(super) fn first_call(
@@ -46,7 +55,8 @@ fn candidates_of(call: &CallForBids, invitation: &Invitation, context: &SessionC
     let auctions = &context.settings.auctions;
     let AuctionSettings { candidates, ensembles, allocator, .. } = auctions;
     let settings = candidates.as_ref().filter(|_| auctions.asks_candidates(invitation.robots.len()))?;
-    if !allocator.allocates_together() || has_private_attributes(ensembles) {
+    let now = context.now();
+    if !allocator.allocates_together() || has_private_attributes(ensembles) || !context.has_all_records(now) {
         return None;
     }
     let terms = RoleTerms::of(call);
@@ -54,11 +64,15 @@ fn candidates_of(call: &CallForBids, invitation: &Invitation, context: &SessionC
         let mut prices = RecordPrices::new(settings);
         let mut expected = BTreeMap::new();
         for robot in &invitation.robots {
-            let record = base.get(&NodeId::from(robot.clone())).map(|known| &known.record.knowledge);
-            let Some(worker) = record.and_then(|knowledge| knowledge.robot.as_ref()) else { continue };
+            let Some(known) = base.get(&NodeId::from(robot.clone())) else { continue };
+            let Some(worker) = &known.record.knowledge.robot else { continue };
+            let is_recent = known.age(now) <= RECORD_AGE_MAX;
             let mut by_role = BTreeMap::new();
             for (role, terms) in &terms {
-                let expectation = terms.expect(robot, worker, || prices.price(role, terms.plan(), worker));
+                let expectation = match is_recent {
+                    true => terms.expect(robot, worker, || prices.price(role, terms.plan(), worker)),
+                    false => Expectation::CostsAtLeast(0.0),
+                };
                 by_role.insert((*role).clone(), expectation);
             }
             expected.insert(robot.clone(), by_role);
@@ -135,7 +149,10 @@ impl<'a> RecordPrices<'a> {
         let from = |place: &&PlaceId| {
             price_from(&self.settings.estimator, plan, &EstimateContext { place: (*place).clone(), ..context.clone() })
         };
-        let price = places.iter().map(from).reduce(lower).unwrap_or(Price::Unknown);
+        let price = match self.settings.estimator.grows_with_drives(plan) {
+            true => places.iter().map(from).reduce(lower).unwrap_or(Price::Unknown),
+            false => Price::Unknown,
+        };
         known.push((&worker.attributes, price));
         price
     }

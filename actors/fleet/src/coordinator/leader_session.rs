@@ -310,10 +310,7 @@ impl LeaderSession {
             held_roles.follow(ledger, &epochs, &mut lease_monitor, now);
             let (rounds, notified) = (auctions.rounds(), held_roles.notified());
             let NodeParts { knowledge, .. } = &context.settings.parts;
-            let terms = context.settings.lease_terms;
-            // Until then a new coordinator may lack records.
-            let has_all_records = now.since(context.since) > terms.lease + terms.grace;
-            let unfit = &unfit_robots(ledger, knowledge, has_all_records);
+            let unfit = &unfit_robots(ledger, knowledge, context.has_all_records(now));
             let AuctionSettings { promises, limits, .. } = &context.settings.auctions;
             let spare_charge = &spare_charges(ledger, knowledge, limits);
             let promises_max = promises.promises_max;

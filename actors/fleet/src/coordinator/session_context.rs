@@ -12,6 +12,7 @@ use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, PlaceId, RobotId, RoleId};
 use consort_protocol::keys::Key;
+use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger};
 use consort_protocol::message::{AwardNotice, AwardReply, OrdersNotice};
 use consort_protocol::units::NodeTime;
@@ -56,6 +57,12 @@ impl SessionContext {
     /// Returns the time of the node's clock.
     pub(super) fn now(&self) -> NodeTime {
         self.settings.parts.clock.now()
+    }
+
+    /// Checks whether the session is old enough for the records of all robots: until then a new coordinator may lack some.
+    pub(super) fn has_all_records(&self, now: NodeTime) -> bool {
+        let LeaseTerms { lease, grace } = self.settings.lease_terms;
+        now.since(self.since) > lease + grace
     }
 
     /// Reads the node's copy of the ledger.

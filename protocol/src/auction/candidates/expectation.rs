@@ -8,7 +8,7 @@ use crate::ids::{RobotId, RoleId};
 use crate::knowledge::{Availability, RobotKnowledge};
 use crate::plan::LocalPlan;
 use crate::units::Seconds;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Expected reply of a robot for a role.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,15 +41,19 @@ pub struct RoleTerms<'a> {
     plan: &'a LocalPlan,
     /// Compiled condition; `Err` for an invalid condition, which no robot meets.
     eligible: Option<Result<Eligibility, String>>,
+    /// Robots with promised roles in the call.
+    with_promises: BTreeSet<&'a RobotId>,
     objective: Objective,
 }
 
 impl<'a> RoleTerms<'a> {
     /// Returns the conditions of each role of a call.
     pub fn of(call: &'a CallForBids) -> BTreeMap<&'a RoleId, RoleTerms<'a>> {
+        let with_promises: BTreeSet<&RobotId> = call.timelines.promised.iter().map(|promised| &promised.robot).collect();
         let terms = |(role, plan): (&'a RoleId, &'a LocalPlan)| {
             let eligible = call.eligible.get(role).map(|condition| Eligibility::compile(condition));
-            (role, RoleTerms { plan, eligible, objective: call.timelines.objective })
+            let with_promises = with_promises.clone();
+            (role, RoleTerms { plan, eligible, with_promises, objective: call.timelines.objective })
         };
         call.roles.iter().map(terms).collect()
     }
@@ -71,11 +75,17 @@ impl<'a> RoleTerms<'a> {
             Availability::Holding { .. } => return Expectation::CostsAtLeast(0.0),
             Availability::OutOfService { .. } => return Expectation::Refuses(NotAskedReason::OutOfService),
         }
-        let is_eligible = |condition: &Result<Eligibility, String>| {
-            condition.as_ref().is_ok_and(|condition| condition.check(robot, worker).is_ok())
+        // The record contains changes of the charge and the place in steps, and later.
+        let may_be_eligible = |condition: &Result<Eligibility, String>| match condition {
+            Ok(condition) => condition.check(robot, worker).map_or_else(|found| !found.permanent, |()| true),
+            Err(_) => false,
         };
-        if !self.eligible.iter().all(is_eligible) {
+        if !self.eligible.iter().all(may_be_eligible) {
             return Expectation::Refuses(NotAskedReason::NotEligible);
+        }
+        // The role may begin where a promised role ends, and shorten the drive to another.
+        if self.with_promises.contains(robot) {
+            return Expectation::CostsAtLeast(0.0);
         }
         match price() {
             Price::Unknown => Expectation::CostsAtLeast(0.0),
@@ -92,11 +102,11 @@ impl<'a> RoleTerms<'a> {
 mod tests {
     use super::*;
     use crate::auction::bid::AuctionId;
-    use crate::auction::insertion::Timelines;
+    use crate::auction::insertion::{PromisedRole, RoleOfMission, RoleSpan, Timelines};
     use crate::mission::TaskSpec;
     use crate::plan::{Step, StepAction};
     use crate::pose::Pose;
-    use crate::units::{BatteryShare, SharePerSecond};
+    use crate::units::{BatteryShare, Energy, SharePerSecond};
     use std::collections::BTreeSet;
 
     fn robot(availability: Availability) -> RobotKnowledge {
@@ -115,20 +125,24 @@ mod tests {
         }
     }
 
-    fn expect(skill: &str, condition: &str, worker: &RobotKnowledge, price: Price) -> Expectation {
+    fn call(skill: &str, condition: &str) -> CallForBids {
         let role: RoleId = "r1".parse().unwrap();
         let spec = TaskSpec::of(skill.parse().unwrap(), vec![role.clone()]);
         let action = StepAction::Task { id: "go".parse().unwrap(), spec };
         let plan = LocalPlan::of(role.clone(), vec![Step { action, after: vec![] }]);
-        let call = CallForBids {
+        CallForBids {
             auction: AuctionId { mission: "visit-1".parse().unwrap(), term: 1, round: 1 },
             ensembles: vec![],
             roles: BTreeMap::from([(role.clone(), plan)]),
             eligible: BTreeMap::from([(role.clone(), condition.to_owned())]),
             spread: BTreeSet::new(),
             timelines: Timelines { objective: Objective::LeastEnergy, ..Timelines::default() },
-        };
-        RoleTerms::of(&call)[&role].expect(&"ada".parse().unwrap(), worker, || price)
+        }
+    }
+
+    fn expect(call: &CallForBids, worker: &RobotKnowledge, price: Price) -> Expectation {
+        let role: RoleId = "r1".parse().unwrap();
+        RoleTerms::of(call)[&role].expect(&"ada".parse().unwrap(), worker, || price)
     }
 
     #[test]
@@ -147,13 +161,28 @@ mod tests {
             (&free, "navigation", icu, Price::Unknown, Expectation::CostsAtLeast(0.0)),
             (&free, "navigation", icu, Price::Impossible, refuses(NotFeasible)),
             (&free, "navigation", icu, price(0.5), Expectation::CostsAtLeast(500_020.0)),
-            (&free, "navigation", "robot.battery > 0.9", price(0.1), refuses(NotEligible)),
+            (&free, "navigation", "robot.battery > 0.9", price(0.1), Expectation::CostsAtLeast(100_020.0)),
+            (&free, "navigation", r#"robot.attributes.section == "er""#, price(0.1), refuses(NotEligible)),
             (&free, "navigation", "robot.batery > 0.9", price(0.1), refuses(NotEligible)),
             (&free, "pick_up", icu, price(0.1), refuses(MissingSkills { skills })),
             (&busy, "navigation", icu, price(0.1), Expectation::CostsAtLeast(0.0)),
             (&broken, "navigation", icu, price(0.1), refuses(OutOfService)),
         ] {
-            assert_eq!(expect(skill, condition, worker, price), expected, "{skill}, {condition}, {price:?}");
+            let found = expect(&call(skill, condition), worker, price);
+            assert_eq!(found, expected, "{skill}, {condition}, {price:?}");
         }
+    }
+
+    #[test]
+    fn a_robot_with_promised_roles_has_no_bound() {
+        let price = Price::AtLeast { time: Seconds::new(20.0).unwrap(), energy: 0.1 };
+        let mut call = call("navigation", "true");
+        let worker = robot(Availability::Free);
+        assert_eq!(expect(&call, &worker, price), Expectation::CostsAtLeast(100_020.0));
+        let span = RoleSpan { from: None, to: None, time: Seconds::ZERO, energy: Energy::ZERO };
+        let role = RoleOfMission { mission: "visit-0".parse().unwrap(), role: "r1".parse().unwrap() };
+        call.timelines.promised = vec![PromisedRole { robot: "ada".parse().unwrap(), role, span, slack: None }];
+        assert_eq!(expect(&call, &worker, price), Expectation::CostsAtLeast(0.0));
+        assert_eq!(expect(&call, &worker, Price::Impossible), Expectation::CostsAtLeast(0.0), "it drives from elsewhere");
     }
 }
