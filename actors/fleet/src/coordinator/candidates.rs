@@ -89,26 +89,29 @@ fn has_private_attributes(ensembles: &Ensembles) -> bool {
 }
 
 /// Skills of robots, for the choice of missions that these robots may serve.
-pub(super) struct SkilledRobots(Vec<BTreeSet<TaskType>>);
+pub(super) struct SkilledRobots(BTreeMap<RobotId, BTreeSet<TaskType>>);
 
 impl SkilledRobots {
     /// Reads the records of robots.
     pub(super) fn read(robots: impl Iterator<Item = RobotId>, context: &SessionContext) -> SkilledRobots {
         let skills = context.settings.parts.knowledge.read(|base| {
-            let skills =
-                |robot: RobotId| Some(base.get(&NodeId::from(robot))?.record.knowledge.robot.as_ref()?.skills.clone());
+            let skills = |robot: RobotId| {
+                let known = base.get(&NodeId::from(robot.clone()))?;
+                Some((robot, known.record.knowledge.robot.as_ref()?.skills.clone()))
+            };
             robots.filter_map(skills).collect()
         });
         SkilledRobots(skills)
     }
 
-    /// Checks whether a robot has the skills for an open role of a mission.
+    /// Checks whether a robot has the skills for an open role of a mission, and no order of a person keeps it from the role.
     pub(super) fn may_serve(&self, entry: &MissionEntry) -> bool {
         let roles = entry.roles_to_auction();
-        let plans: Vec<&LocalPlan> = roles.iter().filter_map(|role| entry.plan(role)).collect();
-        let is_enough =
-            |skills: &BTreeSet<TaskType>| plans.iter().any(|plan| plan.skills_missing_in(skills).is_empty());
-        self.0.iter().any(is_enough)
+        let may_get = |role: &RoleId, robot: &RobotId, skills: &BTreeSet<TaskType>| {
+            let is_permitted = entry.role_orders().get(role).is_none_or(|order| order.restriction.permits(robot));
+            is_permitted && entry.plan(role).is_some_and(|plan| plan.skills_missing_in(skills).is_empty())
+        };
+        self.0.iter().any(|(robot, skills)| roles.iter().any(|role| may_get(role, robot, skills)))
     }
 
     /// Checks the same for a mission of the ledger.

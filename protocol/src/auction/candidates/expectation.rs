@@ -49,7 +49,8 @@ pub struct RoleTerms<'a> {
 impl<'a> RoleTerms<'a> {
     /// Returns the conditions of each role of a call.
     pub fn of(call: &'a CallForBids) -> BTreeMap<&'a RoleId, RoleTerms<'a>> {
-        let with_promises: BTreeSet<&RobotId> = call.timelines.promised.iter().map(|promised| &promised.robot).collect();
+        let with_promises: BTreeSet<&RobotId> =
+            call.timelines.promised.iter().map(|promised| &promised.robot).collect();
         let terms = |(role, plan): (&'a RoleId, &'a LocalPlan)| {
             let eligible = call.eligible.get(role).map(|condition| Eligibility::compile(condition));
             let with_promises = with_promises.clone();
@@ -107,7 +108,6 @@ mod tests {
     use crate::plan::{Step, StepAction};
     use crate::pose::Pose;
     use crate::units::{BatteryShare, Energy, SharePerSecond};
-    use std::collections::BTreeSet;
 
     fn robot(availability: Availability) -> RobotKnowledge {
         RobotKnowledge {
@@ -183,6 +183,10 @@ mod tests {
         let role = RoleOfMission { mission: "visit-0".parse().unwrap(), role: "r1".parse().unwrap() };
         call.timelines.promised = vec![PromisedRole { robot: "ada".parse().unwrap(), role, span, slack: None }];
         assert_eq!(expect(&call, &worker, price), Expectation::CostsAtLeast(0.0));
-        assert_eq!(expect(&call, &worker, Price::Impossible), Expectation::CostsAtLeast(0.0), "it drives from elsewhere");
+        assert_eq!(
+            expect(&call, &worker, Price::Impossible),
+            Expectation::CostsAtLeast(0.0),
+            "it drives from elsewhere"
+        );
     }
 }

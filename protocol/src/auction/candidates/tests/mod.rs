@@ -1,4 +1,6 @@
-use super::super::bid::{AuctionId, Bid, BidLimits, PresentRole, RoleReply};
+mod insertion;
+
+use super::super::bid::{AuctionId, Bid, BidLimits, PresentRole, RoleEstimate, RoleReply};
 use super::super::clearing::{AuctionOutcome, clear_auction};
 use super::super::insertion::{Objective, Timelines};
 use super::super::invitation::Invitation;
@@ -49,8 +51,9 @@ struct Robot {
 
 impl Robot {
     fn queue(&self) -> Option<RobotQueue> {
+        let held = RoleEstimate { time: Seconds::new(10.0).unwrap(), energy: Energy::ZERO };
         self.queue.map(|(is_held, promised)| RobotQueue {
-            is_held,
+            held: is_held.then_some(held),
             promised,
             preceding: promised,
             time: Seconds::new(20.0 * f64::from(promised)).unwrap(),
@@ -95,6 +98,65 @@ impl Robot {
     }
 }
 
+/// What the coordinator has beside the bids and the records.
+struct Inputs {
+    queues: BTreeMap<RobotId, RobotQueue>,
+    excluded: BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+    /// Roles that can start.
+    startable: BTreeSet<RoleId>,
+    may_wait: bool,
+    /// Maximum number of promises; 0 for none.
+    promises_max: u32,
+}
+
+impl Inputs {
+    /// Holds an auction that asks `count` candidates first, or all robots. Returns its outcome and the number of
+    /// robots that were asked.
+    fn auction(
+        &self,
+        call: &CallForBids,
+        mut candidates: Candidates,
+        reply: impl Fn(&RobotId) -> Option<BidResponse>,
+        count: Option<usize>,
+    ) -> (AuctionOutcome, usize) {
+        let Inputs { queues, excluded, startable, may_wait, promises_max } = self;
+        let unavailable = queues.iter().map(|(robot, queue)| (robot.clone(), queue.reason.clone())).collect();
+        let (none, limits) = (BTreeMap::new(), BidLimits::default());
+        let promises = (*promises_max > 0).then(|| PromiseContext {
+            queues,
+            unavailable: &none,
+            startable,
+            may_wait: *may_wait,
+            terms: PromiseTerms { promises_max: *promises_max, ..PromiseTerms::default() },
+        });
+        let (mut invitation, mut responses) = (Invitation::default(), vec![]);
+        let mut count = count.unwrap_or(usize::MAX);
+        loop {
+            let context = AuctionContext {
+                invitation: &invitation,
+                unavailable: &unavailable,
+                excluded,
+                limits: &limits,
+                energy: None,
+                promises: promises.clone(),
+                window_ms: 200,
+                at_ms: 0,
+            };
+            let to_ask = match count {
+                usize::MAX => candidates.0.keys().cloned().collect(),
+                count => candidates.to_ask(call, &responses, &context, count),
+            };
+            if to_ask.is_empty() {
+                return (clear_auction(call, &responses, &context), invitation.robots.len());
+            }
+            candidates.remove(&to_ask);
+            responses.extend(to_ask.iter().filter_map(&reply));
+            invitation.robots.extend(to_ask);
+            count = count.saturating_mul(2);
+        }
+    }
+}
+
 /// A fleet with a mission.
 #[derive(Debug, Clone)]
 struct Fleet {
@@ -115,52 +177,24 @@ impl Fleet {
         Candidates::new(expected.collect())
     }
 
-    /// Holds an auction that asks `count` candidates first, or all robots. Returns its outcome and the number of
-    /// robots that were asked.
+    /// Holds an auction that asks `count` candidates first, or all robots.
     fn auction(&self, count: Option<usize>) -> (AuctionOutcome, usize) {
         let call = call("visit", self.roles);
-        let queues: BTreeMap<RobotId, RobotQueue> =
-            self.robots.iter().enumerate().filter_map(|(number, it)| Some((robot(number), it.queue()?))).collect();
-        let unavailable = queues.iter().map(|(robot, queue)| (robot.clone(), queue.reason.clone())).collect();
-        let (none, limits) = (BTreeMap::new(), BidLimits::default());
+        let numbered = || self.robots.iter().enumerate();
         let failed = self.failed.map(|number| (role(0), BTreeMap::from([(robot(number), "failed".to_owned())])));
-        let excluded: BTreeMap<_, _> = failed.into_iter().collect();
         let startable = (0..).map(role).zip(&self.startable).filter(|(_, starts)| **starts).map(|(role, _)| role);
-        let startable: BTreeSet<RoleId> = startable.collect();
-        let promises = (self.promises_max > 0).then(|| PromiseContext {
-            queues: &queues,
-            unavailable: &none,
-            startable: &startable,
+        let inputs = Inputs {
+            queues: numbered().filter_map(|(number, it)| Some((robot(number), it.queue()?))).collect(),
+            excluded: failed.into_iter().collect(),
+            startable: startable.collect(),
             may_wait: self.may_wait,
-            terms: PromiseTerms { promises_max: self.promises_max, ..PromiseTerms::default() },
-        });
-        let mut candidates = self.candidates();
-        let (mut invitation, mut responses) = (Invitation::default(), vec![]);
-        let mut count = count.unwrap_or(usize::MAX);
-        loop {
-            let context = AuctionContext {
-                invitation: &invitation,
-                unavailable: &unavailable,
-                excluded: &excluded,
-                limits: &limits,
-                energy: None,
-                promises: promises.clone(),
-                window_ms: 200,
-                at_ms: 0,
-            };
-            let to_ask = match count {
-                usize::MAX => candidates.0.keys().cloned().collect(),
-                count => candidates.to_ask(&call, &responses, &context, count),
-            };
-            if to_ask.is_empty() {
-                return (clear_auction(&call, &responses, &context), invitation.robots.len());
-            }
-            candidates.remove(&to_ask);
-            let numbered = self.robots.iter().enumerate().filter(|(number, _)| to_ask.contains(&robot(*number)));
-            responses.extend(numbered.filter_map(|(number, it)| it.response(&call, number)));
-            invitation.robots.extend(to_ask);
-            count = count.saturating_mul(2);
-        }
+            promises_max: self.promises_max,
+        };
+        let reply = |of: &RobotId| {
+            let (number, found) = numbered().find(|(number, _)| robot(*number) == *of)?;
+            found.response(&call, number)
+        };
+        inputs.auction(&call, self.candidates(), reply, count)
     }
 
     /// Returns the sum of the times of the bids that were chosen, in microseconds.
