@@ -5,6 +5,7 @@ use consort_protocol::auction::{AuctionRecord, BidVerdict, NotAskedReason, Robot
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::ApiCall;
+use consort_protocol::lease::LeaseTerms;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -13,8 +14,9 @@ use std::time::Duration;
 const SEEDS: [u64; 2] = [311, 312];
 const SOON: Duration = Duration::from_secs(60);
 
-/// Starts robots and two stations. Auctions of more than `count` robots ask that number of candidates first, and promise no roles.
-async fn fleet(seed: u64, robots: Vec<RobotSpec>, count: usize) -> Fleet {
+/// Starts robots and two stations, with a new coordinator. Auctions of more than `count` robots ask that number of candidates first,
+/// and promise no roles.
+async fn new_fleet(seed: u64, robots: Vec<RobotSpec>, count: usize) -> Fleet {
     let adjust = Box::new(move |node: &mut NodeSettings| {
         node.fleet.promises.promises_max = 0;
         node.fleet.candidates.as_mut().expect("the fleet has candidates").count = count;
@@ -30,13 +32,32 @@ async fn fleet(seed: u64, robots: Vec<RobotSpec>, count: usize) -> Fleet {
     fleet
 }
 
+/// Does the same, and waits until the coordinator is no longer new.
+async fn fleet(seed: u64, robots: Vec<RobotSpec>, count: usize) -> Fleet {
+    let mut fleet = new_fleet(seed, robots, count).await;
+    wait_for_records(&mut fleet).await;
+    fleet
+}
+
+/// Waits for as long as a new coordinator may lack records.
+async fn wait_for_records(fleet: &mut Fleet) {
+    let LeaseTerms { lease, grace } = LeaseTerms::default();
+    let complete = fleet.elapsed() + lease + grace;
+    fleet.wait_until("that the coordinator has all records", SOON, |fleet| fleet.elapsed() > complete).await;
+}
+
 /// Requests a mission with a single task for a single robot.
 async fn request(fleet: &Fleet, name: &str, task: &str, parameters: Value) -> MissionId {
+    request_for(fleet, name, json!({ "kind": "managed" }), task, parameters).await
+}
+
+/// Does the same for a robot that suits this role.
+async fn request_for(fleet: &Fleet, name: &str, visitor: Value, task: &str, parameters: Value) -> MissionId {
     let mission = json!({
         "request": name,
         "mission": {
             "mission": name,
-            "roles": { "visitor": { "kind": "managed" } },
+            "roles": { "visitor": visitor },
             "root": { "task": "do", "type": task, "roles": ["visitor"], "parameters": parameters },
         },
     });
@@ -118,6 +139,36 @@ fn candidates_give_the_awards_of_auctions_among_all() {
         }
         assert_eq!(awards[0], awards[1], "seed {seed}");
         assert_eq!(awards[0][..3], ["birch", "fern", "elm"], "seed {seed}");
+    });
+}
+
+#[test]
+fn a_new_coordinator_asks_all_robots_until_it_has_their_records() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = new_fleet(seed, carriers(), 2).await;
+        let first = visit(&fleet, "a", "IC Room 2").await;
+        award(&mut fleet, &first).await;
+        assert_eq!(asked(&fleet, &first), [7], "seed {seed}");
+        wait_for_records(&mut fleet).await;
+        let second = visit(&fleet, "b", "PC Room 3").await;
+        award(&mut fleet, &second).await;
+        assert_eq!(asked(&fleet, &second), [2], "seed {seed}");
+    });
+}
+
+#[test]
+fn a_condition_on_the_charge_is_checked_by_the_robots() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, carriers(), 2).await;
+        let visitor = json!({ "kind": "managed", "eligible": "robot.battery > 2.0" });
+        let mission = request_for(&fleet, "a", visitor, "navigation", json!({ "to": "IC Room 2" })).await;
+        let closed = |event: &EventKind| matches!(event, EventKind::Closed { mission: of, .. } if *of == mission);
+        fleet.wait_until("an auction", SOON, |fleet| fleet.events().iter().any(closed)).await;
+        let record = record(&fleet, &mission);
+        let refused = record.entries.iter().filter(|entry| matches!(entry.verdict, BidVerdict::Refused { .. }));
+        assert_eq!(refused.count(), 6, "seed {seed}: {record:?}");
+        let skills = vec![slug("navigation")];
+        assert_eq!(not_asked(&record, &NotAskedReason::MissingSkills { skills }), ["lab-arm"], "seed {seed}");
     });
 }
 

@@ -135,7 +135,7 @@ impl Worker {
     }
 
     /// Returns the bid for a role, as the robot computes it.
-    fn bid(&self, call: &CallForBids, number: usize, role: &RoleId, span: &RoleSpan) -> Bid {
+    fn bid(&self, call: &CallForBids, number: usize, of: &RoleId, span: &RoleSpan) -> Bid {
         let Timelines { objective, promised, startable, ends_within } = &call.timelines;
         let own: Vec<&PromisedRole> = promised.iter().filter(|promised| promised.robot == robot(number)).collect();
         let (held, end) = self.held.unwrap_or((0, self.at));
@@ -144,7 +144,7 @@ impl Worker {
             place: &end,
             time: seconds(held),
             discharge: SharePerSecond::new(DISCHARGE).unwrap(),
-            comes_first: self.held.is_none() && startable.contains(role),
+            comes_first: self.held.is_none() && startable.contains(of),
             ends_within: *ends_within,
         };
         let inserted = (!own.is_empty()).then(|| insert_role(start, &own, span.clone(), *objective, &Plane)).flatten();
@@ -153,10 +153,10 @@ impl Worker {
             None => (end.clone(), PlannedRole::alone(span.clone(), start.time)),
         };
         let time = time_from(&from, span);
-        let (mission, held_role) = ("other".parse().unwrap(), super::role(0));
+        let (mission, held) = ("other".parse().unwrap(), role(0));
         Bid {
             robot: robot(number),
-            role: role.clone(),
+            role: of.clone(),
             time,
             energy: used_in(time),
             remaining: f64::from(self.charge) / 100.0 - used_in(time),
@@ -164,7 +164,7 @@ impl Worker {
             from,
             age_ms: 0,
             parts: vec![],
-            present: self.held.map(|_| PresentRole { mission, role: held_role, time: start.time }),
+            present: self.held.map(|_| PresentRole { mission, role: held, time: start.time }),
             planned: Some(Box::new(planned)),
         }
     }
