@@ -179,6 +179,11 @@ impl Fleet {
 
     /// Holds an auction that asks `count` candidates first, or all robots.
     fn auction(&self, count: Option<usize>) -> (AuctionOutcome, usize) {
+        self.auction_among(self.candidates(), count)
+    }
+
+    /// Does the same with these candidates.
+    fn auction_among(&self, candidates: Candidates, count: Option<usize>) -> (AuctionOutcome, usize) {
         let call = call("visit", self.roles);
         let numbered = || self.robots.iter().enumerate();
         let failed = self.failed.map(|number| (role(0), BTreeMap::from([(robot(number), "failed".to_owned())])));
@@ -194,7 +199,7 @@ impl Fleet {
             let (number, found) = numbered().find(|(number, _)| robot(*number) == *of)?;
             found.response(&call, number)
         };
-        inputs.auction(&call, self.candidates(), reply, count)
+        inputs.auction(&call, candidates, reply, count)
     }
 
     /// Returns the sum of the times of the bids that were chosen, in microseconds.
@@ -347,6 +352,20 @@ fn a_mission_that_waits_for_busy_robots_asks_none() {
     fleet.robots[7].queue = None;
     let (outcome, asked) = fleet.auction(Some(16));
     assert_eq!((outcome.holders.unwrap()[&role(0)].clone(), asked), (robot(7), 1));
+}
+
+#[test]
+fn only_robots_that_a_person_permits_are_asked() {
+    let fleet = free_fleet(50, 4);
+    let auction = |restriction| {
+        let candidates = fleet.candidates();
+        let restricted = candidates.restricted(&BTreeMap::from([(role(0), restriction)])).into_owned();
+        let (outcome, asked) = fleet.auction_among(restricted, Some(16));
+        (outcome.holders.unwrap()[&role(0)].clone(), asked)
+    };
+    assert_eq!(auction(RobotRestriction::Pinned(robot(40))), (robot(40), 1));
+    assert_eq!(auction(RobotRestriction::Next(robot(49))), (robot(49), 1));
+    assert_eq!(auction(RobotRestriction::Except(robot(0))), (robot(1), 16));
 }
 
 #[test]
