@@ -17,10 +17,10 @@ use crate::robot::pricing_context;
 use consort_protocol::auction::{CallForBids, Candidates, Expectation, Invitation, Price, RoleTerms};
 use consort_protocol::ensemble::{Ensembles, ExchangedValue};
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
-use consort_protocol::knowledge::{Attributes, RobotKnowledge};
+use consort_protocol::knowledge::{Attributes, KnowledgeBase, RobotKnowledge};
 use consort_protocol::ledger::MissionEntry;
 use consort_protocol::plan::LocalPlan;
-use consort_protocol::units::MetresPerSecond;
+use consort_protocol::units::{MetresPerSecond, NodeTime};
 use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator};
 use consort_skills::environment::{RouteError, Routes, SpeedLimits};
 use std::collections::{BTreeMap, BTreeSet};
@@ -59,27 +59,36 @@ fn candidates_of(call: &CallForBids, invitation: &Invitation, context: &SessionC
     if !allocator.allocates_together() || has_private_attributes(ensembles) || !context.has_all_records(now) {
         return None;
     }
+    let robots = &invitation.robots;
+    Some(context.settings.parts.knowledge.read(|base| expected_replies(call, robots, settings, base, now)))
+}
+
+/// Returns what these robots would reply to a call, by their records. Other nodes do not reply.
+fn expected_replies(
+    call: &CallForBids,
+    robots: &BTreeSet<RobotId>,
+    settings: &CandidateSettings,
+    base: &KnowledgeBase,
+    now: NodeTime,
+) -> Candidates {
     let terms = RoleTerms::of(call);
-    let expected = context.settings.parts.knowledge.read(|base| {
-        let mut prices = RecordPrices::new(settings);
-        let mut expected = BTreeMap::new();
-        for robot in &invitation.robots {
-            let Some(known) = base.get(&NodeId::from(robot.clone())) else { continue };
-            let Some(worker) = &known.record.knowledge.robot else { continue };
-            let is_recent = known.age(now) <= RECORD_AGE_MAX;
-            let mut by_role = BTreeMap::new();
-            for (role, terms) in &terms {
-                let expectation = match is_recent {
-                    true => terms.expect(robot, worker, || prices.price(role, terms.plan(), worker)),
-                    false => Expectation::CostsAtLeast(0.0),
-                };
-                by_role.insert((*role).clone(), expectation);
-            }
-            expected.insert(robot.clone(), by_role);
+    let mut prices = RecordPrices::new(settings);
+    let mut expected = BTreeMap::new();
+    for robot in robots {
+        let Some(known) = base.get(&NodeId::from(robot.clone())) else { continue };
+        let Some(worker) = &known.record.knowledge.robot else { continue };
+        let is_recent = known.age(now) <= RECORD_AGE_MAX;
+        let mut by_role = BTreeMap::new();
+        for (role, terms) in &terms {
+            let expectation = match is_recent {
+                true => terms.expect(robot, worker, || prices.price(role, terms.plan(), worker)),
+                false => Expectation::CostsAtLeast(0.0),
+            };
+            by_role.insert((*role).clone(), expectation);
         }
-        expected
-    });
-    Some(Candidates::new(expected))
+        expected.insert(robot.clone(), by_role);
+    }
+    Candidates::new(expected)
 }
 
 /// Checks whether robots have attributes that their records do not contain.
@@ -187,6 +196,102 @@ fn lower(one: Price, other: Price) -> Price {
         (Price::Unknown, _) | (_, Price::Unknown) => Price::Unknown,
         (Price::AtLeast { time, energy }, Price::AtLeast { time: other_time, energy: other_energy }) => {
             Price::AtLeast { time: if other_time < time { other_time } else { time }, energy: energy.min(other_energy) }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::test_values::idle_robot;
+    use consort_protocol::auction::{AuctionId, NotAskedReason, Timelines};
+    use consort_protocol::knowledge::{Knowledge, Record, RecordStamp};
+    use consort_protocol::pose::Pose;
+    use consort_protocol::versions::VersionRange;
+    use consort_skills::descriptor::DescriptorRegistry;
+    use consort_skills::environment::{Edge, Environment, Passages, TopologicalMap};
+    use serde_json::json;
+    use std::sync::Arc;
+
+    fn place(name: &str) -> PlaceId {
+        name.parse().unwrap()
+    }
+
+    /// Returns the settings of a fleet on a line: Dock, 20 m to Lab, 20 m to Store, and a Shed apart.
+    fn settings() -> CandidateSettings {
+        let at = |(name, x)| (place(name), Pose::new(x, 0.0, 0.0));
+        let edge = |a, b| Edge { a: place(a), b: place(b), length_m: 20.0, one_way: false };
+        let map = TopologicalMap {
+            places: [("Dock", 0.0), ("Lab", 20.0), ("Store", 40.0), ("Shed", 99.0)].map(at).into(),
+            edges: vec![edge("Dock", "Lab"), edge("Lab", "Store")],
+        };
+        let environment = Environment::new().with(Routes::shortest(&map, &Passages::default()).unwrap());
+        let estimator = Arc::new(DescriptorRegistry::standard().resolve(environment).unwrap());
+        CandidateSettings { count: 1, estimator, estimator_version: "standard".to_owned() }
+    }
+
+    /// Returns a call for a drive to the store.
+    fn call() -> CallForBids {
+        let spec = json!({ "type": "navigation", "roles": ["r1"], "parameters": { "to": "Store" } });
+        let step = json!({ "action": { "Task": { "id": "go", "spec": spec } }, "after": [] });
+        let plan = serde_json::from_value(json!({ "role": "r1", "steps": [step] })).unwrap();
+        CallForBids {
+            auction: AuctionId { mission: "m-1".parse().unwrap(), term: 1, round: 1 },
+            ensembles: vec![],
+            roles: BTreeMap::from([("r1".parse().unwrap(), plan)]),
+            eligible: BTreeMap::new(),
+            spread: BTreeSet::new(),
+            timelines: Timelines::default(),
+        }
+    }
+
+    /// Returns the record of a free robot of 1 m/s that drives.
+    fn driver(at: &str, x: f64) -> RobotKnowledge {
+        let skills = BTreeSet::from(["navigation".parse().unwrap()]);
+        let speed = MetresPerSecond::new(1.0).ok();
+        RobotKnowledge { skills, speed, place: place(at), pose: Pose::new(x, 0.0, 0.0), ..idle_robot() }
+    }
+
+    /// Returns the expected reply of a robot whose record has this age.
+    fn expected(worker: RobotKnowledge, age: Duration) -> Candidates {
+        let knowledge = Knowledge {
+            may_vote: false,
+            stationary: false,
+            mains_powered: false,
+            replica: None,
+            cluster: None,
+            leaving: false,
+            supported_versions: VersionRange::OWN,
+            robot: Some(worker),
+        };
+        let owner: NodeId = "ada".parse().unwrap();
+        let record = Record { owner: owner.clone(), stamp: RecordStamp::default(), knowledge, proof: None };
+        let mut base = KnowledgeBase::default();
+        base.merge(record, NodeTime::ZERO);
+        // The second robot has no record.
+        let robots = BTreeSet::from([RobotId::from(owner), "bob".parse().unwrap()]);
+        expected_replies(&call(), &robots, &settings(), &base, NodeTime::ZERO + age)
+    }
+
+    #[test]
+    fn the_bound_is_the_price_by_a_record_that_is_recent() {
+        let costs = Expectation::CostsAtLeast;
+        let other_version = RobotKnowledge { estimator: "other".to_owned(), ..driver("Dock", 0.0) };
+        let apart = Expectation::Refuses(NotAskedReason::NotFeasible);
+        let missing = NotAskedReason::MissingSkills { skills: vec!["navigation".parse().unwrap()] };
+        for (worker, age_s, reply) in [
+            (driver("Dock", 0.0), 7, costs(40.0)),
+            (driver("Dock", 9.0), 7, costs(20.0)),
+            (driver("Dock", 0.0), 8, costs(0.0)),
+            (other_version, 0, costs(0.0)),
+            (driver("Yard", 0.0), 0, costs(0.0)),
+            (driver("Shed", 99.0), 0, apart),
+            (idle_robot(), 0, Expectation::Refuses(missing)),
+            (idle_robot(), 8, costs(0.0)),
+        ] {
+            let by_role = BTreeMap::from([("r1".parse().unwrap(), reply)]);
+            let candidates = Candidates::new(BTreeMap::from([("ada".parse().unwrap(), by_role)]));
+            assert_eq!(expected(worker.clone(), Duration::from_secs(age_s)), candidates, "{worker:?}, {age_s} s");
         }
     }
 }
