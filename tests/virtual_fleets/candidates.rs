@@ -218,6 +218,25 @@ fn a_mission_without_a_free_robot_asks_none_until_one_is_free() {
     });
 }
 
+#[test]
+fn a_robot_that_starts_later_gets_a_waiting_mission() {
+    for_each_seed(SEEDS, async |seed| {
+        let able = ["navigation", "operate_drawer", "wait"];
+        let robot = |name| RobotSpec::carrier(name, "Dock").with_skills(&able);
+        let mut specs = ["amber", "birch", "cedar"].map(robot).to_vec();
+        specs.push(robot("dogwood").starting_later());
+        let mut fleet = fleet(seed, specs, 2).await;
+        for name in ["a", "b", "c"] {
+            let mission = request(&fleet, name, "wait", json!({ "seconds": "1200" })).await;
+            award(&mut fleet, &mission).await;
+        }
+        let waiting = visit(&fleet, "e", "IC Room 2").await;
+        fleet.wait_until("an auction", SOON, |fleet| !asked(fleet, &waiting).is_empty()).await;
+        fleet.start_robot("dogwood").await;
+        assert_eq!(award(&mut fleet, &waiting).await.as_str(), "dogwood", "seed {seed}");
+    });
+}
+
 /// Returns the times of the first calls of all rounds of a mission.
 fn rounds(fleet: &Fleet, mission: &MissionId) -> Vec<Duration> {
     let entries = fleet.event_log.entries();
