@@ -23,6 +23,7 @@ mod found_by_chaos;
 mod interventions;
 mod leaderless;
 mod leases;
+mod ledger_size;
 mod long_texts;
 mod mission_orders;
 mod path_following;

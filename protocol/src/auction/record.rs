@@ -17,7 +17,7 @@ pub struct AuctionRecord {
     pub auction: AuctionId,
     /// Time on the coordinator's wall clock, in milliseconds, for display.
     pub at_ms: u64,
-    /// All replies, in the order of roles and robots.
+    /// Replies, in the order of roles and robots.
     pub entries: Vec<AuctionEntry>,
     /// Number of replies omitted to bound the size of the record.
     pub omitted: u32,
@@ -41,6 +41,10 @@ impl AuctionRecord {
     /// Approximate maximum size of the parts of all bids in a record, in bytes: the ledger stores a
     /// record for each mission. Enough for about ten bids of a dozen steps.
     pub(super) const PARTS_BYTES_MAX: usize = 8 * 1024;
+
+    /// Maximum number of replies that did not win, of each role in the ledger. Raised: people can compare more robots, and the
+    /// ledger is larger. A guess: more robots than a person compares.
+    const RIVALS_MAX: usize = 8;
 
     /// Maximum size of a record in bytes, encoded: the award contains the record and its holders,
     /// and must fit a message.
@@ -80,6 +84,52 @@ impl AuctionRecord {
             self.entries.extend(entries);
             self.limit();
         }
+    }
+
+    /// Returns the record as the ledger keeps it: of each role the chosen bid and the 8 best other replies, bids before refusals.
+    /// Robots that were not asked stay, too. An auction without a result is repeated, so it keeps no parts of bids. With
+    /// `keeps_busy` all refusals of busy robots are kept: a mission that holds robots may wait for missions that wait for its own.
+    #[must_use]
+    pub fn for_ledger(mut self, keeps_busy: bool) -> AuctionRecord {
+        let kept = self.kept_in_ledger(keeps_busy);
+        let dropped = u32::try_from(self.entries.len() - kept.len()).unwrap_or(u32::MAX);
+        self.omitted = self.omitted.saturating_add(dropped);
+        let mut index = 0..;
+        self.entries.retain(|_| index.next().is_some_and(|index| kept.contains(&index)));
+        if self.chosen.is_empty() {
+            self.entries.iter_mut().for_each(|entry| entry.parts = vec![]);
+        }
+        self
+    }
+
+    /// Returns the indices of the entries that the ledger keeps.
+    fn kept_in_ledger(&self, keeps_busy: bool) -> BTreeSet<usize> {
+        let place = |entry: &AuctionEntry| match &entry.verdict {
+            BidVerdict::Viable { time, .. } => (0, time.get()),
+            BidVerdict::Unviable { time, .. } => (1, time.get()),
+            BidVerdict::Refused { reason: RefusalReason::Busy { .. } } => (2, 0.0),
+            BidVerdict::Refused { .. } | BidVerdict::NotAsked { .. } => (3, 0.0),
+        };
+        let mut ranked: Vec<(usize, &AuctionEntry)> = self.entries.iter().enumerate().collect();
+        ranked.sort_by(|(_, one), (_, other)| {
+            let (one, other) = (place(one), place(other));
+            one.0.cmp(&other.0).then(one.1.total_cmp(&other.1))
+        });
+        let mut rivals: BTreeMap<&RoleId, usize> = BTreeMap::new();
+        let kept = ranked.into_iter().filter(|(_, entry)| {
+            let stays = match &entry.verdict {
+                BidVerdict::Refused { reason: RefusalReason::Busy { .. } } => keeps_busy,
+                BidVerdict::NotAsked { .. } => true,
+                BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } => false,
+            };
+            if stays || self.chosen.get(&entry.role) == Some(&entry.robot) {
+                return true;
+            }
+            let others = rivals.entry(&entry.role).or_default();
+            *others += 1;
+            *others <= Self::RIVALS_MAX
+        });
+        kept.map(|(index, _)| index).collect()
     }
 
     /// Shortens the texts of the record, and omits replies that do not fit [`Self::BYTES_MAX`]:
@@ -213,4 +263,64 @@ pub enum NotAskedReason {
     /// The order of a person gives the role to another robot.
     #[error("by the order of a person another robot gets the role")]
     Restricted,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn role(name: &str) -> RoleId {
+        RoleId::new(name).unwrap()
+    }
+
+    fn robot(number: usize) -> RobotId {
+        RobotId::new(format!("robot-{number:03}")).unwrap()
+    }
+
+    fn entry(of: &str, number: usize, verdict: BidVerdict) -> AuctionEntry {
+        let skill = crate::ids::TaskType::new("navigation").unwrap();
+        let part = BidPart { step: 0, label: "go".to_owned(), skill, time: Seconds::ZERO, energy: 0.1 };
+        AuctionEntry { role: role(of), robot: robot(number), verdict, parts: vec![part] }
+    }
+
+    fn viable(time: usize) -> BidVerdict {
+        BidVerdict::Viable { time: Seconds::new(time as f64).unwrap(), energy: 0.1, remaining: 0.5 }
+    }
+
+    fn busy() -> BidVerdict {
+        let (mission, role) = ("m-7".parse().unwrap(), role("r1"));
+        BidVerdict::Refused { reason: RefusalReason::Busy { mission, role } }
+    }
+
+    /// Returns the record of two roles: 100 robots bid for the first, the later the faster, and are busy for the second.
+    fn record() -> AuctionRecord {
+        let auction = AuctionId { mission: "m-1".parse().unwrap(), term: 1, round: 1 };
+        let entries = (0..100).map(|number| entry("r1", number, viable(200 - number)));
+        let entries = entries.chain((0..100).map(|number| entry("r2", number, busy()))).collect();
+        AuctionRecord { entries, ..AuctionRecord::empty(auction) }
+    }
+
+    fn robots_of(record: &AuctionRecord, of: &str) -> Vec<RobotId> {
+        record.entries.iter().filter(|entry| entry.role == role(of)).map(|entry| entry.robot.clone()).collect()
+    }
+
+    #[test]
+    fn the_ledger_keeps_the_winner_and_eight_rivals_of_each_role() {
+        let chosen = BTreeMap::from([(role("r1"), robot(3))]);
+        let kept = AuctionRecord { chosen, ..record() }.for_ledger(false);
+        let fastest: Vec<RobotId> = [3].into_iter().chain(92..100).map(robot).collect();
+        assert_eq!(robots_of(&kept, "r1"), fastest);
+        assert_eq!(robots_of(&kept, "r2"), (0..8).map(robot).collect::<Vec<_>>());
+        assert_eq!(kept.omitted, 200 - 17);
+        assert!(kept.entries.iter().all(|entry| !entry.parts.is_empty()));
+        assert_eq!(kept.clone().for_ledger(false), kept);
+    }
+
+    #[test]
+    fn an_auction_without_a_result_keeps_no_parts_and_all_busy_robots_on_request() {
+        let kept = record().for_ledger(true);
+        assert_eq!((robots_of(&kept, "r1").len(), robots_of(&kept, "r2").len(), kept.omitted), (8, 100, 92));
+        assert!(kept.entries.iter().all(|entry| entry.parts.is_empty()));
+        assert!(encoded_size(&record().for_ledger(false)) < 2048);
+    }
 }

@@ -45,6 +45,11 @@ const TOGETHER: Duration = Duration::from_millis(50);
 /// large backlog; a robot is used sooner if the missions that wake cannot use it. A guess.
 const WOKEN_MAX: usize = 16;
 
+/// Minimum time between two records of auctions without a result of a mission that holds no robots, in milliseconds. Raised: fewer
+/// entries of the log, and people read older reasons. In a fleet with a backlog each robot that becomes free bids for all
+/// waiting missions.
+const RECORD_INTERVAL_MS: u64 = 5 * 60 * 1000;
+
 /// Maximum number of robots named in the cause of a failed mission.
 const NAMED_ROBOTS_MAX: usize = 8;
 
@@ -308,17 +313,20 @@ impl Auctions {
         let mut failure = None;
         let command = match holders {
             Some(holders) => {
+                let record = record.for_ledger(false);
                 round.phase = RoundPhase::Proposing(Box::new(record.clone()));
                 Command::Award { mission, branch, holders, auction: record }
             }
             None => {
                 let since = context.now();
                 round.phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
-                let has_changed = context.read_ledger(|ledger| {
+                let (stored, has_changed) = context.read_ledger(|ledger| {
                     let entry = ledger.mission(&mission);
                     let holds_robots = entry.is_some_and(|entry| entry.assigned_roles().next().is_some());
+                    let stored = record.clone().for_ledger(holds_robots);
                     let known = entry.and_then(|entry| entry.auction.as_ref());
-                    known.is_none_or(|known| differs(known, &record, holds_robots))
+                    let has_changed = known.is_none_or(|known| is_news(known, &stored, holds_robots));
+                    (stored, has_changed)
                 });
                 let hopeless = round.hopeless_rounds >= HOPELESS_ROUNDS;
                 let class_of_failures = |ledger: &Ledger| {
@@ -334,7 +342,7 @@ impl Auctions {
                 if !has_changed && failure.is_none() {
                     return;
                 }
-                Command::Defer { mission, branch, auction: record }
+                Command::Defer { mission, branch, auction: stored }
             }
         };
         let replica = context.settings.parts.replica.clone();
@@ -403,6 +411,15 @@ fn are_together(one: NodeTime, other: NodeTime) -> bool {
     one.since(other).max(other.since(one)) <= TOGETHER
 }
 
+/// Checks whether the record of an auction without a result replaces the record in the ledger: it differs in more than times,
+/// counters and details. A mission that holds no robots is in no circle of [`circular_waits`](super::circular_waits), and waits
+/// for its next record.
+fn is_news(known: &AuctionRecord, record: &AuctionRecord, holds_robots: bool) -> bool {
+    let is_old = known.at_ms.abs_diff(record.at_ms) >= RECORD_INTERVAL_MS;
+    let may_replace = holds_robots || known.failure.is_none() || is_old;
+    may_replace && differs(known, record, holds_robots)
+}
+
 /// Checks whether a record differs from the previous record in more than times, counters and details.
 /// The kinds of refusals count, because [`circular_waits`](super::circular_waits) reads them in the ledger. So do busy robots
 /// that were not asked, if the mission holds robots: others may wait for it.
@@ -441,4 +458,37 @@ fn no_robot_left(hopeless: &BTreeSet<RoleId>, entries: &[AuctionEntry]) -> Strin
         format!("no robot is left for {role}: {}{more}", refusals.join("; "))
     };
     hopeless.iter().map(of_role).collect::<Vec<_>>().join("; ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the record of an auction without a result, whose only robot is busy or does not reply.
+    fn failed(at_ms: u64, is_busy: bool) -> AuctionRecord {
+        let (mission, role): (MissionId, RoleId) = ("m-1".parse().unwrap(), "r1".parse().unwrap());
+        let reason = match is_busy {
+            true => RefusalReason::Busy { mission: "m-7".parse().unwrap(), role: role.clone() },
+            false => RefusalReason::Silent { window_ms: 200 },
+        };
+        let (robot, verdict, parts) = ("amber".parse().unwrap(), BidVerdict::Refused { reason }, vec![]);
+        AuctionRecord {
+            at_ms,
+            entries: vec![AuctionEntry { role, robot, verdict, parts }],
+            failure: Some("no viable bid for r1".to_owned()),
+            ..AuctionRecord::empty(AuctionId { mission, term: 1, round: 1 })
+        }
+    }
+
+    #[test]
+    fn a_waiting_mission_without_robots_records_another_outcome_after_an_interval() {
+        let known = failed(0, true);
+        for holds_robots in [false, true] {
+            assert!(!is_news(&known, &failed(RECORD_INTERVAL_MS, true), holds_robots), "the outcome is the same");
+            assert!(is_news(&known, &failed(RECORD_INTERVAL_MS, false), holds_robots));
+            assert_eq!(is_news(&known, &failed(RECORD_INTERVAL_MS - 1, false), holds_robots), holds_robots);
+            let award = AuctionRecord { failure: None, ..known.clone() };
+            assert!(is_news(&award, &failed(1, true), holds_robots), "the mission waits again");
+        }
+    }
 }

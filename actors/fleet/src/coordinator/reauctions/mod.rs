@@ -185,6 +185,7 @@ pub(super) fn conclude(
     }
     let is_promised = auction.promised.contains_key(&role);
     let to = (mission.clone(), role.clone(), robot.clone());
+    let auction = auction.for_ledger(false);
     let change = PromiseMove { mission, role, epoch, robot, cause, auction };
     context.propose_award(Command::MovePromise(Box::new(change)), to, is_promised);
 }
