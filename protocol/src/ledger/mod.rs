@@ -33,6 +33,9 @@
 //!
 //! Chargers are leased to robots (the module `chargers`).
 //!
+//! Queries use indexes by state, rank and robot (the module `missions`), and readers on the same node ask which missions have
+//! changed (the module `mission_changes`).
+//!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
 //!
@@ -58,9 +61,11 @@ mod layout;
 mod limits;
 mod loss;
 mod map_part;
+mod mission_changes;
 mod mission_filter;
 mod mission_order;
 mod mission_orders;
+mod missions;
 mod order_book;
 mod people;
 mod person_request;
@@ -88,6 +93,7 @@ pub use entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry,
 pub use history::Tombstone;
 pub use history_limits::HistoryLimits;
 pub use map_part::{MapPart, Zone};
+pub use mission_changes::{ChangeCursor, MissionChanges};
 pub use mission_filter::MissionFilter;
 pub use mission_order::{MissionCancelation, MissionChange, ReassignProblem, RoleOrder, RoleReturn};
 pub use person_request::{

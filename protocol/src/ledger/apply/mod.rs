@@ -9,6 +9,8 @@ use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEnt
 use super::history::{HISTORY_SINCE, History, Tombstone};
 use super::history_limits::HistoryLimits;
 use super::layout::VersionedPart;
+use super::mission_changes::{ChangeCursor, MissionChanges};
+use super::missions::{MissionGroup, Missions};
 use super::order_book::OrderBook;
 use super::schedule::ScheduleEntry;
 use super::submission::Submission;
@@ -28,7 +30,7 @@ const HISTORY_MAX: usize = 500;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
     cluster: Option<ClusterId>,
-    pub(super) missions: BTreeMap<MissionId, MissionEntry>,
+    pub(super) missions: Missions,
     /// Missions of all requests that are remembered.
     requests: BTreeMap<RequestId, MissionId>,
     submitted: u64,
@@ -108,6 +110,7 @@ impl Ledger {
             entry.withdraw_needless_requests();
             entry.follow_role_orders();
         }
+        self.missions.settle();
         done.unwrap_or_else(CommandOutcome::Refused)
     }
 
@@ -181,23 +184,38 @@ impl Ledger {
         whole.or_else(|| self.tombstone(mission).map(|tombstone| &tombstone.state))
     }
 
+    /// Returns the missions that commands may have changed since the position of the cursor, and moves it to the present.
+    pub fn changes_since(&self, cursor: &mut ChangeCursor) -> MissionChanges {
+        self.missions.changes().since(cursor)
+    }
+
     /// Returns the missions that have not ended, in the order in which they are served: by
     /// priority, then by submission.
     pub fn active_missions(&self) -> Vec<&MissionEntry> {
-        let mut live: Vec<_> = self.missions.values().filter(|entry| !entry.state.is_final()).collect();
-        live.sort_by_key(|entry| entry.rank());
-        live
+        self.missions.of_group(MissionGroup::Active)
+    }
+
+    /// Returns the active missions whose roles have, or had, robots, in the order in which they are served.
+    pub fn missions_with_robots(&self) -> Vec<&MissionEntry> {
+        self.missions.of_group(MissionGroup::WithRobots)
+    }
+
+    /// Returns the active missions with roles of people or open requests to people, in the order in which they are served.
+    pub fn missions_with_people(&self) -> Vec<&MissionEntry> {
+        self.missions.of_group(MissionGroup::WithPeople)
     }
 
     /// Checks whether at least `count` missions are active.
     pub fn has_active(&self, count: usize) -> bool {
-        self.missions.values().filter(|entry| !entry.state.is_final()).take(count).count() == count
+        self.missions.count(MissionGroup::Active) >= count
     }
 
     /// Returns the items of missions that wait for a person, or that execute their recovery branch,
     /// with these missions. Robots with such items get no role of another mission.
     pub fn held_items(&self) -> impl Iterator<Item = (&MissionEntry, HeldItem)> {
-        self.missions.values().flat_map(|entry| entry.held_items().into_iter().map(move |item| (entry, item)))
+        let mut missions = self.missions.of_group(MissionGroup::WithItems);
+        missions.sort_by(|one, other| one.id.cmp(&other.id));
+        missions.into_iter().flat_map(|entry| entry.held_items().into_iter().map(move |item| (entry, item)))
     }
 
     fn held_items_of(&self, mission: Option<&MissionId>) -> Vec<HeldItem> {
@@ -206,10 +224,9 @@ impl Ledger {
 
     /// Returns the role that a robot holds now, with the epoch of its award.
     pub fn held_by(&self, robot: &RobotId) -> Option<(&MissionEntry, &RoleId, Epoch)> {
-        self.missions.values().filter(|entry| !entry.state.is_final()).find_map(|entry| {
-            let held = entry.held_roles().find(|(.., holder)| holder.robot == *robot);
-            held.map(|(id, _, holder)| (entry, id, holder.epoch))
-        })
+        let entry = self.missions.held_by(robot)?;
+        let (id, _, holder) = entry.held_roles().find(|(.., holder)| holder.robot == *robot)?;
+        Some((entry, id, holder.epoch))
     }
 
     /// Sets the cluster id once; a second bootstrap command has no effect, since its proposer may

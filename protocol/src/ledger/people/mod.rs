@@ -415,7 +415,7 @@ impl Ledger {
             let requests = MissionEntry::person_requests(entry).map(|(_, request)| request);
             requests.filter(|request| request.is_open()).map(move |request| (entry, request))
         };
-        self.active_missions().into_iter().flat_map(open).collect()
+        self.missions_with_people().into_iter().flat_map(open).collect()
     }
 }
 

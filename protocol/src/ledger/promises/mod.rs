@@ -22,6 +22,7 @@ use super::apply::Ledger;
 use super::command::{CommandOutcome, PromiseMove, ReleaseCause};
 use super::command_error::CommandError;
 use super::entry::{MissionEntry, RoleAssignment, RoleEntry, RolePhase, RoleRelease, later_ms};
+use super::missions::MissionGroup;
 use crate::auction::{CallForBids, PlannedRole, PromisedRole, RoleOfMission};
 use crate::codec;
 use crate::ids::{MissionId, RobotId, RoleId};
@@ -39,23 +40,18 @@ const PROMISED_BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 4;
 /// Excess of a delay over its bound that counts as rounding, in seconds.
 const TOLERANCE_S: f64 = 1e-6;
 
-/// Waits between missions.
+/// Waits between missions: those of the ledger, and others.
 struct Waits<'a> {
-    /// The mission that holds each robot.
+    ledger: &'a Ledger,
+    /// The mission that holds each robot, in place of the ledger's.
     held: BTreeMap<&'a RobotId, &'a MissionId>,
-    /// The robots of the promises of each mission.
+    /// Further robots of the promises of each mission.
     promised: BTreeMap<&'a MissionId, BTreeSet<&'a RobotId>>,
 }
 
 impl<'a> Waits<'a> {
     fn of(ledger: &'a Ledger) -> Waits<'a> {
-        let mut waits = Waits { held: BTreeMap::new(), promised: BTreeMap::new() };
-        for entry in ledger.missions().filter(|entry| !entry.state.is_final()) {
-            for (_, role, holder) in entry.assigned_roles() {
-                waits.add(&entry.id, &holder.robot, role.phase == RolePhase::Promised);
-            }
-        }
-        waits
+        Waits { ledger, held: BTreeMap::new(), promised: BTreeMap::new() }
     }
 
     /// Adds a role of a mission, which the robot holds or is promised.
@@ -67,16 +63,28 @@ impl<'a> Waits<'a> {
         }
     }
 
+    fn holder_of(&self, robot: &RobotId) -> Option<&'a MissionId> {
+        let held = self.held.get(robot).copied();
+        held.or_else(|| self.ledger.held_by(robot).map(|(entry, ..)| &entry.id))
+    }
+
+    /// Returns the missions that hold the robots of a mission's promises.
+    fn awaited_by(&self, mission: &MissionId) -> BTreeSet<&'a MissionId> {
+        let entry = self.ledger.mission(mission).filter(|entry| !entry.state.is_final());
+        let promised = entry.into_iter().flat_map(MissionEntry::promised_roles).map(|(_, promise)| &promise.robot);
+        let added = self.promised.get(mission).into_iter().flatten().copied();
+        promised.chain(added).filter_map(|robot| self.holder_of(robot)).filter(|other| *other != mission).collect()
+    }
+
     /// Checks whether a mission waits for itself.
     fn contain_cycle_of(&self, mission: &MissionId) -> bool {
         let (mut seen, mut open) = (BTreeSet::new(), vec![mission]);
         while let Some(waiting) = open.pop() {
-            let robots = self.promised.get(waiting).into_iter().flatten();
-            for other in robots.filter_map(|robot| self.held.get(robot)).filter(|other| **other != waiting) {
-                if *other == mission {
+            for other in self.awaited_by(waiting) {
+                if other == mission {
                     return true;
                 }
-                if seen.insert(*other) {
+                if seen.insert(other) {
                     open.push(other);
                 }
             }
@@ -175,25 +183,39 @@ fn slack_of(entry: &MissionEntry, promise: &RoleAssignment, delay_max: Seconds) 
     Seconds::new(slack_s.max(0.0)).unwrap_or(Seconds::ZERO)
 }
 
+/// A promised role of a mission.
+type PromisedIn<'a> = (&'a MissionEntry, &'a RoleId, &'a RoleAssignment);
+
+fn promised_in(entry: &MissionEntry) -> impl Iterator<Item = PromisedIn<'_>> {
+    entry.promised_roles().map(move |(role, promise)| (entry, role, promise))
+}
+
+/// Returns promised roles of active missions, those of each robot in their order.
+fn in_order<'a>(promises: impl Iterator<Item = PromisedIn<'a>>) -> Vec<PromisedIn<'a>> {
+    let mut promises: Vec<PromisedIn<'a>> = promises.collect();
+    promises.sort_by_key(|(entry, _, promise)| {
+        let (priority, number) = entry.rank();
+        (priority, promise.position, number)
+    });
+    promises
+}
+
 impl Ledger {
     /// Returns the promised roles of active missions, those of each robot in their order.
-    pub fn promises_in_order(&self) -> Vec<(&MissionEntry, &RoleId, &RoleAssignment)> {
-        let active = self.missions().filter(|entry| !entry.state.is_final());
-        let promises =
-            active.flat_map(|entry| entry.promised_roles().map(move |(role, promise)| (entry, role, promise)));
-        let mut promises: Vec<_> = promises.collect();
-        promises.sort_by_key(|(entry, _, promise)| {
-            let (priority, number) = entry.rank();
-            (priority, promise.position, number)
-        });
-        promises
+    pub fn promises_in_order(&self) -> Vec<PromisedIn<'_>> {
+        in_order(self.missions.of_group(MissionGroup::WithPromises).into_iter().flat_map(promised_in))
+    }
+
+    /// Returns the promised roles of a robot in their order.
+    pub fn promises_of(&self, robot: &RobotId) -> Vec<PromisedIn<'_>> {
+        let promises = self.missions.promised_to(robot).flat_map(promised_in);
+        in_order(promises.filter(|(.., promise)| promise.robot == *robot))
     }
 
     /// Returns what the robot of a promise does before: the role that it holds, and the promised roles before this one.
     pub fn roles_before(&self, mission: &MissionId, role: &RoleId, promise: &RoleAssignment) -> Vec<RoleOfMission> {
         let held = self.held_by(&promise.robot).map(|(entry, role, _)| (entry, role));
-        let promised = self.promises_in_order().into_iter().filter(|(.., other)| other.robot == promise.robot);
-        let promised = promised.map(|(entry, role, _)| (entry, role));
+        let promised = self.promises_of(&promise.robot).into_iter().map(|(entry, role, _)| (entry, role));
         let before = promised.take_while(|(entry, id)| entry.id != *mission || *id != role);
         let role = |(entry, role): (&MissionEntry, &RoleId)| (entry.id.clone(), role.clone());
         held.into_iter().chain(before).map(role).map(|(mission, role)| RoleOfMission { mission, role }).collect()
@@ -253,8 +275,7 @@ impl Ledger {
         planned: Option<&PlannedRole>,
     ) -> u32 {
         let priority = self.mission(mission).map(|entry| entry.submission.priority).unwrap_or_default();
-        let mut promises = self.promises_in_order();
-        promises.retain(|(.., promise)| promise.robot == *robot);
+        let promises = self.promises_of(robot);
         let follows = |planned: &PlannedRole| {
             let next = planned.before.as_ref()?;
             let next = promises.iter().position(|(entry, role, _)| entry.id == next.mission && **role == next.role)?;
