@@ -82,7 +82,7 @@ impl Actor for Coordinator {
             (CoordinatorMessage::Api(query), None) => state.leave_to_coordinator(&myself, query).await,
             (CoordinatorMessage::ApiRecheck(query), None) => drop(state.reply_without_leader(query).await),
             (_, None) => {} // message of an ended session
-            (CoordinatorMessage::Ledger, Some(session)) => session.reconcile(),
+            (CoordinatorMessage::Ledger, Some(session)) => session.follow_ledger(),
             (CoordinatorMessage::Tick, Some(session)) => session.tick().await,
             (CoordinatorMessage::VotersChanged { term, result }, Some(session)) if term == session.term() => {
                 session.handle_voters_changed(result).await;

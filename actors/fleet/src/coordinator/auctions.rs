@@ -45,9 +45,9 @@ const TOGETHER: Duration = Duration::from_millis(50);
 /// large backlog; a robot is used sooner if the missions that wake cannot use it. A guess.
 const WOKEN_MAX: usize = 16;
 
-/// Minimum time between two records of auctions without a result of a mission that holds no robots, in milliseconds. Raised: fewer
-/// entries of the log, and people read older reasons. In a fleet with a backlog each robot that becomes free bids for all
-/// waiting missions.
+/// Minimum time between two records of auctions without a result of a mission that holds no robots, in milliseconds.
+/// Raised: fewer entries of the log, and people read older reasons. In a fleet with a backlog each robot that becomes free
+/// bids for all waiting missions.
 const RECORD_INTERVAL_MS: u64 = 5 * 60 * 1000;
 
 /// Maximum number of robots named in the cause of a failed mission.
@@ -73,6 +73,20 @@ impl Auctions {
             let entry = ledger.mission(mission).filter(|entry| !entry.state.is_final());
             entry.inspect(|entry| round.follow_branch(entry.branch, now)).is_some()
         });
+    }
+
+    /// Does the same for these missions.
+    pub(super) fn follow_changed(&mut self, missions: &BTreeSet<MissionId>, ledger: &Ledger, now: NodeTime) {
+        for mission in missions {
+            match ledger.mission(mission).filter(|entry| !entry.state.is_final()) {
+                Some(entry) => {
+                    if let Some(round) = self.rounds.get_mut(mission) {
+                        round.follow_branch(entry.branch, now);
+                    }
+                }
+                None => drop(self.rounds.remove(mission)),
+            }
+        }
     }
 
     /// Ends all backoffs, because a robot has become free.
@@ -160,9 +174,11 @@ impl Auctions {
         let now = context.now();
         let open = context.read_ledger(|ledger| {
             let lease_monitor = context.lease_monitor.lock();
-            let open =
-                ledger.active_missions().into_iter().filter(|entry| can_be_auctioned(entry, &lease_monitor, now));
-            open.map(|entry| (entry.id.clone(), entry.submission.priority)).collect::<Vec<_>>()
+            let called = self.rounds.keys().filter_map(|mission| ledger.mission(mission));
+            let called = called.filter(|entry| !entry.state.is_final());
+            let mut open: Vec<_> = called.filter(|entry| can_be_auctioned(entry, &lease_monitor, now)).collect();
+            open.sort_by_key(|entry| entry.rank());
+            open.into_iter().map(|entry| (entry.id.clone(), entry.submission.priority)).collect::<Vec<_>>()
         });
         let mut calling = false;
         let mut waiting: Vec<(MissionId, NodeTime)> = vec![];

@@ -7,8 +7,8 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId, ScheduleId};
 use consort_protocol::lease::{EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    Branch, Ledger, MissionEntry, MissionState, Occurrence, Priority, RoleEntry, RoleOrder, RolePhase, RoleRelease,
-    Tombstone,
+    Branch, Ledger, MissionChanges, MissionEntry, MissionState, Occurrence, Priority, RoleEntry, RoleOrder, RolePhase,
+    RoleRelease, Tombstone,
 };
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
@@ -76,26 +76,51 @@ impl ChangeFeed {
     }
 
     /// Forgets the missions and schedules that are no longer in the ledger.
-    pub(super) fn follow(&mut self, ledger: &Ledger) {
-        self.snapshots.retain(|mission, _| ledger.mission(mission).is_some());
+    fn forget(&mut self, ledger: &Ledger, changes: &MissionChanges) {
+        let is_gone = |mission: &MissionId| ledger.mission(mission).is_none();
+        match changes {
+            MissionChanges::All => self.snapshots.retain(|mission, _| !is_gone(mission)),
+            MissionChanges::These(missions) => {
+                missions
+                    .iter()
+                    .filter(|mission| is_gone(mission))
+                    .for_each(|mission| drop(self.snapshots.remove(mission)));
+            }
+        }
         self.occurrences.retain(|schedule, _| ledger.schedule(schedule).is_some());
     }
 
-    /// Publishes all changes since the last comparison.
-    pub(super) fn publish(&mut self, context: &mut SessionContext, now: NodeTime) {
-        let mut revoked: Vec<(RobotId, Epoch, EndReason)> = vec![];
+    /// Publishes all changes since the last comparison, of which `changes` names the missions. Returns the robots that
+    /// had, have or will get roles of these missions.
+    pub(super) fn publish(
+        &mut self,
+        context: &mut SessionContext,
+        changes: &MissionChanges,
+        now: NodeTime,
+    ) -> BTreeSet<RobotId> {
+        let (mut revoked, mut robots): (Vec<(RobotId, Epoch, EndReason)>, BTreeSet<RobotId>) =
+            (vec![], BTreeSet::new());
         context.read_ledger(|ledger| {
             for (mission, ended) in self.dropped(ledger) {
                 let (state, submitted_at_ms) = (ended.state.clone(), ended.submitted_ms);
                 let reason = final_reason(&state);
                 let holders = self.snapshots.get(mission).into_iter().flat_map(|previous| previous.holders.values());
-                let ends = holders.filter_map(|held| Some((held.robot.clone(), held.epoch, reason?)));
-                revoked.extend(ends);
+                for held in holders {
+                    robots.insert(held.robot.clone());
+                    revoked.extend(reason.map(|reason| (held.robot.clone(), held.epoch, reason)));
+                }
                 context.publish_event(EventKind::Mission { mission: mission.clone(), state, submitted_at_ms });
             }
             self.last_ended = last_ended(ledger);
-            for entry in ledger.missions() {
+            let examined: Vec<&MissionEntry> = match changes {
+                MissionChanges::All => ledger.missions().collect(),
+                MissionChanges::These(missions) => missions.iter().filter_map(|id| ledger.mission(id)).collect(),
+            };
+            for entry in examined {
                 let previous = self.snapshots.get(&entry.id);
+                let former = previous.into_iter().flat_map(|previous| previous.holders.values());
+                robots.extend(former.map(|held| held.robot.clone()));
+                robots.extend(entry.assigned_roles().map(|(.., holder)| holder.robot.clone()));
                 let since = previous.map_or(now, |snapshot| snapshot.since);
                 let snapshot = MissionSnapshot::of(entry, since);
                 if previous == Some(&snapshot) {
@@ -138,10 +163,12 @@ impl ChangeFeed {
                 self.snapshots.insert(mission, snapshot);
             }
             self.publish_occurrences(ledger, context);
+            self.forget(ledger, changes);
         });
         for (robot, epoch, reason) in revoked {
             context.notify(robot, &AwardNotice::Revoked { epoch, reason });
         }
+        robots
     }
 
     /// Returns the missions that have ended since the last comparison and that the ledger no longer contains as a whole,

@@ -16,14 +16,10 @@ use std::collections::BTreeMap;
 
 /// Returns the roles to be given up, each with the best-ranked mission of its cycle.
 pub(super) fn roles_to_give_up(ledger: &Ledger) -> Vec<(AwardedRole, MissionId)> {
-    let missions = ledger.active_missions();
+    let missions = ledger.missions_with_robots().into_iter();
+    let waiting: Vec<&MissionEntry> = missions.filter(|entry| waits_with_robots(entry)).collect();
     // Promises alone form no cycle.
-    if missions.iter().all(|entry| entry.open_roles().is_empty()) {
-        return vec![];
-    }
-    let is_waiting = |entry: &&MissionEntry| !entry.open_roles().is_empty() || entry.promised_roles().next().is_some();
-    let waiting: Vec<&MissionEntry> = missions.into_iter().filter(is_waiting).collect();
-    if waiting.len() < 2 {
+    if waiting.len() < 2 || waiting.iter().all(|entry| entry.open_roles().is_empty()) {
         return vec![];
     }
     let holders: BTreeMap<&RobotId, usize> = (0..)
@@ -47,6 +43,12 @@ pub(super) fn roles_to_give_up(ledger: &Ledger) -> Vec<(AwardedRole, MissionId)>
             given_up.into_iter().flatten().map(move |role| (role, best.clone()))
         })
         .collect()
+}
+
+/// Checks whether a mission holds robots while it waits for others. No mission waits for one without robots.
+pub(super) fn waits_with_robots(entry: &MissionEntry) -> bool {
+    let waits = || !entry.open_roles().is_empty() || entry.promised_roles().next().is_some();
+    entry.held_roles().next().is_some() && waits()
 }
 
 /// Returns the robots that could not bid for the open roles because they hold a role. The latest auction

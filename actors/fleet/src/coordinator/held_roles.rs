@@ -47,9 +47,8 @@ impl HeldRoles {
         lease_monitor: &mut LeaseMonitor,
         now: NodeTime,
     ) {
-        let missions = ledger.active_missions();
         let promises: BTreeSet<Epoch> =
-            missions.iter().flat_map(|entry| entry.promised_roles().map(|(_, robot)| robot.epoch)).collect();
+            ledger.promises_in_order().into_iter().map(|(.., promise)| promise.epoch).collect();
         self.notified.retain(|(epoch, _), _| epochs.contains(epoch) || promises.contains(epoch));
         self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
         for StalledRole { role, robot, epoch, cause } in self.stall_detector.check(ledger, now) {

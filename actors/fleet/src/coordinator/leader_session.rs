@@ -10,11 +10,12 @@ use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
 use super::people::People;
 use super::promises::{spare_charges, unfit_robots};
 use super::reauctions::{self, Reauctions};
-use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
+use super::reconcile::{pending_actions, stop_renewing_released, track_awards, track_new_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
 use super::robot_orders::OrderDelivery;
 use super::schedules::Schedules;
+use super::scope::Scope;
 use super::session_context::SessionContext;
 use super::settings::{AuctionSettings, CoordinatorSettings, NodeParts};
 use super::status::CoordinatorStatus;
@@ -31,7 +32,9 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::{Key, PeopleCall};
 use consort_protocol::lease::{DeclineReason, Epoch};
-use consort_protocol::ledger::{Command, CommandOutcome, HistoryLimits, Ledger, TaskQuestion};
+use consort_protocol::ledger::{
+    ChangeCursor, Command, CommandOutcome, HistoryLimits, Ledger, MissionChanges, TaskQuestion,
+};
 use consort_protocol::message::{AwardReply, Beacon, Report};
 use consort_protocol::units::NodeTime;
 use consort_protocol::versions::VersionRange;
@@ -63,6 +66,10 @@ pub(super) struct LeaderSession {
     reauctions: Reauctions,
     held_roles: HeldRoles,
     changes: ChangeFeed,
+    /// Position among the changes of the ledger.
+    cursor: ChangeCursor,
+    /// Position of the ledger when its changes were last read.
+    followed: Epoch,
     members: EnsembleMembers,
     requests: Requests,
     autopilot: Autopilot,
@@ -106,6 +113,8 @@ impl LeaderSession {
             reauctions: Reauctions::default(),
             held_roles: HeldRoles::new(settings.stall_timeout),
             changes: ChangeFeed::new(&context),
+            cursor: ChangeCursor::default(),
+            followed: Epoch::default(),
             members: EnsembleMembers::default(),
             requests: Requests::new(&context),
             people: People::new(&context),
@@ -259,18 +268,43 @@ impl LeaderSession {
         self.publish_beacon().await;
     }
 
-    /// Compares the ledger with the session, publishes changes and performs the pending actions.
-    pub(super) fn reconcile(&mut self) {
+    /// Compares the ledger with the session, publishes changes and performs the pending actions of all missions.
+    fn reconcile(&mut self) {
+        let changes = self.read_changes();
+        self.reconcile_missions(&changes, Examined::All);
+    }
+
+    /// Does the same for the missions that commits have changed. Several commits cost a single comparison: the later
+    /// messages find no new entry.
+    pub(super) fn follow_ledger(&mut self) {
+        if *self.context.settings.parts.replica.applied().borrow() != self.followed {
+            let changes = self.read_changes();
+            self.reconcile_missions(&changes, Examined::Changed);
+        }
+    }
+
+    /// Returns the missions that have changed since the last call.
+    fn read_changes(&mut self) -> MissionChanges {
+        let LeaderSession { context, cursor, followed, .. } = self;
+        *followed = *context.settings.parts.replica.applied().borrow();
+        context.read_ledger(|ledger| ledger.changes_since(cursor))
+    }
+
+    fn reconcile_missions(&mut self, changes: &MissionChanges, examined: Examined) {
         let now = self.context.now();
         let confirmed_ms = self.confirmed_ms();
         self.orders.follow(&mut self.context, now, confirmed_ms);
         self.chargers.follow(&mut self.context, now, confirmed_ms);
-        self.changes.publish(&mut self.context, now);
-        for action in self.pending_actions(now) {
+        let robots = self.changes.publish(&mut self.context, changes, now);
+        let scope = match (examined, changes) {
+            (Examined::Changed, MissionChanges::These(missions)) => Scope::Changed { missions, robots: &robots },
+            (Examined::All, _) | (_, MissionChanges::All) => Scope::All,
+        };
+        for action in self.pending_actions(scope, now) {
             self.perform(action, now);
         }
         self.auctions.clear(&mut self.context);
-        self.people.follow(&mut self.context, now, confirmed_ms);
+        self.people.follow(&mut self.context, (changes, scope), now, confirmed_ms);
         self.submit_occurrences(now, confirmed_ms);
     }
 
@@ -298,25 +332,32 @@ impl LeaderSession {
         }
     }
 
-    fn pending_actions(&mut self, now: NodeTime) -> Vec<CoordinatorAction> {
+    fn pending_actions(&mut self, scope: Scope<'_>, now: NodeTime) -> Vec<CoordinatorAction> {
         let confirmed_ms = self.confirmed_ms();
-        let LeaderSession { context, auctions, held_roles, changes, failing, .. } = self;
+        let LeaderSession { context, auctions, held_roles, failing, .. } = self;
         context.read_ledger(|ledger| {
             let mut lease_monitor = context.lease_monitor.lock();
-            let epochs = track_awards(ledger, &mut lease_monitor, now);
-            changes.follow(ledger);
-            auctions.follow(ledger, now);
-            failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_final()));
-            held_roles.follow(ledger, &epochs, &mut lease_monitor, now);
+            match scope {
+                Scope::All => {
+                    let epochs = track_awards(ledger, &mut lease_monitor, now);
+                    auctions.follow(ledger, now);
+                    failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_final()));
+                    held_roles.follow(ledger, &epochs, &mut lease_monitor, now);
+                }
+                Scope::Changed { missions, .. } => {
+                    track_new_awards(scope, ledger, &mut lease_monitor, now);
+                    auctions.follow_changed(missions, ledger, now);
+                }
+            }
             let (rounds, notified) = (auctions.rounds(), held_roles.notified());
             let NodeParts { knowledge, .. } = &context.settings.parts;
-            let unfit = &unfit_robots(ledger, knowledge, context.has_all_records(now));
+            let unfit = &unfit_robots(ledger, scope, knowledge, context.has_all_records(now));
             let AuctionSettings { promises, limits, .. } = &context.settings.auctions;
-            let spare_charge = &spare_charges(ledger, knowledge, limits);
+            let spare_charge = &spare_charges(ledger, scope, knowledge, limits);
             let promises_max = promises.promises_max;
             let state =
                 SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
-            let actions = pending_actions(ledger, &state, now, confirmed_ms);
+            let actions = pending_actions(ledger, &state, scope, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
             actions
         })
@@ -369,7 +410,11 @@ impl LeaderSession {
         let now = self.context.now();
         let time_known = self.changes.time_known(&auction.mission, now);
         self.auctions.handle_recorded(auction, outcome, time_known, &self.context);
-        self.reconcile();
+        let mut changes = self.read_changes();
+        if let MissionChanges::These(missions) = &mut changes {
+            missions.insert(auction.mission.clone()); // the end of its round is no change of the ledger
+        }
+        self.reconcile_missions(&changes, Examined::Changed);
     }
 
     /// Handles the reply of a robot to an award notice: a declined role is released. A robot that has not yet
@@ -439,6 +484,15 @@ impl LeaderSession {
     pub(super) fn status(&self) -> CoordinatorStatus {
         CoordinatorStatus { term: self.context.term, since_ms: self.since_ms(), autopilot: self.autopilot.status() }
     }
+}
+
+/// Missions that a reconciliation examines.
+#[derive(Clone, Copy)]
+enum Examined {
+    /// All, since time has passed.
+    All,
+    /// Those that have changed.
+    Changed,
 }
 
 /// Returns the time of a voter's clock, in milliseconds since 1970; `None` without a reply.

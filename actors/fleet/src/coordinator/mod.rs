@@ -50,6 +50,7 @@ mod requests;
 mod robot_orders;
 mod role_requests;
 mod schedules;
+mod scope;
 mod session_context;
 mod settings;
 mod stall_detector;

@@ -4,6 +4,7 @@
 use super::actions::{CoordinatorAction, SessionState};
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
 use super::reports::{QuorumContact, Step, confirm, next, reply_to_refusal};
+use super::scope::Scope;
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Epoch, LeaseMonitor, LeaseTerms};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
@@ -73,7 +74,7 @@ impl ModelSession {
             spare_charge: &spare_charge,
             promises_max: 0,
         };
-        pending_actions(&self.ledger, &state, now, None)
+        pending_actions(&self.ledger, &state, Scope::All, now, None)
     }
 
     /// Returns the command that a report requires, or the reply.

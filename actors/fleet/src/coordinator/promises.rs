@@ -3,11 +3,12 @@
 use super::actions::{CoordinatorAction, RoundPhase, SessionState};
 use super::message::AwardedRole;
 use super::queues::may_return;
+use super::scope::Scope;
 use consort_gossip::{MemberStatus, SharedKnowledge};
 use consort_protocol::auction::BidLimits;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
-use consort_protocol::ledger::{Alarm, Ledger, MissionEntry, Priority};
+use consort_protocol::ledger::{Alarm, Ledger, Priority};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Tolerance for the charge of a robot, as a share of a full battery: records state the charge in steps of 0.02.
@@ -19,27 +20,31 @@ const CHARGE_TOLERANCE: f64 = 0.02;
 /// is too low by now would give up the role, and would get it no more: its promise is released, so that it can charge.
 pub(super) fn promises_due(
     ledger: &Ledger,
-    missions: &[&MissionEntry],
+    scope: Scope<'_>,
     SessionState { rounds, unfit, spare_charge, promises_max, .. }: &SessionState<'_>,
     is_due: impl Fn(&AwardedRole) -> bool,
 ) -> Vec<CoordinatorAction> {
-    if missions.iter().all(|entry| entry.promised_roles().next().is_none()) {
+    let promises = scope.promises(ledger);
+    if promises.is_empty() {
         return vec![];
     }
-    let held = missions.iter().flat_map(|entry| entry.held_roles().map(|(.., holder)| &holder.robot));
-    let mut waiting: BTreeMap<&RobotId, AwardedRole> = BTreeMap::new();
-    for entry in missions {
-        let returnable = entry.held_roles().filter(|(role, _, holder)| may_return(ledger, entry, role, holder));
-        waiting.extend(returnable.map(|(role, _, holder)| (&holder.robot, AwardedRole::of(entry, role, holder))));
+    let (mut taken, mut waiting) = (BTreeSet::new(), BTreeMap::new());
+    for robot in promises.iter().map(|(.., promise)| &promise.robot).collect::<BTreeSet<_>>() {
+        let Some((entry, role, _)) = ledger.held_by(robot) else { continue };
+        taken.insert(robot);
+        let holder = entry.roles.get(role).and_then(|held| held.holder.as_ref());
+        if let Some(holder) = holder.filter(|holder| may_return(ledger, entry, role, holder)) {
+            waiting.insert(robot, AwardedRole::of(entry, role, holder));
+        }
     }
-    let proposed = rounds.values().flat_map(|round| match &round.phase {
-        RoundPhase::Proposing(record) => record.chosen.values().collect(),
-        RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::BackingOff { .. } => vec![],
-    });
-    let mut taken: BTreeSet<&RobotId> = held.chain(proposed).collect();
+    for round in rounds.values() {
+        if let RoundPhase::Proposing(record) = &round.phase {
+            taken.extend(record.chosen.values());
+        }
+    }
     let mut actions = vec![];
     let mut queues: BTreeMap<&RobotId, (u32, Priority)> = BTreeMap::new();
-    for (entry, role, robot) in ledger.promises_in_order() {
+    for (entry, role, robot) in promises {
         let promised = AwardedRole::of(entry, role, robot);
         let (before, highest) = queues.entry(&robot.robot).or_insert((0, entry.submission.priority));
         // A role that a robot has returned for now exceeds the limit by one.
@@ -72,11 +77,12 @@ pub(super) fn promises_due(
     actions
 }
 
-/// Returns the robots with promises that cannot take a role, with the reasons, as far as this node knows.
+/// Returns the robots of a scope with promises that cannot take a role, with the reasons, as far as this node knows.
 ///
 /// With `has_all_records`, a robot without a record or without contact is unknown to the whole fleet.
 pub(super) fn unfit_robots(
     ledger: &Ledger,
+    scope: Scope<'_>,
     knowledge: &SharedKnowledge,
     has_all_records: bool,
 ) -> BTreeMap<RobotId, String> {
@@ -93,23 +99,24 @@ pub(super) fn unfit_robots(
             (Some(availability), _) => problem_of(&availability).map(|problem| format!("{robot} is {problem}")),
         }
     };
-    promised_robots(ledger).into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
+    promised_robots(ledger, scope).into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
 }
 
-/// Returns the charge that robots with promises have above the minimum that a role must leave, as shares of full batteries, as
-/// far as this node knows.
+/// Returns the charge that robots of a scope with promises have above the minimum that a role must leave, as shares of
+/// full batteries, as far as this node knows.
 pub(super) fn spare_charges(
     ledger: &Ledger,
+    scope: Scope<'_>,
     knowledge: &SharedKnowledge,
     limits: &BidLimits,
 ) -> BTreeMap<RobotId, f64> {
     let spare = |worker: &RobotKnowledge| worker.battery.get() - limits.charge_floor(worker.useful_charge).get();
-    let robots = promised_robots(ledger).into_iter();
+    let robots = promised_robots(ledger, scope).into_iter();
     robots.filter_map(|robot| Some((robot.clone(), read_record(knowledge, robot, spare)?))).collect()
 }
 
-fn promised_robots(ledger: &Ledger) -> BTreeSet<&RobotId> {
-    ledger.promises_in_order().into_iter().map(|(.., promise)| &promise.robot).collect()
+fn promised_robots<'l>(ledger: &'l Ledger, scope: Scope<'_>) -> BTreeSet<&'l RobotId> {
+    scope.promises(ledger).into_iter().map(|(.., promise)| &promise.robot).collect()
 }
 
 fn read_record<T>(knowledge: &SharedKnowledge, robot: &RobotId, read: impl Fn(&RobotKnowledge) -> T) -> Option<T> {
@@ -154,7 +161,7 @@ mod tests {
         let spare_charge = &spare.map(|spare| ("lab-arm".parse().unwrap(), spare)).into_iter().collect();
         let lease_monitor = &LeaseMonitor::new(LeaseTerms::default());
         let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
-        promises_due(ledger, &ledger.active_missions(), &state, |_| is_due)
+        promises_due(ledger, Scope::All, &state, |_| is_due)
     }
 
     /// Returns the missions whose promised roles are awarded.

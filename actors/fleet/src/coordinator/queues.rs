@@ -18,7 +18,7 @@ pub(super) fn robot_queues(
 ) -> Queues {
     let mut queues = Queues::new();
     let priority = ledger.mission(of).map(|entry| entry.submission.priority).unwrap_or_default();
-    for entry in ledger.active_missions() {
+    for entry in ledger.missions_with_robots() {
         let is_lower = entry.submission.priority < priority;
         for (role, held, robot) in entry.assigned_roles() {
             if auctioned.is_some_and(|auctioned| *auctioned == AwardedRole::of(entry, role, robot)) {

@@ -1,10 +1,14 @@
 //! Reconciliation: computes the pending actions of a coordinator from the ledger and the session,
 //! as values.
+//!
+//! After a commit only the missions that it has changed are examined, and the promises of their robots. Everything else
+//! becomes due by time or by the records of robots, so each tick examines all active missions.
 
 use super::actions::{CoordinatorAction, RoundPhase, SessionState};
-use super::circular_waits::roles_to_give_up;
+use super::circular_waits::{roles_to_give_up, waits_with_robots};
 use super::message::AwardedRole;
 use super::promises::promises_due;
+use super::scope::Scope;
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Epoch, LeaseMonitor};
@@ -23,11 +27,12 @@ pub(super) fn backoff(rounds: u32) -> Duration {
 /// Interval for repeating a notice to the holder of a role that has not followed it.
 const NOTICE_REPEAT_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Returns all pending actions, in the order in which missions are served. `confirmed_ms` is the time
+/// Returns the pending actions of a scope, in the order in which missions are served. `confirmed_ms` is the time
 /// of day that a majority of the voters confirms, in milliseconds since 1970.
 pub(super) fn pending_actions(
     ledger: &Ledger,
     state: &SessionState<'_>,
+    scope: Scope<'_>,
     now: NodeTime,
     confirmed_ms: Option<u64>,
 ) -> Vec<CoordinatorAction> {
@@ -37,7 +42,7 @@ pub(super) fn pending_actions(
         notified.is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL)
     };
     let mut actions = vec![];
-    let missions = ledger.active_missions();
+    let missions = scope.missions(ledger);
     for entry in &missions {
         if entry.submission.deadline_ms.zip(confirmed_ms).is_some_and(|(deadline, now_ms)| deadline <= now_ms) {
             let (mission, cause, class) = (entry.id.clone(), past_deadline(entry), CauseClass::Transient);
@@ -69,14 +74,17 @@ pub(super) fn pending_actions(
     });
     let reassigned = reassigned.filter(|(awarded, _)| is_notice_due(awarded));
     actions.extend(reassigned.map(|(awarded, order)| CoordinatorAction::AskToReturn { awarded, order }));
-    actions.extend(promises_due(ledger, &missions, state, is_notice_due));
+    actions.extend(promises_due(ledger, scope, state, is_notice_due));
     // Robots keep their roles during an alarm, since they would get no others.
     if ledger.has_alarm() {
         return actions;
     }
-    let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
     let give_way = |(awarded, to)| CoordinatorAction::AskToGiveWay { awarded, to, for_now: false };
-    actions.extend(circular.map(give_way));
+    // Only a mission with robots that has begun to wait closes a circle.
+    if matches!(scope, Scope::All) || missions.iter().any(|entry| waits_with_robots(entry)) {
+        let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
+        actions.extend(circular.map(give_way));
+    }
     let returned = missions.iter().filter_map(|entry| {
         let (role, holder) = ledger.iteration_to_return(entry)?;
         Some((AwardedRole::of(entry, role, holder), entry.id.clone()))
@@ -105,25 +113,29 @@ fn past_deadline(entry: &MissionEntry) -> String {
     }
 }
 
-/// Returns all awards, with their robots, that are in force or may still be acted on.
-fn awards_in_force(ledger: &Ledger) -> BTreeSet<(Epoch, RobotId)> {
+/// Tracks the leases of the awards of these missions that are in force or may still be acted on. Returns their epochs.
+fn track_awards_of(missions: &[&MissionEntry], lease_monitor: &mut LeaseMonitor, now: NodeTime) -> BTreeSet<Epoch> {
     let mut awards = BTreeSet::new();
-    for entry in ledger.active_missions() {
+    for entry in missions {
         awards.extend(entry.role_holders().into_values().map(|held| (held.epoch, held.robot)));
         awards.extend(entry.former_holders.iter().map(|held| (held.epoch, held.robot.clone())));
     }
-    awards
+    for (epoch, robot) in &awards {
+        lease_monitor.track(*epoch, robot, now);
+    }
+    awards.into_iter().map(|(epoch, _)| epoch).collect()
 }
 
 /// Tracks the leases of all awards in force and forgets the others. Returns the epochs in force.
 pub(super) fn track_awards(ledger: &Ledger, lease_monitor: &mut LeaseMonitor, now: NodeTime) -> BTreeSet<Epoch> {
-    let awards = awards_in_force(ledger);
-    for (epoch, robot) in &awards {
-        lease_monitor.track(*epoch, robot, now);
-    }
-    let epochs = awards.into_iter().map(|(epoch, _)| epoch).collect();
+    let epochs = track_awards_of(&ledger.missions_with_robots(), lease_monitor, now);
     lease_monitor.retain(&epochs, now);
     epochs
+}
+
+/// Tracks the leases of the awards of a scope.
+pub(super) fn track_new_awards(scope: Scope<'_>, ledger: &Ledger, lease_monitor: &mut LeaseMonitor, now: NodeTime) {
+    track_awards_of(&scope.missions(ledger), lease_monitor, now);
 }
 
 /// Ends the renewal of the roles that these actions release.
@@ -132,5 +144,49 @@ pub(super) fn stop_renewing_released(actions: &[CoordinatorAction], lease_monito
         if let CoordinatorAction::ReleaseRole(awarded, _) = action {
             lease_monitor.stop_renewing(awarded.epoch, &awarded.robot, now);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_ledger::Log;
+    use super::*;
+    use consort_protocol::lease::LeaseTerms;
+    use consort_protocol::ledger::{ChangeCursor, MissionChanges};
+    use std::collections::BTreeMap;
+
+    fn actions(ledger: &Ledger, scope: Scope<'_>) -> Vec<CoordinatorAction> {
+        let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
+        let (lease_monitor, spare_charge) = (&LeaseMonitor::new(LeaseTerms::default()), &BTreeMap::new());
+        let promises_max = 16;
+        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
+        pending_actions(ledger, &state, scope, NodeTime::ZERO, None)
+    }
+
+    #[test]
+    fn after_a_commit_the_actions_of_changed_missions_and_of_their_robots_are_computed() {
+        let (mut log, mut cursor) = (Log::default(), ChangeCursor::default());
+        let (first, second) = (log.add_mission("ada"), log.add_mission("bob"));
+        log.0.changes_since(&mut cursor);
+        log.end_cart(&second);
+        let MissionChanges::These(missions) = log.0.changes_since(&mut cursor) else { panic!("they are known") };
+        assert_eq!(missions, [second.clone()].into());
+        let robots = BTreeSet::from(["bob", "lab-arm"].map(|name| RobotId::new(name).unwrap()));
+        let changed = actions(&log.0, Scope::Changed { missions: &missions, robots: &robots });
+        let [CoordinatorAction::AwardPromised(awarded)] = &changed[..] else { panic!("{changed:?}") };
+        assert_eq!(awarded.mission, second);
+        // The cart of the first mission has not confirmed its role.
+        let all = actions(&log.0, Scope::All);
+        let is_of_first = |action: &&CoordinatorAction| match action {
+            CoordinatorAction::NotifyAward(awarded) => awarded.mission == first,
+            _ => false,
+        };
+        assert_eq!(all.iter().filter(is_of_first).count(), 1);
+        assert_eq!(
+            all.iter().filter(|action| !is_of_first(action)).collect::<Vec<_>>(),
+            changed.iter().collect::<Vec<_>>()
+        );
+        let none = Scope::Changed { missions: &BTreeSet::new(), robots: &BTreeSet::new() };
+        assert_eq!(actions(&log.0, none), []);
     }
 }

@@ -39,7 +39,7 @@ impl StallDetector {
         }
         let mut stalled = vec![];
         let mut active = BTreeSet::new();
-        for entry in ledger.active_missions() {
+        for entry in ledger.missions_with_robots() {
             for (role, held) in entry.roles.iter().filter(|(_, held)| held.phase == RolePhase::Active) {
                 let Some(holder) = &held.holder else { continue };
                 let key = (holder.epoch, role.clone());

@@ -5,7 +5,7 @@ use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use consort_protocol::ledger::{
-    Branch, FinalAnswer, Ledger, MissionEntry, PersonRequestEntry, PersonRequestPhase, RequestSubject,
+    Branch, FinalAnswer, Ledger, MissionChanges, MissionEntry, PersonRequestEntry, PersonRequestPhase, RequestSubject,
 };
 use consort_protocol::mission::{RoleKind, TaskOutcome};
 use consort_protocol::plan::{Signal, StepAction, StepIndex};
@@ -44,14 +44,21 @@ impl PeopleChanges {
         PeopleChanges(ledger.missions().map(|entry| (entry.id.clone(), seen(entry))).collect())
     }
 
-    /// Returns what has changed since the last comparison.
-    pub(super) fn follow(&mut self, ledger: &Ledger) -> Published {
-        self.0.retain(|mission, _| ledger.mission(mission).is_some());
-        let mut published = Published::default();
-        let with_people = |entry: &&MissionEntry| {
-            entry.unmanaged_roles().next().is_some() || entry.person_requests().next().is_some()
+    /// Returns what has changed since the last comparison. `changes` names the missions.
+    pub(super) fn follow(&mut self, ledger: &Ledger, changes: &MissionChanges) -> Published {
+        let examined: Vec<&MissionEntry> = match changes {
+            MissionChanges::All => {
+                self.0.retain(|mission, _| ledger.mission(mission).is_some());
+                ledger.missions().collect()
+            }
+            MissionChanges::These(missions) => {
+                let is_gone = |mission: &&MissionId| ledger.mission(mission).is_none();
+                missions.iter().filter(is_gone).for_each(|mission| drop(self.0.remove(mission)));
+                missions.iter().filter_map(|mission| ledger.mission(mission)).collect()
+            }
         };
-        for entry in ledger.missions().filter(with_people) {
+        let mut published = Published::default();
+        for entry in examined.into_iter().filter(|entry| has_people(entry)) {
             let now = seen(entry);
             let before = self.0.get(&entry.id).cloned().unwrap_or_default();
             if before == now {
@@ -69,6 +76,11 @@ impl PeopleChanges {
         }
         published
     }
+}
+
+/// Checks whether a mission has roles of people, or has or had requests to people.
+pub(super) fn has_people(entry: &MissionEntry) -> bool {
+    entry.unmanaged_roles().next().is_some() || entry.person_requests().next().is_some()
 }
 
 fn seen(entry: &MissionEntry) -> Seen {
@@ -185,8 +197,8 @@ mod tests {
 
     fn publish(ledger: &mut Ledger, changes: &mut PeopleChanges, command: Command) -> Vec<EventKind> {
         assert_eq!(ledger.apply(Epoch { term: 2, index: 9 }, command), CommandOutcome::Done);
-        let events = changes.follow(ledger).events;
-        assert_eq!(changes.follow(ledger), Published::default(), "an event is published once");
+        let events = changes.follow(ledger, &MissionChanges::All).events;
+        assert_eq!(changes.follow(ledger, &MissionChanges::All), Published::default(), "an event is published once");
         events
     }
 

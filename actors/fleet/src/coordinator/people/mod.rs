@@ -19,17 +19,18 @@ mod simulated;
 pub(super) mod test_ledger;
 
 use super::message::CoordinatorMessage;
+use super::scope::Scope;
 use super::session_context::SessionContext;
 use crate::robot_driver::{PersonCommand, PersonEvent, PersonRequestState};
 use cancel_orders::{CancelOrder, RecentCancelOrders};
-use changes::PeopleChanges;
+use changes::{PeopleChanges, has_people};
 use consort_bus::{Author, Delivery, Encoding, Sample};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{AnswerContent, Command, MissionEntry, PersonAnswer};
+use consort_protocol::ledger::{AnswerContent, Command, MissionChanges, MissionEntry, PersonAnswer};
 use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
@@ -65,11 +66,23 @@ impl People {
         }
     }
 
-    /// Publishes what has changed in the ledger, and proposes the next commands. `confirmed_ms` is the
+    /// Publishes what has changed in the ledger, of which `changes` names the missions, and proposes the next commands.
+    /// Unless the scope is all missions, nothing is done if the changes concern no people. `confirmed_ms` is the
     /// time of day that a majority of the voters confirms.
-    pub(super) fn follow(&mut self, context: &mut SessionContext, now: NodeTime, confirmed_ms: Option<u64>) {
+    pub(super) fn follow(
+        &mut self,
+        context: &mut SessionContext,
+        (changes, scope): (&MissionChanges, Scope<'_>),
+        now: NodeTime,
+        confirmed_ms: Option<u64>,
+    ) {
+        if let Scope::Changed { missions, .. } = scope
+            && !context.read_ledger(|ledger| missions.iter().any(|id| ledger.mission(id).is_none_or(has_people)))
+        {
+            return;
+        }
         let (changes, opened) =
-            context.read_ledger(|ledger| (self.changes.follow(ledger), self.simulated.follow(ledger)));
+            context.read_ledger(|ledger| (self.changes.follow(ledger, changes), self.simulated.follow(ledger)));
         changes.events.into_iter().for_each(|event| context.publish_event(event));
         for (mission, signal) in changes.signals {
             publish_signal(context, mission, signal);
@@ -78,7 +91,7 @@ impl People {
             self.send_to_host(context, command);
         }
         let steps: Vec<((MissionId, RoleId), PersonStep)> = context.read_ledger(|ledger| {
-            let missions = ledger.active_missions();
+            let missions = ledger.missions_with_people();
             let roles = missions
                 .iter()
                 .copied()
