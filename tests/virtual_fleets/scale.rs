@@ -2,7 +2,7 @@
 
 use consort_skills::domain_file::DomainFile;
 use consort_skills::extensions::Extensions;
-use consort_tests::scale::{ScaleFigures, ScaleSetup, measure};
+use consort_tests::scale::{CommitSetup, ScaleFigures, ScaleSetup, measure, measure_commits};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 
@@ -28,6 +28,17 @@ fn the_figures_of_a_fleet_follow_from_its_size() {
     }
     assert_eq!(moving.trace, again.trace);
     assert_eq!(moving.takeover_ms, again.takeover_ms);
+}
+
+#[test]
+fn commits_are_measured_among_waiting_missions() {
+    let figures = measure_commits(CommitSetup { missions: 20, seed: 1 }, |_| ());
+    let commit = figures.commit_ms.expect("commits were measured");
+    assert_eq!((figures.missions, figures.commits), (20, 400));
+    assert!(commit.p50 > 0.5 && commit.p999 < 1000.0, "{figures:?}");
+    assert!(figures.coordinator_ms.is_some_and(|ms| ms > 0.0 && ms < commit.p50), "{figures:?}");
+    assert!(figures.mission_bytes > 100.0 && figures.mission_bytes < 8192.0, "{figures:?}");
+    assert!(figures.copy_ms > 0.0 && figures.idle_percent > 0.0, "{figures:?}");
 }
 
 #[test]

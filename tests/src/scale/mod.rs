@@ -16,10 +16,12 @@
 //! clocks of all runtimes advance together, by a millisecond at a time, which is the resolution of tokio's timers
 //! anyway. The computing time of the network is not included.
 
+mod commits;
 mod figures;
 mod runtimes;
 mod traffic;
 
+pub use commits::{CommitFigures, CommitSetup, measure_commits};
 pub use figures::{KindFigures, ScaleFigures};
 pub use traffic::FRAME_BYTES;
 

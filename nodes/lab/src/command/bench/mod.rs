@@ -1,5 +1,6 @@
 //! `consort-lab bench`: measures the simulator and fleets on this machine.
 
+mod commit;
 mod relays;
 mod scale;
 mod scale_plot;
@@ -15,6 +16,7 @@ use consort_skills::extensions::Extensions;
 Examples:
   consort-lab bench swarm --drones 80,200
   consort-lab bench scale --robots 50,200 --json
+  consort-lab bench commit --missions 100,1000
   consort-lab bench relays --robots 100")]
 pub(crate) struct Args {
     /// The benchmark
@@ -26,6 +28,7 @@ pub(crate) struct Args {
 enum Benchmark {
     Swarm(swarm::Args),
     Scale(scale::Args),
+    Commit(commit::Args),
     Relays(relays::Args),
     #[command(hide = true)]
     RelayHost(relays::HostArgs),
@@ -39,6 +42,7 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     match args.what {
         Benchmark::Swarm(args) => swarm::run(args),
         Benchmark::Scale(args) => scale::run(args, extensions),
+        Benchmark::Commit(args) => commit::run(args),
         Benchmark::Relays(args) => relays::run(&args),
         Benchmark::RelayHost(args) => relays::run_host(args),
     }

@@ -1,0 +1,145 @@
+//! Measurements of commits by the number of missions in the ledger.
+//!
+//! The missions wait for the time at which they may start, so there are no auctions. Then missions are requested and
+//! canceled, one after the other. The coordinator runs on a runtime of its own, which measures its computing time. The
+//! fleet writes an early wire version, with which the ledger holds any number of missions.
+
+use super::runtimes::Runtimes;
+use super::{STATIONS, memory_mb, visit};
+use crate::fleet::NodeOptions;
+use crate::percentiles::Percentiles;
+use crate::{Fleet, RobotSpec, slug};
+use consort_fleet::coordinator::RequestLimits;
+use consort_fleet::node::NodeSettings;
+use consort_protocol::ids::{MissionId, PlaceId};
+use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::{Ledger, MissionEntry};
+use serde::Serialize;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+use tokio::time::sleep;
+
+/// Number of missions that are requested and canceled.
+const MEASURED: usize = 200;
+
+/// Duration of the measurement without commits.
+const IDLE: Duration = Duration::from_secs(10);
+
+/// Number of entries after which a voter takes a snapshot: several times during the measurement.
+const SNAPSHOT_EVERY: u64 = 100;
+
+/// Number of observations that are kept.
+const OBSERVATIONS_KEPT: usize = 1000;
+
+/// Load of the ledger.
+#[derive(Debug, Clone, Copy)]
+pub struct CommitSetup {
+    /// Number of missions that wait meanwhile.
+    pub missions: usize,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
+/// Figures of commits. Times are in milliseconds, percentages of a core are of virtual time.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CommitFigures {
+    /// Number of missions that wait.
+    pub missions: usize,
+    /// Number of measured commits.
+    pub commits: usize,
+    /// From a request of a client to the acknowledgement, with the coordinator's computing time, also across snapshots.
+    pub commit_ms: Option<Percentiles>,
+    /// Computing time of the coordinator for a commit and what follows, without snapshots: the median.
+    pub coordinator_ms: Option<f64>,
+    /// Computing time of the coordinator without commits, in percent of a core.
+    pub idle_percent: f64,
+    /// Time to copy the ledger for a snapshot, while it is locked.
+    pub copy_ms: f64,
+    /// Encoded size of a waiting mission, in bytes: the mean.
+    pub mission_bytes: f64,
+    /// Most memory of the process so far, in MB.
+    pub memory_mb: Option<f64>,
+    /// Duration of the measurement in seconds.
+    pub wall_s: f64,
+}
+
+/// Measures commits. `progress` receives each step of the measurement.
+pub fn measure_commits(setup: CommitSetup, progress: impl Fn(&str)) -> CommitFigures {
+    let wall = Instant::now();
+    let runtimes = Runtimes::new();
+    let coordinator = runtimes.separate();
+    let handles = BTreeMap::from([(STATIONS[0].to_owned(), coordinator.handle())]);
+    let figures = runtimes.block_on(async {
+        progress("starts");
+        let adjust = |settings: &mut NodeSettings| {
+            settings.fleet.request_limits = RequestLimits { missions_max: 0, requests_per_s: 0 };
+            settings.fleet.snapshot_every = SNAPSHOT_EVERY;
+            settings.supported_versions = settings.supported_versions.up_to(2);
+        };
+        let options =
+            NodeOptions { adjust: Box::new(adjust), runtimes: handles, world_speed: 1.0, ..NodeOptions::default() };
+        let robots = vec![RobotSpec::carrier("robot-0000", "Dock")];
+        let mut fleet = Fleet::hospital_with(setup.seed, robots, &STATIONS, vec![], options).await;
+        let leader = fleet.wait_for_coordinator().await;
+        assert_eq!(leader.as_str(), STATIONS[0], "the first voter by name creates the cluster");
+
+        progress("missions");
+        for number in 0..setup.missions {
+            request(&fleet, number).await;
+            fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
+        }
+        progress("idle");
+        let before = coordinator.cpu();
+        sleep(IDLE).await;
+        let idle = coordinator.cpu() - before;
+
+        progress("commits");
+        let (mut commit_ms, mut coordinator_ms) = (vec![], vec![]);
+        let mut add = |fleet: &Fleet, (at, cpu): (Duration, Duration)| {
+            let computing = coordinator.cpu() - cpu;
+            coordinator_ms.push(computing.as_secs_f64() * 1000.0);
+            commit_ms.push((fleet.elapsed() - at + computing).as_secs_f64() * 1000.0);
+        };
+        for number in setup.missions..setup.missions + MEASURED {
+            let began = (fleet.elapsed(), coordinator.cpu());
+            let mission = request(&fleet, number).await;
+            add(&fleet, began);
+            let began = (fleet.elapsed(), coordinator.cpu());
+            fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
+            add(&fleet, began);
+            fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
+        }
+        let (copy_ms, mission_bytes) = fleet.ledger(sizes).expect("there is a coordinator");
+        CommitFigures {
+            missions: setup.missions,
+            commits: commit_ms.len(),
+            commit_ms: Percentiles::of(commit_ms),
+            coordinator_ms: Percentiles::of(coordinator_ms).map(|percentiles| percentiles.p50),
+            idle_percent: idle.as_secs_f64() / IDLE.as_secs_f64() * 100.0,
+            copy_ms,
+            mission_bytes,
+            memory_mb: None,
+            wall_s: 0.0,
+        }
+    });
+    CommitFigures { memory_mb: memory_mb(), wall_s: wall.elapsed().as_secs_f64(), ..figures }
+}
+
+/// Requests a mission that may start tomorrow.
+async fn request(fleet: &Fleet, number: usize) -> MissionId {
+    let mut request = visit(number, &slug::<PlaceId>("Dock"));
+    request["not_before"] = json!(86_400);
+    let reply: Value = fleet.request_answered(ApiCall::Submit, &request).await;
+    slug(reply["mission"].as_str().unwrap_or_else(|| panic!("refused: {reply}")))
+}
+
+/// Returns the time to copy the ledger in milliseconds, and the mean encoded size of an active mission in bytes.
+fn sizes(ledger: &Ledger) -> (f64, f64) {
+    let began = Instant::now();
+    let copy = ledger.clone();
+    let copy_ms = began.elapsed().as_secs_f64() * 1000.0;
+    let missions = copy.active_missions();
+    let bytes: usize = missions.iter().copied().map(MissionEntry::encoded_bytes).sum();
+    (copy_ms, bytes as f64 / missions.len().max(1) as f64)
+}
