@@ -1,4 +1,7 @@
 //! The state machine and its snapshots.
+//!
+//! Entries are applied and states are read under a lock. A snapshot needs it only to copy the state, so copies should
+//! share their parts. The copy is encoded, and snapshots are copied for others, outside of the lock.
 
 use super::records::{Covered, SnapshotNotStored, StoredSnapshot, decode_record, encode_record, lock};
 use super::snapshot_id::snapshot_id;
@@ -12,7 +15,9 @@ use openraft::storage::RaftStateMachine;
 use openraft::{AnyError, Entry, EntryPayload, OptionalSend, RaftSnapshotBuilder, Snapshot};
 use std::io::Cursor;
 use std::sync::{Arc, Mutex};
+use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::watch;
+use tokio::task::block_in_place;
 
 /// Callback for each entry that a replica applies, with its commands; without commands for Raft's
 /// own entries. It must not read the state of the replica, which is locked meanwhile.
@@ -22,7 +27,7 @@ pub(crate) struct AppliedState<S> {
     pub(crate) state: S,
     pub(crate) applied: Option<LogId>,
     pub(crate) membership: StoredMembership,
-    pub(super) snapshot: Option<StoredSnapshot>,
+    pub(super) snapshot: Option<Arc<StoredSnapshot>>,
 }
 
 impl<S: StateMachine> AppliedState<S> {
@@ -30,7 +35,7 @@ impl<S: StateMachine> AppliedState<S> {
         self.state = state;
         self.applied = stored.meta.last_log_id;
         self.membership = stored.meta.last_membership.clone();
-        self.snapshot = Some(stored);
+        self.snapshot = Some(Arc::new(stored));
     }
 
     /// Applies the next entry of the log.
@@ -206,7 +211,16 @@ impl<S: StateMachine> RaftStateMachine<TypeConfig<S>> for StateMachineStore<S> {
     }
 
     async fn get_current_snapshot(&mut self) -> Result<Option<Snapshot<TypeConfig<S>>>, StorageError> {
-        Ok(lock(&self.machine).snapshot.clone().map(to_snapshot))
+        let stored = lock(&self.machine).snapshot.clone();
+        Ok(stored.map(|stored| to_snapshot(StoredSnapshot::clone(&stored))))
+    }
+}
+
+/// Computes for some milliseconds. Meanwhile the other tasks of this thread run on another, if the runtime has several.
+fn compute<T>(work: impl FnOnce() -> T) -> T {
+    match Handle::current().runtime_flavor() {
+        RuntimeFlavor::MultiThread => block_in_place(work),
+        _ => work(),
     }
 }
 
@@ -224,24 +238,26 @@ pub(crate) struct SnapshotBuilder<S: StateMachine> {
 
 impl<S: StateMachine> RaftSnapshotBuilder<TypeConfig<S>> for SnapshotBuilder<S> {
     async fn build_snapshot(&mut self) -> Result<Snapshot<TypeConfig<S>>, StorageError> {
-        let state = encode_record(&self.state).map_err(writing_snapshot)?;
+        let state = compute(|| encode_record(&self.state)).map_err(writing_snapshot)?;
         let (last_log_id, last_membership) = (self.last_log_id, self.last_membership.clone());
         let last = last_log_id.as_ref().map_or("start".to_owned(), ToString::to_string);
-        let snapshot_id = snapshot_id(&last, self.store.log_store.identity(), &state);
+        let snapshot_id = compute(|| snapshot_id(&last, self.store.log_store.identity(), &state));
         let stored = StoredSnapshot { meta: SnapshotMeta { last_log_id, last_membership, snapshot_id }, state };
-        let record = encode_record(&stored).map_err(writing_snapshot)?;
+        let record = compute(|| encode_record(&stored)).map_err(writing_snapshot)?;
+        let stored = Arc::new(stored);
         let _exclusive = self.store.snapshots.lock().await;
         let newest = lock(&self.store.machine).snapshot.as_ref().and_then(|stored| stored.meta.last_log_id);
         // A newer snapshot of the leader may have been installed in the meantime, and the log
         // purged up to it.
         if newest <= stored.meta.last_log_id {
             self.store.log_store.save_snapshot(record).await.map_err(writing_snapshot)?;
-            lock(&self.store.machine).snapshot = Some(stored.clone());
+            let former = lock(&self.store.machine).snapshot.replace(Arc::clone(&stored));
+            drop(former); // a large one, outside of the lock
             // A failed installation stays failed.
             self.store
                 .covered
                 .send_if_modified(|covered| covered.as_mut().map(|last| *last = stored.meta.last_log_id).is_ok());
         }
-        Ok(to_snapshot(stored))
+        Ok(to_snapshot(StoredSnapshot::clone(&stored)))
     }
 }

@@ -13,6 +13,7 @@ use crate::units::Seconds;
 use proptest::collection::vec;
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 const ROBOTS: [&str; 5] = ["ada", "bob", "cyd", "dan", "eve"];
 
@@ -195,6 +196,11 @@ fn a_refused_command_and_a_copy_leave_the_missions_of_others_alone() {
     let changes = log.ledger.changes_since(&mut cursor);
     assert_eq!(changes, MissionChanges::These([mission.clone()].into()));
     assert_eq!((copy.active_missions().len(), log.ledger.active_missions().len()), (3, 2));
+    let shared = ids(copy.missions()).into_iter().filter(|id| {
+        let of = |ledger: &Ledger| Arc::clone(&ledger.missions.entries[*id]);
+        Arc::ptr_eq(&of(&copy), &of(&log.ledger))
+    });
+    assert!(shared.count() == 2, "a change copies the mission, and no other");
     log.apply(Command::AwardPromised { mission, role: "r1".parse().unwrap(), epoch: Epoch::default() });
     check_queries(&log.ledger);
     check_queries(&copy);
