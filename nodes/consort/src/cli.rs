@@ -2,8 +2,8 @@
 
 use crate::command::{
     alarm, answer, audit, backup, cancel, cert, check, close, completions, doctor, domain, driver, dry_run, explain,
-    fleet, hold, keys, lab, leave, limit, maintenance, map, missions, priority, reassign, record, recover, replay,
-    requests, resolve, restore, robot, schedule, schema, station, submit, token, upgrade, watch, world,
+    fleet, history, hold, keys, lab, leave, limit, maintenance, map, missions, priority, reassign, record, recover,
+    replay, requests, resolve, restore, robot, schedule, schema, station, submit, token, upgrade, watch, world,
 };
 use crate::demo;
 use crate::domains;
@@ -79,6 +79,7 @@ enum Command {
     Limit(limit::Args),
     Alarm(alarm::Args),
     Audit(audit::Args),
+    History(history::Args),
     Requests(requests::Args),
     Answer(answer::Args),
     Fleet(fleet::Args),
@@ -140,6 +141,7 @@ pub fn run_with(extensions: Extensions, args: impl IntoIterator<Item = OsString>
             Command::Limit(args) => limit::run(args),
             Command::Alarm(args) => alarm::run(args),
             Command::Audit(args) => audit::run(args),
+            Command::History(args) => history::run(args),
             Command::Requests(args) => requests::run(args),
             Command::Answer(args) => answer::run(args),
             Command::Fleet(args) => fleet::run(args),

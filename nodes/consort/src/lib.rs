@@ -4,6 +4,7 @@
 //! or queries nodes. Missions, auctions and worlds are implemented in other crates; no plan and no
 //! price is computed here.
 
+mod archive;
 pub mod certs;
 pub mod check;
 pub mod cli;

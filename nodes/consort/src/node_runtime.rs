@@ -1,6 +1,7 @@
 //! Runs a node on Zenoh, from its start to its end.
 
-use crate::config::{CommonConfig, FleetConfig, LogFormat};
+use crate::archive::{self, ArchiveFiles};
+use crate::config::{ArchiveConfig, CommonConfig, FleetConfig, LogFormat};
 use crate::diagnostic::Diagnostics;
 use crate::exit::Failure;
 use crate::metrics::{MetricSources, Metrics, serve};
@@ -26,6 +27,7 @@ use consort_text::count;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::os::unix::process::CommandExt as _;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
@@ -106,7 +108,7 @@ async fn run_until_end(
     fleet: &FleetConfig,
     settings: impl FnOnce() -> Result<NodeSettings, Diagnostics>,
 ) -> Result<(), Failure> {
-    let CommonConfig { data_dir, telemetry: telemetry_config, bus, dashboard, .. } = common;
+    let CommonConfig { data_dir, telemetry: telemetry_config, bus, dashboard, archive, .. } = common;
     // Created before everything else, so that an early signal is not lost.
     let mut signals = ShutdownSignals::open()?;
     let page = match dashboard {
@@ -118,6 +120,7 @@ async fn run_until_end(
         None => None,
     };
     let mut settings = settings()?;
+    let archive = open_archive(*archive, data_dir.as_deref())?;
     let metrics = NodeMetrics::new(metrics, &settings);
     let (telemetry, mut observers) = Telemetry::open(telemetry_config.otlp.as_deref(), &settings)
         .map_err(|problem| Failure::Usage(problem.to_string()))?;
@@ -138,7 +141,7 @@ async fn run_until_end(
     let bus = metrics.metered(Arc::new(zenoh.clone()));
     let signing = trust.signing_bus(Arc::clone(&bus), &mut settings).await?;
     let bus = signing.clone().map_or(bus, |signing| -> SharedBus { signing });
-    let (on_page, missions) = (Arc::clone(&bus), Arc::clone(&settings.fleet.missions));
+    let (on_page, archived, missions) = (Arc::clone(&bus), Arc::clone(&bus), Arc::clone(&settings.fleet.missions));
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
@@ -151,6 +154,9 @@ async fn run_until_end(
         }
         None => None,
     };
+    if let Some(files) = archive {
+        watch.spawn(archive::follow(files, archived, Keys::new(&fleet.name), node.replica.clone(), clock));
+    }
     metrics.serve(&node, signing, clock, admission, &mut watch);
     telemetry.set_cluster(node.membership.clone());
     service_manager::ready();
@@ -241,6 +247,18 @@ fn restart() -> Failure {
         Err(problem) => problem,
     };
     Failure::Unsuccessful(format!("the node could not restart after a suspension of the machine: {problem}"))
+}
+
+/// Opens the archive of a station in its data directory, if the station keeps one.
+fn open_archive(limits: Option<ArchiveConfig>, data_dir: Option<&Path>) -> Result<Option<ArchiveFiles>, Failure> {
+    let Some(limits) = limits else { return Ok(None) };
+    let Some(data_dir) = data_dir else {
+        warn!("[archive] needs --data-dir: there is no archive");
+        return Ok(None);
+    };
+    let folder = data_dir.join(archive::FOLDER);
+    let opened = ArchiveFiles::open(folder.clone(), limits);
+    opened.map(Some).map_err(|problem| Failure::Usage(format!("{}: {problem}", folder.display())))
 }
 
 async fn bind(flag: &'static str, at: SocketAddr) -> Result<BoundAddress, Failure> {

@@ -19,6 +19,7 @@ pub(crate) mod explain;
 pub mod flag_values;
 pub(crate) mod flags;
 pub mod fleet;
+pub(crate) mod history;
 pub(crate) mod hold;
 pub mod keys;
 pub mod lab;

@@ -20,6 +20,7 @@
 //! ```
 
 mod alarms;
+mod archive;
 mod bus;
 mod calibration;
 mod charging;
@@ -33,6 +34,7 @@ mod world;
 
 pub(crate) use alarms::alarm_plans;
 pub use alarms::{AlarmConfig, PartConfig};
+pub use archive::ArchiveConfig;
 pub use bus::{BusConfig, trust_files};
 pub use charging::{ChargerConfig, ChargingConfig};
 pub use fleet::{AuctionConfig, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, ObjectiveName, RequestsConfig};

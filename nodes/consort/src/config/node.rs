@@ -1,7 +1,7 @@
 //! Settings common to all node files.
 
 use super::read::resolve_path;
-use super::{BusConfig, ConfigFile, FleetRef, TelemetryConfig};
+use super::{ArchiveConfig, BusConfig, ConfigFile, FleetRef, TelemetryConfig};
 use consort_protocol::ids::NodeId;
 use consort_protocol::mission::Domain;
 use std::net::SocketAddr;
@@ -28,6 +28,8 @@ pub struct CommonConfig<'a> {
     pub fleet: &'a mut FleetRef,
     /// Network settings.
     pub bus: &'a mut BusConfig,
+    /// Archive of a station.
+    pub archive: Option<ArchiveConfig>,
 }
 
 impl CommonConfig<'_> {

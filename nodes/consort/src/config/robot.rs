@@ -159,6 +159,7 @@ impl NodeFile for RobotConfig {
             telemetry: &mut self.telemetry,
             fleet: &mut self.fleet,
             bus: &mut self.bus,
+            archive: None,
         }
     }
 }

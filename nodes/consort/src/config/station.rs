@@ -1,7 +1,7 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
 use super::node::validate_common;
-use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
+use super::{ArchiveConfig, BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
 use consort_protocol::ids::NodeId;
 use consort_protocol::mission::Domain;
 use schemars::JsonSchema;
@@ -41,6 +41,9 @@ pub struct StationConfig {
     /// Log, metrics and spans.
     #[serde(default)]
     pub telemetry: TelemetryConfig,
+    /// Archive in the data directory. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub archive: Option<ArchiveConfig>,
 }
 
 impl StationConfig {
@@ -56,6 +59,7 @@ impl StationConfig {
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
             telemetry: TelemetryConfig::default(),
+            archive: None,
         }
     }
 }
@@ -68,7 +72,9 @@ impl ConfigFile for StationConfig {
     }
 
     fn validate(&self, domain: &Domain) -> Vec<String> {
-        validate_common(&self.fleet, &self.bus, &self.telemetry, domain)
+        let mut problems = validate_common(&self.fleet, &self.bus, &self.telemetry, domain);
+        problems.extend(self.archive.iter().flat_map(ArchiveConfig::validate));
+        problems
     }
 }
 
@@ -84,6 +90,7 @@ impl NodeFile for StationConfig {
             telemetry: &mut self.telemetry,
             fleet: &mut self.fleet,
             bus: &mut self.bus,
+            archive: self.archive,
         }
     }
 }

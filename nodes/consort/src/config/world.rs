@@ -132,6 +132,7 @@ impl NodeFile for WorldConfig {
             telemetry: &mut self.telemetry,
             fleet: &mut self.fleet,
             bus: &mut self.bus,
+            archive: None,
         }
     }
 }

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 34] = [
+const COMMANDS: [&str; 35] = [
     "robot",
     "station",
     "world",
@@ -31,6 +31,7 @@ const COMMANDS: [&str; 34] = [
     "release",
     "maintenance",
     "audit",
+    "history",
     "close",
     "open",
     "limit",
