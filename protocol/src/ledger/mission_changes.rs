@@ -88,7 +88,8 @@ mod tests {
         let mut late = cursor;
         assert_eq!(list.since(&mut cursor), these(&["m-1", "m-2"]));
         assert_eq!(list.since(&mut cursor), these(&[]));
-        assert_eq!(ChangeList::default().since(&mut cursor.clone()), MissionChanges::All, "another list");
+        let mut foreign = cursor;
+        assert_eq!(ChangeList::default().since(&mut foreign), MissionChanges::All, "another list");
         for _ in 0..REMEMBERED_MAX {
             list.push("m-3".parse().unwrap());
         }

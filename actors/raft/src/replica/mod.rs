@@ -73,6 +73,7 @@ struct ReplicaTasks {
     monitor: Task,
     elections: Task,
     heartbeats: Task,
+    log_limit: Task,
 }
 
 /// Task that is aborted when its owner is dropped.
@@ -258,8 +259,8 @@ impl<S: StateMachine> Replica<S> {
     /// Stops the replica. No write to the log store is in progress when it returns.
     pub async fn shutdown(&self) {
         // A request to openraft after its end would log an error.
-        let ReplicaTasks { group_commit, server, elections, heartbeats, .. } = &self.inner.tasks;
-        for task in [group_commit, server, elections, heartbeats] {
+        let ReplicaTasks { group_commit, server, elections, heartbeats, log_limit, .. } = &self.inner.tasks;
+        for task in [group_commit, server, elections, heartbeats, log_limit] {
             task.0.abort();
         }
         // The only possible error: the task of openraft has ended already.

@@ -22,6 +22,10 @@ use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::{mpsc, watch};
 use tracing::info;
 
+/// Growth of the log after which a snapshot is taken, in bytes, whatever the number of entries. Raised: fewer snapshots, and
+/// more memory, since each replica keeps its log in memory, several times as large as encoded.
+const LOG_GROWTH_MAX: u64 = 8 << 20;
+
 /// Size limit, in bytes, up to which commands share an entry. A slow link carries such an entry
 /// within half a second, and a follower writes it quickly. With 64 clients that request missions,
 /// about six commands share an entry.
@@ -60,7 +64,7 @@ impl<S: StateMachine> Replica<S> {
         let opened = storage::open::<S>(log_store, applied).await;
         let start_error = |problem| StartError::LogStore { location, problem: with_repair_advice(problem, advice) };
         let (log, machine) = opened.map_err(start_error)?;
-        let (appended, last_at_start) = (log.appended(), log.last());
+        let (appended, appended_bytes, last_at_start) = (log.appended(), log.appended_bytes(), log.last());
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let last_contacts = Arc::<LastContacts>::default();
@@ -129,6 +133,7 @@ impl<S: StateMachine> Replica<S> {
         let committer =
             GroupCommitter { raft: raft.clone(), proposals: proposal_queue, appended, size_max: SHARED_ENTRY_MAX };
         let group_commit = Task::spawn(committer.run());
+        let log_limit = Task::spawn(limit_log(raft.clone(), appended_bytes));
         info!(node = %settings.node, raft = %id, "replica started");
         let tasks = ReplicaTasks {
             group_commit,
@@ -136,10 +141,24 @@ impl<S: StateMachine> Replica<S> {
             monitor: monitor_task,
             elections: election_task,
             heartbeats: heartbeat_task,
+            log_limit,
         };
         let leadership = LeadershipState { view: leadership, quorum_ack, resigned_term, leader_contact };
         let inner =
             Inner { id, settings, raft, machine, leadership, announced_commits, client, rejected, proposals, tasks };
         Ok(Replica { inner: Arc::new(inner) })
+    }
+}
+
+/// Takes a snapshot whenever the log has grown by [`LOG_GROWTH_MAX`].
+async fn limit_log<S: StateMachine>(raft: Raft<S>, mut appended_bytes: watch::Receiver<u64>) {
+    let mut covered = 0;
+    loop {
+        let grown = appended_bytes.wait_for(|bytes| *bytes >= covered + LOG_GROWTH_MAX).await.map(|bytes| *bytes);
+        let Ok(bytes) = grown else { return };
+        covered = bytes;
+        if raft.trigger().snapshot().await.is_err() {
+            return;
+        }
     }
 }

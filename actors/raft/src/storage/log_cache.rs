@@ -33,6 +33,8 @@ pub(crate) struct LogCache<S: StateMachine> {
     log: Arc<Mutex<Log<S>>>,
     /// Number of appends so far.
     appended: Arc<watch::Sender<u64>>,
+    /// Encoded size of the entries at the start and of all appended since, in bytes.
+    appended_bytes: Arc<watch::Sender<u64>>,
     covered: watch::Receiver<Covered>,
 }
 
@@ -42,6 +44,7 @@ impl<S: StateMachine> Clone for LogCache<S> {
             log_store: Arc::clone(&self.log_store),
             log: Arc::clone(&self.log),
             appended: Arc::clone(&self.appended),
+            appended_bytes: Arc::clone(&self.appended_bytes),
             covered: self.covered.clone(),
         }
     }
@@ -51,7 +54,9 @@ impl<S: StateMachine> LogCache<S> {
     /// Creates the cache of a loaded log. `covered` is the last entry covered by the stored
     /// snapshot.
     pub(super) fn new(log_store: Arc<dyn LogStore>, log: Log<S>, covered: watch::Receiver<Covered>) -> LogCache<S> {
-        LogCache { log_store, log: Arc::new(Mutex::new(log)), appended: Arc::default(), covered }
+        let bytes = log.entries.values().map(|cached| cached.bytes as u64).sum();
+        let appended_bytes = Arc::new(watch::Sender::new(bytes));
+        LogCache { log_store, log: Arc::new(Mutex::new(log)), appended: Arc::default(), appended_bytes, covered }
     }
 
     /// Returns the last entry of the log, if it ever had an entry.
@@ -63,6 +68,11 @@ impl<S: StateMachine> LogCache<S> {
     /// Returns a watch of the number of appends.
     pub(crate) fn appended(&self) -> watch::Receiver<u64> {
         self.appended.subscribe()
+    }
+
+    /// Returns a watch of the encoded size of the entries at the start and of all appended since, in bytes.
+    pub(crate) fn appended_bytes(&self) -> watch::Receiver<u64> {
+        self.appended_bytes.subscribe()
     }
 
     /// Waits until the stored snapshot covers all entries up to this entry.
@@ -160,10 +170,12 @@ impl<S: StateMachine> RaftLogStorage<TypeConfig<S>> for LogCache<S> {
         let records = records.map_err(writing_logs)?;
         let sizes: Vec<usize> = records.iter().map(|(_, record)| record.len()).collect();
         self.log_store.append(records).await.map_err(writing_logs)?;
+        let appended: u64 = sizes.iter().map(|bytes| *bytes as u64).sum();
         let cached =
             entries.into_iter().zip(sizes).map(|(entry, bytes)| (entry.log_id.index, CachedEntry { entry, bytes }));
         lock(&self.log).entries.extend(cached);
         self.appended.send_modify(|count| *count += 1);
+        self.appended_bytes.send_modify(|bytes| *bytes += appended);
         callback.log_io_completed(Ok(()));
         Ok(())
     }

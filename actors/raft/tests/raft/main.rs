@@ -5,4 +5,5 @@ mod failover;
 mod group_commit;
 mod leadership_transfer;
 mod ledger;
+mod log_limit;
 mod support;

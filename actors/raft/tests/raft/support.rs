@@ -25,6 +25,8 @@ pub(crate) struct NumberList {
 pub(crate) enum NumberCommand {
     Append(u64),
     Grow(usize),
+    /// Has no effect.
+    Pad(Vec<u8>),
 }
 
 impl StateMachine for NumberList {
@@ -35,6 +37,7 @@ impl StateMachine for NumberList {
         match command {
             NumberCommand::Append(number) => self.written.push((at, number)),
             NumberCommand::Grow(bytes) => self.ballast.resize(bytes, 7),
+            NumberCommand::Pad(_) => {}
         }
         at
     }

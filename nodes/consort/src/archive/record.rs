@@ -187,8 +187,8 @@ pub(super) fn content_of(
             };
             (!is_repeated).then(|| ArchiveContent::Auction(Box::new(record)))
         }
-        EventKind::Mission { mission, state, .. } if state.is_final() => {
-            failures.remove(&mission);
+        EventKind::Mission { mission, state, .. } if state.has_ended() => {
+            failures.remove(&mission); // the ledger contains more
             None
         }
         EventKind::BidsRequested { .. }
