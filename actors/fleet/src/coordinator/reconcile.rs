@@ -10,7 +10,6 @@ use super::message::AwardedRole;
 use super::promises::promises_due;
 use super::scope::Scope;
 use consort_protocol::cause::CauseClass;
-use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Epoch, LeaseMonitor};
 use consort_protocol::ledger::{Ledger, MissionEntry, RolePhase};
 use consort_protocol::units::NodeTime;
@@ -85,7 +84,9 @@ pub(super) fn pending_actions(
         let circular = roles_to_give_up(ledger).into_iter().filter(|(awarded, _)| is_notice_due(awarded));
         actions.extend(circular.map(give_way));
     }
-    let returned = missions.iter().filter_map(|entry| {
+    // Only a mission that holds robots can return one.
+    let holding = missions.iter().filter(|entry| entry.held_roles().next().is_some());
+    let returned = holding.filter_map(|entry| {
         let (role, holder) = ledger.iteration_to_return(entry)?;
         Some((AwardedRole::of(entry, role, holder), entry.id.clone()))
     });
@@ -151,6 +152,7 @@ pub(super) fn stop_renewing_released(actions: &[CoordinatorAction], lease_monito
 mod tests {
     use super::super::test_ledger::Log;
     use super::*;
+    use consort_protocol::ids::RobotId;
     use consort_protocol::lease::LeaseTerms;
     use consort_protocol::ledger::{ChangeCursor, MissionChanges};
     use std::collections::BTreeMap;
