@@ -118,7 +118,8 @@ fn files_of(folder: &Path) -> io::Result<Vec<ArchiveFile>> {
         let name = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| stem.rsplit_once('-'));
         let parsed = name.and_then(|(date, number)| Some((parse_date(date)?, number.parse().ok()?)));
         if let Some((date, number)) = parsed {
-            let bytes = path.metadata()?.len();
+            // The station may have removed it meanwhile.
+            let Ok(bytes) = path.metadata().map(|metadata| metadata.len()) else { continue };
             files.push(ArchiveFile { date, number, path, bytes });
         }
     }
