@@ -125,7 +125,8 @@ impl ViewService {
         let entries = view.auction.iter().flat_map(|record| &record.entries);
         let asked: BTreeSet<NodeId> = entries.map(|entry| NodeId::from(entry.robot.clone())).collect();
         let MissionView { brief, releases, ensembles, roles, .. } = view;
-        let not_asked = self.not_asked(&asked, &ensembles).await;
+        let has_omitted = explanation.as_ref().is_some_and(|explanation| explanation.omitted > 0);
+        let not_asked = self.not_asked(&asked, &ensembles, has_omitted).await;
         let mut text = text(mission, &brief.status.detail, explanation.as_ref(), &not_asked, &releases);
         text.extend(roles.iter().filter_map(promise_text));
         text.extend(energy_text(&brief));
@@ -135,8 +136,13 @@ impl ViewService {
     }
 
     /// Returns the robots without a bid response in the auction, with the reason they are not
-    /// members, as far as this node can determine now.
-    async fn not_asked(&self, asked: &BTreeSet<NodeId>, called: &[EnsembleId]) -> Vec<UninvitedRobot> {
+    /// members, as far as this node can determine now. With `has_omitted` the record lacks some responses.
+    async fn not_asked(
+        &self,
+        asked: &BTreeSet<NodeId>,
+        called: &[EnsembleId],
+        has_omitted: bool,
+    ) -> Vec<UninvitedRobot> {
         let seen = self.view(&Key::ViewEnsembles).await;
         let mut ensembles = seen.and_then(|seen| EnsemblesView::deserialize(seen).ok()).unwrap_or_default().ensembles;
         ensembles.retain(|ensemble| called.is_empty() || called.contains(&ensemble.name));
@@ -144,6 +150,9 @@ impl ViewService {
         let uninvited = |robot: NodeId| {
             let joined = ensembles.iter().find(|ensemble| ensemble.members.contains(&robot));
             let why = match joined {
+                Some(EnsembleView { name, .. }) if has_omitted => {
+                    format!("the response of {robot} was not stored, or it became a member of {name} later")
+                }
                 Some(EnsembleView { name, .. }) => format!("{robot} was not asked; it became a member of {name} later"),
                 None => {
                     let reason = |ensemble: &EnsembleView| {
