@@ -46,6 +46,10 @@ impl AuctionRecord {
     /// ledger is larger. A guess: more robots than a person compares.
     const RIVALS_MAX: usize = 8;
 
+    /// Maximum number of robots named together in the ledger as not asked. Raised: people can look up more robots, and the ledger
+    /// of a large fleet is larger. A guess: the robots of a site.
+    const NOT_ASKED_MAX: usize = 64;
+
     /// Maximum size of a record in bytes, encoded: the award contains the record and its holders,
     /// and must fit a message.
     pub(crate) const BYTES_MAX: usize = codec::MESSAGE_BYTES_MAX / 2;
@@ -87,15 +91,23 @@ impl AuctionRecord {
     }
 
     /// Returns the record as the ledger keeps it: of each role the chosen bid and the 8 best other replies, bids before refusals.
-    /// Robots that were not asked stay, too. An auction without a result is repeated, so it keeps no parts of bids. With
-    /// `keeps_busy` all refusals of busy robots are kept: a mission that holds robots may wait for missions that wait for its own.
+    /// Of the robots that were not asked it keeps the first 64 for each role and reason. An auction without a result is
+    /// repeated, so it keeps no parts of bids. With `keeps_busy` all busy robots are kept: a mission that holds robots may wait for
+    /// missions that wait for its own.
     #[must_use]
     pub fn for_ledger(mut self, keeps_busy: bool) -> AuctionRecord {
         let kept = self.kept_in_ledger(keeps_busy);
-        let dropped = u32::try_from(self.entries.len() - kept.len()).unwrap_or(u32::MAX);
-        self.omitted = self.omitted.saturating_add(dropped);
+        let mut dropped = self.entries.len() - kept.len();
         let mut index = 0..;
         self.entries.retain(|_| index.next().is_some_and(|index| kept.contains(&index)));
+        for entry in self.entries.iter_mut().filter(|entry| !(keeps_busy && entry.is_busy())) {
+            if let BidVerdict::NotAsked { others, .. } = &mut entry.verdict
+                && let Some(first) = others.iter().nth(Self::NOT_ASKED_MAX - 1).cloned()
+            {
+                dropped += others.split_off(&first).len();
+            }
+        }
+        self.omitted = self.omitted.saturating_add(u32::try_from(dropped).unwrap_or(u32::MAX));
         if self.chosen.is_empty() {
             self.entries.iter_mut().for_each(|entry| entry.parts = vec![]);
         }
@@ -117,12 +129,9 @@ impl AuctionRecord {
         });
         let mut rivals: BTreeMap<&RoleId, usize> = BTreeMap::new();
         let kept = ranked.into_iter().filter(|(_, entry)| {
-            let stays = match &entry.verdict {
-                BidVerdict::Refused { reason: RefusalReason::Busy { .. } } => keeps_busy,
-                BidVerdict::NotAsked { .. } => true,
-                BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } => false,
-            };
-            if stays || self.chosen.get(&entry.role) == Some(&entry.robot) {
+            let is_group = matches!(entry.verdict, BidVerdict::NotAsked { .. });
+            let is_chosen = self.chosen.get(&entry.role) == Some(&entry.robot);
+            if is_chosen || is_group || (keeps_busy && entry.is_busy()) {
                 return true;
             }
             let others = rivals.entry(&entry.role).or_default();
@@ -190,6 +199,15 @@ impl AuctionEntry {
             BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } => None,
         };
         std::iter::once(&self.robot).chain(others.into_iter().flatten())
+    }
+
+    /// Checks whether the robots got no offer, or refused, because they are busy.
+    pub fn is_busy(&self) -> bool {
+        matches!(
+            self.verdict,
+            BidVerdict::Refused { reason: RefusalReason::Busy { .. } }
+                | BidVerdict::NotAsked { reason: NotAskedReason::Busy, .. }
+        )
     }
 }
 
@@ -314,6 +332,23 @@ mod tests {
         assert_eq!(kept.omitted, 200 - 17);
         assert!(kept.entries.iter().all(|entry| !entry.parts.is_empty()));
         assert_eq!(kept.clone().for_ledger(false), kept);
+    }
+
+    #[test]
+    fn the_ledger_keeps_all_reasons_for_which_robots_were_not_asked() {
+        let group = |reason| {
+            let others = (1..100).map(robot).collect();
+            AuctionEntry { parts: vec![], ..entry("r1", 0, BidVerdict::NotAsked { reason, cost_min: 0.0, others }) }
+        };
+        let full =
+            AuctionRecord { entries: vec![group(NotAskedReason::NotNeeded), group(NotAskedReason::Busy)], ..record() };
+        for (keeps_busy, of_busy) in [(false, 64), (true, 100)] {
+            let kept = full.clone().for_ledger(keeps_busy);
+            let robots: Vec<usize> = kept.entries.iter().map(|entry| entry.robots().count()).collect();
+            assert_eq!(robots, [64, of_busy]);
+            assert_eq!(kept.omitted as usize, 200 - 64 - of_busy);
+            assert_eq!(kept.clone().for_ledger(keeps_busy), kept);
+        }
     }
 
     #[test]

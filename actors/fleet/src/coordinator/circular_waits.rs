@@ -7,7 +7,7 @@
 //! all held roles have ended steps remains until a person or a deadline ends one of its missions.
 
 use super::message::AwardedRole;
-use consort_protocol::auction::{AuctionEntry, BidVerdict, NotAskedReason, RefusalReason};
+use consort_protocol::auction::AuctionEntry;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::ledger::{Ledger, MissionEntry};
 use petgraph::algo::tarjan_scc;
@@ -59,14 +59,7 @@ fn busy_robots(entry: &MissionEntry) -> impl Iterator<Item = &RobotId> {
     open.retain(|role| !proceeds || !entry.is_spread(role));
     let failed = entry.auction.iter().filter(|auction| auction.failure.is_some());
     let entries = failed.flat_map(|auction| &auction.entries).filter(move |entry| open.contains(&entry.role));
-    let is_busy = |entry: &&AuctionEntry| {
-        matches!(
-            entry.verdict,
-            BidVerdict::Refused { reason: RefusalReason::Busy { .. } }
-                | BidVerdict::NotAsked { reason: NotAskedReason::Busy, .. }
-        )
-    };
-    entries.filter(is_busy).flat_map(AuctionEntry::robots)
+    entries.filter(|entry| entry.is_busy()).flat_map(AuctionEntry::robots)
 }
 
 /// Returns the held roles of a mission in which no step has ended.
@@ -78,7 +71,7 @@ fn untouched_roles(entry: &MissionEntry) -> Vec<AwardedRole> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::auction::{AuctionId, AuctionRecord};
+    use consort_protocol::auction::{AuctionId, AuctionRecord, BidVerdict, RefusalReason};
     use consort_protocol::cause::CauseClass;
     use consort_protocol::ids::RoleId;
     use consort_protocol::lease::Epoch;

@@ -8,7 +8,7 @@
 
 use super::apply::Ledger;
 use super::entry::{MissionEntry, RoleAssignment};
-use crate::auction::{BidVerdict, RefusalReason};
+use crate::auction::AuctionEntry;
 use crate::ids::{RobotId, RoleId};
 use crate::plan::{LocalPlan, Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet};
@@ -73,10 +73,8 @@ impl Ledger {
         let auction = entry.auction.as_ref().filter(|auction| auction.failure.is_some())?;
         let mut open = entry.roles_to_auction();
         open.retain(|role| entry.is_spread(role));
-        let is_busy =
-            |verdict: &BidVerdict| matches!(verdict, BidVerdict::Refused { reason: RefusalReason::Busy { .. } });
-        let asked = auction.entries.iter().filter(|asked| open.contains(&asked.role) && is_busy(&asked.verdict));
-        let busy: BTreeSet<&RobotId> = asked.map(|asked| &asked.robot).collect();
+        let busy = auction.entries.iter().filter(|entry| open.contains(&entry.role) && entry.is_busy());
+        let busy: BTreeSet<&RobotId> = busy.flat_map(AuctionEntry::robots).collect();
         if busy.is_empty() {
             return None;
         }

@@ -1,7 +1,7 @@
 use super::super::command::{Command, CommandOutcome};
 use super::super::{Branch, Submission};
 use super::*;
-use crate::auction::{AuctionEntry, AuctionId, AuctionRecord};
+use crate::auction::{AuctionId, AuctionRecord, BidVerdict, RefusalReason};
 use crate::lease::Epoch;
 use crate::mission::test_data::domain;
 use crate::mission::{Format, MissionTemplate};
