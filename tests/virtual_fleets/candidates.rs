@@ -191,6 +191,7 @@ fn robots_that_were_not_asked_are_explained() {
         assert_eq!(outcomes[2..], others, "seed {seed}");
         let explained = fleet.request_answered(ApiCall::Explain, &json!({ "mission": mission })).await.to_string();
         assert!(explained.contains("elm was not asked: by its record its bid could not"), "seed {seed}: {explained}");
+        assert!(!explained.contains("a member of"), "seed {seed}: each robot has one reason: {explained}");
     });
 }
 

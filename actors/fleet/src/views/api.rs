@@ -8,7 +8,7 @@ use crate::api_help;
 use consort_protocol::api::{
     ErrorReply, ExplainReply, MissionQuery, ReadOptions, UninvitedRobot, parse_read_options, parse_request,
 };
-use consort_protocol::auction::{Explanation, RoleOfMission, explain};
+use consort_protocol::auction::{AuctionEntry, Explanation, RoleOfMission, explain};
 use consort_protocol::ids::{EnsembleId, MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::ledger::{MissionState, RoleRelease};
@@ -123,10 +123,10 @@ impl ViewService {
         }
         let explanation = view.auction.as_ref().map(explain);
         let entries = view.auction.iter().flat_map(|record| &record.entries);
-        let asked: BTreeSet<NodeId> = entries.map(|entry| NodeId::from(entry.robot.clone())).collect();
+        let recorded: BTreeSet<NodeId> = entries.flat_map(AuctionEntry::robots).cloned().map(NodeId::from).collect();
         let MissionView { brief, releases, ensembles, roles, .. } = view;
         let has_omitted = explanation.as_ref().is_some_and(|explanation| explanation.omitted > 0);
-        let not_asked = self.not_asked(&asked, &ensembles, has_omitted).await;
+        let not_asked = self.not_recorded(&recorded, &ensembles, has_omitted).await;
         let mut text = text(mission, &brief.status.detail, explanation.as_ref(), &not_asked, &releases);
         text.extend(roles.iter().filter_map(promise_text));
         text.extend(energy_text(&brief));
@@ -135,23 +135,23 @@ impl ViewService {
         Ok(json(WithProvenance { provenance, content }))
     }
 
-    /// Returns the robots without a bid response in the auction, with the reason they are not
-    /// members, as far as this node can determine now. With `has_omitted` the record lacks some responses.
-    async fn not_asked(
+    /// Returns the robots that are not in the record of the auction, with the reason they are not
+    /// members, as far as this node can determine now. With `has_omitted` the record lacks some robots.
+    async fn not_recorded(
         &self,
-        asked: &BTreeSet<NodeId>,
+        recorded: &BTreeSet<NodeId>,
         called: &[EnsembleId],
         has_omitted: bool,
     ) -> Vec<UninvitedRobot> {
         let seen = self.view(&Key::ViewEnsembles).await;
         let mut ensembles = seen.and_then(|seen| EnsemblesView::deserialize(seen).ok()).unwrap_or_default().ensembles;
         ensembles.retain(|ensemble| called.is_empty() || called.contains(&ensemble.name));
-        let robots = self.views.robot_nodes().into_iter().filter(|node| !asked.contains(node));
+        let robots = self.views.robot_nodes().into_iter().filter(|node| !recorded.contains(node));
         let uninvited = |robot: NodeId| {
             let joined = ensembles.iter().find(|ensemble| ensemble.members.contains(&robot));
             let why = match joined {
                 Some(EnsembleView { name, .. }) if has_omitted => {
-                    format!("the response of {robot} was not stored, or it became a member of {name} later")
+                    format!("the stored record lacks {robot}: it was left out, or it became a member of {name} later")
                 }
                 Some(EnsembleView { name, .. }) => format!("{robot} was not asked; it became a member of {name} later"),
                 None => {
@@ -214,7 +214,12 @@ fn text(
 ) -> Vec<String> {
     let state = state.as_str().replace('_', " ");
     let mut lines = vec![match explanation {
-        Some(explanation) => format!("{mission} is {state}; auction {}:", explanation.round),
+        Some(explanation) => {
+            // While a mission waits, its latest auctions may not be stored.
+            let has_result = explanation.roles.iter().any(|role| role.winner.is_some());
+            let at = time_text(explanation.at_ms).filter(|_| !has_result).map(|at| format!(" at {at}"));
+            format!("{mission} is {state}; auction {}{}:", explanation.round, at.unwrap_or_default())
+        }
         None => format!("{mission} is {state}; no auction was held for it yet"),
     }];
     for role in explanation.iter().flat_map(|explanation| &explanation.roles) {

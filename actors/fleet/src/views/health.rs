@@ -1,6 +1,6 @@
 //! Health of a fleet: findings with a severity and a text.
 
-use consort_protocol::auction::{BidVerdict, NotAskedReason, RefusalReason};
+use consort_protocol::auction::{AuctionEntry, BidVerdict};
 use consort_protocol::ids::{AlarmId, ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, PersonRequestId};
 use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
@@ -53,14 +53,15 @@ pub(super) struct Blocking {
 }
 
 impl Blocking {
-    /// Returns the missions that hold robots for which others wait: those that have the only robots for a role.
+    /// Returns the missions that hold robots for which others wait: those that have the only robots for a role. Records state
+    /// which robots were busy; since a record may be old, the ledger states where they are busy now.
     pub(super) fn of(ledger: &Ledger) -> BTreeMap<MissionId, Blocking> {
         let mut blocking: BTreeMap<MissionId, Blocking> = BTreeMap::new();
         let held = ledger
-            .active_missions()
+            .missions_with_robots()
             .into_iter()
             .flat_map(|entry| entry.held_roles().map(move |(.., holder)| (&holder.robot, &entry.id)));
-        let holders = &held.collect::<BTreeMap<&RobotId, &MissionId>>();
+        let holders: BTreeMap<&RobotId, &MissionId> = held.collect();
         for entry in ledger.missions().filter(|entry| entry.state == MissionState::Pending) {
             let Some(auction) = entry.auction.as_ref().filter(|auction| auction.failure.is_some()) else { continue };
             let offered: BTreeSet<&RoleId> = auction
@@ -70,16 +71,9 @@ impl Blocking {
                 .map(|entry| &entry.role)
                 .collect();
             let refusals = auction.entries.iter().filter(|entry| !offered.contains(&entry.role));
-            let busy = refusals.flat_map(|refusal| {
-                refusal.robots().filter_map(move |robot| match &refusal.verdict {
-                    BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } => Some((mission, robot)),
-                    BidVerdict::NotAsked { reason: NotAskedReason::Busy, .. } => Some((*holders.get(robot)?, robot)),
-                    _ => None,
-                })
-            });
-            for (mission, robot) in busy {
-                if ledger.mission_state(mission).is_some_and(|state| !state.is_final()) {
-                    let holder = blocking.entry(mission.clone()).or_default();
+            for robot in refusals.filter(|refusal| refusal.is_busy()).flat_map(AuctionEntry::robots) {
+                if let Some(mission) = holders.get(robot) {
+                    let holder = blocking.entry(MissionId::clone(mission)).or_default();
                     holder.robots.insert(robot.clone());
                     holder.waiting.insert(entry.id.clone());
                 }
@@ -184,6 +178,12 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::auction::{AuctionId, AuctionRecord, RefusalReason};
+    use consort_protocol::lease::Epoch;
+    use consort_protocol::ledger::{Branch, Command, CommandOutcome, Submission};
+    use consort_protocol::mission::{Format, MissionTemplate};
+    use consort_protocol::plan::divide_and_check;
+    use consort_skills::domain::hospital;
 
     fn node(name: &str) -> NodeId {
         NodeId::new(name).unwrap()
@@ -245,6 +245,57 @@ mod tests {
             "m-3 holds amber, lab-arm, for which 3 missions wait",
         ];
         assert_eq!(texts(&inputs), expected.map(|text| (HealthLevel::Warning, text.to_owned())));
+    }
+
+    #[test]
+    fn a_busy_robot_counts_for_the_mission_that_holds_it_now() {
+        const MISSION: &str = r#"{"mission": "rest", "roles": {"r1": {"kind": "managed"}},
+            "root": {"task": "wait", "type": "wait", "roles": ["r1"], "parameters": {"seconds": "5"}}}"#;
+        let (mut ledger, mut index) = (Ledger::default(), 0);
+        let mut apply = |ledger: &mut Ledger, command| {
+            index += 1;
+            let outcome = ledger.apply(Epoch { term: 1, index }, command);
+            assert!(!matches!(outcome, CommandOutcome::Refused(_)), "{outcome:?}");
+        };
+        for request in ["a", "b", "c"] {
+            let mission = MissionTemplate::parse(MISSION, Format::Json).unwrap();
+            let mission = mission.instantiate(&BTreeMap::new(), &hospital()).unwrap();
+            let division = divide_and_check(&mission).unwrap();
+            let submission = Submission::of(request.parse().unwrap(), mission, division);
+            apply(&mut ledger, Command::Submit(Box::new(submission)));
+        }
+        let [first, second, waiting] = ["rest-1", "rest-2", "rest-3"].map(|id| MissionId::new(id).unwrap());
+        let (role, amber): (RoleId, RobotId) = ("r1".parse().unwrap(), "amber".parse().unwrap());
+        let record =
+            |mission: &MissionId| AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
+        let award = |mission: &MissionId| {
+            let (mission, auction, holders) =
+                (mission.clone(), record(mission), [(role.clone(), amber.clone())].into());
+            Command::Award { mission, branch: Branch::Main, holders, auction }
+        };
+        let cancel = |mission: &MissionId| {
+            let (mission, by, places) = (mission.clone(), "Nia".to_owned(), BTreeMap::new());
+            Command::Cancel { mission, by, places, at_ms: 1 }
+        };
+        let blocking = |ledger: &Ledger| {
+            let of_mission = |(mission, found): (MissionId, Blocking)| (mission, found.robots, found.waiting);
+            Blocking::of(ledger).into_iter().map(of_mission).collect::<Vec<_>>()
+        };
+        let blocked_by = |mission: &MissionId| {
+            vec![(mission.clone(), BTreeSet::from([amber.clone()]), BTreeSet::from([waiting.clone()]))]
+        };
+        apply(&mut ledger, award(&first));
+        let reason = RefusalReason::Busy { mission: first.clone(), role: role.clone() };
+        let (robot, verdict, parts) = (amber.clone(), BidVerdict::Refused { reason }, vec![]);
+        let entries = vec![AuctionEntry { role: role.clone(), robot, verdict, parts }];
+        let failure = Some("no viable bid for r1".to_owned());
+        let auction = AuctionRecord { entries, failure, ..record(&waiting) };
+        apply(&mut ledger, Command::Defer { mission: waiting.clone(), branch: Branch::Main, auction });
+        assert_eq!(blocking(&ledger), blocked_by(&first));
+        apply(&mut ledger, cancel(&first));
+        assert!(blocking(&ledger).is_empty());
+        apply(&mut ledger, award(&second));
+        assert_eq!(blocking(&ledger), blocked_by(&second));
     }
 
     #[test]

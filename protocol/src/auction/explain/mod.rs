@@ -238,6 +238,10 @@ fn why_won(
     let faster: Vec<&&RobotExplanation> =
         rivals.iter().filter(|robot| robot.behind_s.is_some_and(|behind| behind < 0.0)).collect();
     let bid = format!("{winner} gets the role{} with {}", later_text(record, role), won.text());
+    let bids = || {
+        let stated = count(rivals.len() + 1, "bid", "bids");
+        if record.omitted > 0 { format!("at least {stated}") } else { stated }
+    };
     if let Some(rival) = faster.first() {
         return match rival.outcome {
             RobotOutcome::WonOtherRole => {
@@ -263,14 +267,10 @@ fn why_won(
         }
         None => format!("{bid}: there is no other viable bid"),
         Some((rival, behind)) if behind < 0.05 => {
-            format!("{bid}: as fast as {}, of {}", rival.robot, count(rivals.len() + 1, "bid", "bids"))
+            format!("{bid}: as fast as {}, of {}", rival.robot, bids())
         }
         Some((rival, behind)) => {
-            format!(
-                "{bid}: the fastest of {}, {behind:.1} s before {}",
-                count(rivals.len() + 1, "bid", "bids"),
-                rival.robot
-            )
+            format!("{bid}: the fastest of {}, {behind:.1} s before {}", bids(), rival.robot)
         }
     }
 }

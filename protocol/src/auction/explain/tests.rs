@@ -97,6 +97,14 @@ fn the_fastest_wins_and_every_other_robot_has_a_reason() {
 }
 
 #[test]
+fn a_record_that_omits_replies_states_the_least_number_of_bids() {
+    let entries = vec![bid("r1", "birch", 99.7), bid("r1", "flint", 160.3)];
+    let record = AuctionRecord { omitted: 4, ..record(entries, &[("r1", "birch")], None) };
+    let words = words(&explain(&record));
+    assert!(words[0].ends_with("the fastest of at least 2 bids, 60.6 s before flint"), "{words:?}");
+}
+
+#[test]
 fn a_promise_is_explained_with_its_position() {
     let mut record = record(vec![bid("r1", "birch", 60.0)], &[("r1", "birch")], None);
     let seconds = |value: f64| Seconds::new(value).unwrap();
