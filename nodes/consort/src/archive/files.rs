@@ -82,12 +82,21 @@ impl ArchiveFiles {
         Ok(())
     }
 
+    /// Waits until the disk has the records that were flushed, so that a loss of power loses none.
+    pub(super) fn sync(&self) -> io::Result<()> {
+        if let Some(file) = &self.open {
+            file.writer.get_ref().sync_data()?;
+        }
+        File::open(&self.folder)?.sync_all() // the names of the files
+    }
+
     /// Returns the file for a day: the open one, or another after the files of this day.
     fn file_of(&mut self, date: Date) -> io::Result<&mut OpenFile> {
         let is_continued = self.open.as_ref().is_some_and(|open| open.date == date && open.bytes < FILE_BYTES);
         if !is_continued {
             if let Some(mut full) = self.open.take() {
                 full.writer.flush()?;
+                full.writer.get_ref().sync_data()?;
             }
             let numbers = files_of(&self.folder)?.into_iter().filter(|file| file.date == date).map(|file| file.number);
             let number = numbers.max().unwrap_or(0) + 1;

@@ -2,7 +2,7 @@
 
 use super::files::ArchiveFiles;
 use super::position::ArchivePosition;
-use super::record::{ArchiveRecord, content_of};
+use super::record::{ArchiveContent, ArchiveRecord, content_of};
 use consort_bus::SharedBus;
 use consort_bus::clock::Clock;
 use consort_bus::trust::write_atomically;
@@ -81,7 +81,7 @@ impl Archiver {
         }
     }
 
-    /// Adds what has changed in the ledger, and writes the files. The position is written after the records: a crash in
+    /// Adds what has changed in the ledger, and writes the files. The position is stored after the records: a crash in
     /// between repeats some.
     fn write(&mut self) -> io::Result<()> {
         let now_ms = self.clock.wall_ms();
@@ -91,13 +91,17 @@ impl Archiver {
             if self.compared != Some(applied) {
                 self.compared = Some(applied);
                 let position = &mut self.position;
-                for record in replica.read(|ledger| position.advance(ledger, now_ms)) {
+                for record in replica.read_with_position(|applied, ledger| position.advance(ledger, applied, now_ms)) {
+                    if let ArchiveContent::Mission(ended) = &record.content {
+                        self.failures.remove(&ended.mission); // the event of its end may be lost
+                    }
                     self.files.append(&record, now_ms)?;
                 }
             }
         }
         self.files.flush(now_ms)?;
         if self.position != before {
+            self.files.sync()?;
             let text = serde_json::to_vec(&self.position).expect("a position has a JSON form");
             write_atomically(&self.files.path_of(POSITION_FILE), &text, 0o600)?;
         }
