@@ -13,7 +13,7 @@ use crate::runtime::seed_elections;
 use crate::server::RaftServer;
 use crate::settings::RaftSettings;
 use crate::staleness::AnnouncedCommits;
-use crate::storage::{self, ApplyObserver};
+use crate::storage::{self, ApplyObserver, StateMachineStore};
 use crate::types::{Raft, RaftId, StateMachine};
 use consort_bus::SharedBus;
 use consort_protocol::keys::Keys;
@@ -22,8 +22,9 @@ use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::{mpsc, watch};
 use tracing::info;
 
-/// Growth of the log after which a snapshot is taken, in bytes, whatever the number of entries. Raised: fewer snapshots, and
-/// more memory, since each replica keeps its log in memory, several times as large as encoded.
+/// Growth of the log after which a snapshot is taken, in bytes, whatever the number of entries. After a larger snapshot the log
+/// may grow by its size, so that snapshots of a large state do not take most of the time. Raised: fewer snapshots, and more
+/// memory, since each replica keeps its log in memory, several times as large as encoded.
 const LOG_GROWTH_MAX: u64 = 8 << 20;
 
 /// Size limit, in bytes, up to which commands share an entry. A slow link carries such an entry
@@ -133,7 +134,7 @@ impl<S: StateMachine> Replica<S> {
         let committer =
             GroupCommitter { raft: raft.clone(), proposals: proposal_queue, appended, size_max: SHARED_ENTRY_MAX };
         let group_commit = Task::spawn(committer.run());
-        let log_limit = Task::spawn(limit_log(raft.clone(), appended_bytes));
+        let log_limit = Task::spawn(limit_log(raft.clone(), machine.clone(), appended_bytes));
         info!(node = %settings.node, raft = %id, "replica started");
         let tasks = ReplicaTasks {
             group_commit,
@@ -150,12 +151,19 @@ impl<S: StateMachine> Replica<S> {
     }
 }
 
-/// Takes a snapshot whenever the log has grown by [`LOG_GROWTH_MAX`].
-async fn limit_log<S: StateMachine>(raft: Raft<S>, mut appended_bytes: watch::Receiver<u64>) {
+/// Takes a snapshot whenever the log has grown by [`LOG_GROWTH_MAX`], or by the size of the latest snapshot.
+async fn limit_log<S: StateMachine>(
+    raft: Raft<S>,
+    machine: StateMachineStore<S>,
+    mut appended_bytes: watch::Receiver<u64>,
+) {
     let mut covered = 0;
     loop {
-        let grown = appended_bytes.wait_for(|bytes| *bytes >= covered + LOG_GROWTH_MAX).await.map(|bytes| *bytes);
-        let Ok(bytes) = grown else { return };
+        let is_due = |bytes: &u64| {
+            let grown = bytes.saturating_sub(covered);
+            grown >= LOG_GROWTH_MAX && grown >= machine.snapshot_bytes()
+        };
+        let Ok(bytes) = appended_bytes.wait_for(is_due).await.map(|bytes| *bytes) else { return };
         covered = bytes;
         if raft.trigger().snapshot().await.is_err() {
             return;

@@ -107,6 +107,11 @@ impl<S: StateMachine> StateMachineStore<S> {
         inspect(machine.applied.as_ref().map(epoch_of).unwrap_or_default(), &machine.state)
     }
 
+    /// Returns the size of the latest snapshot in bytes; 0 without one.
+    pub(crate) fn snapshot_bytes(&self) -> u64 {
+        lock(&self.machine).snapshot.as_ref().map_or(0, |stored| stored.state.len() as u64)
+    }
+
     /// Returns the state as applied so far on this node, and the position of its last entry.
     pub(crate) fn copy(&self) -> (Option<Epoch>, S)
     where

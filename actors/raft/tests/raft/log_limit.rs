@@ -37,3 +37,29 @@ fn large_entries_are_covered_by_a_snapshot_before_there_are_many() {
         }
     });
 }
+
+#[test]
+fn the_log_may_grow_by_the_size_of_a_large_snapshot() {
+    on_virtual_time(async {
+        let fleet = Fleet::bootstrapped(8, 1, default_settings).await;
+        let leader = fleet.leader().await;
+        let snapshot = async || fleet.log_stores[&leader].load().await.expect("it is in memory").snapshot;
+        fleet.replicas[&leader].propose(NumberCommand::Grow(12_000_000), TIMEOUT).await.expect("a commit");
+        commit(&fleet, 230).await;
+        let began = Instant::now();
+        while snapshot().await.is_none() {
+            assert!(began.elapsed() < Duration::from_secs(20), "no snapshot after 9 MB");
+            sleep(Duration::from_millis(10)).await;
+        }
+        let first = snapshot().await;
+        commit(&fleet, 230).await;
+        sleep(Duration::from_secs(1)).await;
+        assert!(snapshot().await == first, "another snapshot of 12 MB after 9 MB");
+        commit(&fleet, 120).await;
+        let began = Instant::now();
+        while snapshot().await == first {
+            assert!(began.elapsed() < Duration::from_secs(20), "no snapshot after 14 MB");
+            sleep(Duration::from_millis(10)).await;
+        }
+    });
+}
