@@ -131,6 +131,26 @@ fn a_pinned_role_waits_for_its_robot() {
     });
 }
 
+#[test]
+fn the_explanation_of_a_waiting_mission_names_a_later_order() {
+    for_each_seed([1561, 1562], async |seed| {
+        let mut fleet = fleet(seed).await;
+        let hold = json!({ "robots": ["fern", "gorse", "holly"], "for_s": 600, "by": "Abe" });
+        request(&fleet, ApiCall::Hold, &hold).await;
+        let mission = submit(&fleet, 20).await;
+        let waits =
+            |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(&mission)?.auction.clone()).flatten().is_some();
+        fleet.wait_until("an auction without a result", SOON, waits).await;
+        let pin = json!({ "mission": mission, "role": "r1", "pin": "holly", "by": "Nia" });
+        request(&fleet, ApiCall::Reassign, &pin).await;
+        let names_pin = async |fleet: &Fleet| {
+            let reply = fleet.request(ApiCall::Explain, &json!({ "mission": mission })).await?;
+            reply["text"].to_string().contains("not eligible: r1 is pinned to holly").then_some(())
+        };
+        fleet.poll_until("the order in the explanation", SOON, names_pin).await;
+    });
+}
+
 /// The missions are allocated together, and the pinned robot is at the room of the other mission.
 #[test]
 fn a_pinned_role_gets_its_robot_before_a_mission_of_lower_cost() {

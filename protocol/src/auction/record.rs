@@ -296,7 +296,7 @@ mod tests {
     }
 
     fn entry(of: &str, number: usize, verdict: BidVerdict) -> AuctionEntry {
-        let skill = crate::ids::TaskType::new("navigation").unwrap();
+        let skill = TaskType::new("navigation").unwrap();
         let part = BidPart { step: 0, label: "go".to_owned(), skill, time: Seconds::ZERO, energy: 0.1 };
         AuctionEntry { role: role(of), robot: robot(number), verdict, parts: vec![part] }
     }

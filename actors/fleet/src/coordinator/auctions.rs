@@ -20,7 +20,8 @@ use super::message::{CollectedBids, CoordinatorMessage};
 use super::reconcile::{backoff, can_be_auctioned};
 use super::session_context::{AWARD_TIMEOUT, SessionContext};
 use consort_protocol::auction::{
-    AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, NotAskedReason, RefusalReason, RoleReply,
+    AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, NotAskedReason, RefusalReason,
+    RobotRestriction, RoleReply,
 };
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
@@ -56,10 +57,15 @@ const NAMED_ROBOTS_MAX: usize = 8;
 /// Robots of missions that are allocated together; none for a mission that is cleared by itself.
 type Allocation = BTreeMap<MissionId, BTreeMap<RoleId, RobotId>>;
 
+/// Robots that may get roles, by the orders of people.
+type Restrictions = BTreeMap<RoleId, RobotRestriction>;
+
 /// Auctions of a session, by mission.
 #[derive(Default)]
 pub(super) struct Auctions {
     rounds: BTreeMap<MissionId, AuctionRound>,
+    /// Restrictions of roles by people when the latest auction without a result was recorded, of missions with any.
+    restrictions: BTreeMap<MissionId, Restrictions>,
 }
 
 impl Auctions {
@@ -73,6 +79,7 @@ impl Auctions {
             let entry = ledger.mission(mission).filter(|entry| !entry.state.is_final());
             entry.inspect(|entry| round.follow_branch(entry.branch, now)).is_some()
         });
+        self.restrictions.retain(|mission, _| self.rounds.contains_key(mission));
     }
 
     /// Does the same for these missions.
@@ -336,14 +343,22 @@ impl Auctions {
             None => {
                 let since = context.now();
                 round.phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
-                let (stored, has_changed) = context.read_ledger(|ledger| {
+                let (stored, restrictions, has_changed) = context.read_ledger(|ledger| {
                     let entry = ledger.mission(&mission);
                     let holds_robots = entry.is_some_and(|entry| entry.assigned_roles().next().is_some());
+                    let restrictions = entry.map(MissionEntry::restrictions).unwrap_or_default();
+                    let has_orders = restrictions != self.restrictions.get(&mission).cloned().unwrap_or_default();
                     let stored = record.clone().for_ledger(holds_robots);
                     let known = entry.and_then(|entry| entry.auction.as_ref());
-                    let has_changed = known.is_none_or(|known| is_news(known, &stored, holds_robots));
-                    (stored, has_changed)
+                    let has_changed = known.is_none_or(|known| is_news(known, &stored, holds_robots, has_orders));
+                    (stored, restrictions, has_changed)
                 });
+                if has_changed {
+                    match restrictions.is_empty() {
+                        true => self.restrictions.remove(&mission),
+                        false => self.restrictions.insert(mission.clone(), restrictions),
+                    };
+                }
                 let hopeless = round.hopeless_rounds >= HOPELESS_ROUNDS;
                 let class_of_failures = |ledger: &Ledger| {
                     ledger.mission(&mission).map_or(CauseClass::Robot, |entry| entry.class_of_failures(&unfillable))
@@ -429,10 +444,10 @@ fn are_together(one: NodeTime, other: NodeTime) -> bool {
 
 /// Checks whether the record of an auction without a result replaces the record in the ledger: it differs in more than times,
 /// counters and details. A mission that holds no robots is in no circle of [`circular_waits`](super::circular_waits), and waits
-/// for its next record.
-fn is_news(known: &AuctionRecord, record: &AuctionRecord, holds_robots: bool) -> bool {
+/// for its next record, unless people have changed the orders of its roles.
+fn is_news(known: &AuctionRecord, record: &AuctionRecord, holds_robots: bool, has_orders: bool) -> bool {
     let is_old = known.at_ms.abs_diff(record.at_ms) >= RECORD_INTERVAL_MS;
-    let may_replace = holds_robots || known.failure.is_none() || is_old;
+    let may_replace = holds_robots || has_orders || known.failure.is_none() || is_old;
     may_replace && differs(known, record, holds_robots)
 }
 
@@ -500,11 +515,13 @@ mod tests {
     fn a_waiting_mission_without_robots_records_another_outcome_after_an_interval() {
         let known = failed(0, true);
         for holds_robots in [false, true] {
-            assert!(!is_news(&known, &failed(RECORD_INTERVAL_MS, true), holds_robots), "the outcome is the same");
-            assert!(is_news(&known, &failed(RECORD_INTERVAL_MS, false), holds_robots));
-            assert_eq!(is_news(&known, &failed(RECORD_INTERVAL_MS - 1, false), holds_robots), holds_robots);
+            let same = failed(RECORD_INTERVAL_MS, true);
+            assert!(!is_news(&known, &same, holds_robots, true), "the outcome is the same");
+            assert!(is_news(&known, &failed(RECORD_INTERVAL_MS, false), holds_robots, false));
+            assert_eq!(is_news(&known, &failed(RECORD_INTERVAL_MS - 1, false), holds_robots, false), holds_robots);
+            assert!(is_news(&known, &failed(1, false), holds_robots, true), "a person has given an order");
             let award = AuctionRecord { failure: None, ..known.clone() };
-            assert!(is_news(&award, &failed(1, true), holds_robots), "the mission waits again");
+            assert!(is_news(&award, &failed(1, true), holds_robots, false), "the mission waits again");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Health of a fleet: findings with a severity and a text.
 
-use consort_protocol::auction::{AuctionEntry, BidVerdict};
+use consort_protocol::auction::{BidVerdict, RefusalReason};
 use consort_protocol::ids::{AlarmId, ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, PersonRequestId};
 use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
@@ -53,8 +53,8 @@ pub(super) struct Blocking {
 }
 
 impl Blocking {
-    /// Returns the missions that hold robots for which others wait: those that have the only robots for a role. Records state
-    /// which robots were busy; since a record may be old, the ledger states where they are busy now.
+    /// Returns the missions that hold robots for which others wait: those that have the only robots for a role. A record may be
+    /// older than the roles: then a robot counts for the mission that holds it now.
     pub(super) fn of(ledger: &Ledger) -> BTreeMap<MissionId, Blocking> {
         let mut blocking: BTreeMap<MissionId, Blocking> = BTreeMap::new();
         let held = ledger
@@ -62,6 +62,10 @@ impl Blocking {
             .into_iter()
             .flat_map(|entry| entry.held_roles().map(move |(.., holder)| (&holder.robot, &entry.id)));
         let holders: BTreeMap<&RobotId, &MissionId> = held.collect();
+        let has = |mission: &MissionId, robot: &RobotId| {
+            let entry = ledger.mission(mission).filter(|entry| !entry.state.is_final());
+            entry.is_some_and(|entry| entry.assigned_roles().any(|(.., holder)| holder.robot == *robot))
+        };
         for entry in ledger.missions().filter(|entry| entry.state == MissionState::Pending) {
             let Some(auction) = entry.auction.as_ref().filter(|auction| auction.failure.is_some()) else { continue };
             let offered: BTreeSet<&RoleId> = auction
@@ -71,12 +75,20 @@ impl Blocking {
                 .map(|entry| &entry.role)
                 .collect();
             let refusals = auction.entries.iter().filter(|entry| !offered.contains(&entry.role));
-            for robot in refusals.filter(|refusal| refusal.is_busy()).flat_map(AuctionEntry::robots) {
-                if let Some(mission) = holders.get(robot) {
-                    let holder = blocking.entry(MissionId::clone(mission)).or_default();
-                    holder.robots.insert(robot.clone());
-                    holder.waiting.insert(entry.id.clone());
-                }
+            let busy = refusals.filter(|refusal| refusal.is_busy());
+            for (robot, verdict) in
+                busy.flat_map(|refusal| refusal.robots().map(move |robot| (robot, &refusal.verdict)))
+            {
+                let mission = match verdict {
+                    BidVerdict::Refused { reason: RefusalReason::Busy { mission, .. } } if has(mission, robot) => {
+                        Some(mission)
+                    }
+                    _ => holders.get(robot).copied(),
+                };
+                let Some(mission) = mission else { continue };
+                let holder = blocking.entry(mission.clone()).or_default();
+                holder.robots.insert(robot.clone());
+                holder.waiting.insert(entry.id.clone());
             }
         }
         for (mission, request) in ledger.open_person_requests() {
@@ -178,7 +190,7 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::auction::{AuctionId, AuctionRecord, RefusalReason};
+    use consort_protocol::auction::{AuctionEntry, AuctionId, AuctionRecord};
     use consort_protocol::lease::Epoch;
     use consort_protocol::ledger::{Branch, Command, CommandOutcome, Submission};
     use consort_protocol::mission::{Format, MissionTemplate};

@@ -53,7 +53,7 @@ fn missions_and_roles_are_ordered_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     // Slow enough that ada stays on its way to the room.
-    let mut fleet = open_ward(&browser, 0.5);
+    let fleet = open_ward(&browser, 0.5);
     submit(&browser, MISSIONS[0]);
     browser.wait_until("the role of ada", "consort.connection.model.robots.ada.mission === 'lab-samples-1'");
     submit(&browser, MISSIONS[1]);

@@ -230,7 +230,7 @@ proptest! {
             let bids = spans.iter().map(|(role, span)| RoleReply::Bid(worker.bid(&call, number, role, span)));
             Some(BidResponse { robot: of.clone(), auction: call.auction.clone(), replies: bids.collect() })
         };
-        let auction = |count| inputs.auction(&call, candidates.clone(), &reply, count).0;
+        let auction = |count| inputs.auction(&call, candidates.clone(), reply, count).0;
         let (found, among_all) = (auction(Some(count)), auction(None));
         prop_assert_eq!(&found.holders, &among_all.holders);
         prop_assert_eq!(found.record.promised, among_all.record.promised);
