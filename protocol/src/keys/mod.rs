@@ -26,11 +26,13 @@
 mod call;
 mod fleet_keys;
 mod key;
+mod priority;
 mod table;
 
 pub use call::{ApiCall, DriverCall, KeyKind, PeopleCall, RaftCall};
 pub use fleet_keys::Keys;
 pub use key::Key;
+pub use priority::Priority;
 pub use table::{KeyInfo, KeyUsage, TABLE};
 
 #[cfg(test)]

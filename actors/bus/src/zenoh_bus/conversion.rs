@@ -1,6 +1,6 @@
 //! Conversion between the messages of the bus and those of Zenoh.
 
-use super::error::failed;
+use super::transmission::Senders;
 use crate::author::Author;
 use crate::bus::{BusError, Encoding, Query, QueryRefused, Replier, Reply, RequestAuthority};
 use crate::keys;
@@ -8,6 +8,7 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use std::time::{SystemTime, UNIX_EPOCH};
 use tokio::sync::mpsc;
+use zenoh::Wait;
 use zenoh::bytes::{Encoding as ZenohEncoding, ZBytes};
 use zenoh::query::ReplyError;
 use zenoh::session::ZenohId;
@@ -82,6 +83,7 @@ pub(super) fn query_callback(
     mailbox: mpsc::UnboundedSender<Query>,
     own: ZenohId,
     message_max: usize,
+    senders: Senders,
 ) -> impl Fn(zenoh::query::Query) + Send + Sync {
     move |query| {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -96,9 +98,10 @@ pub(super) fn query_callback(
             authority: RequestAuthority::Unchecked,
             replier: Box::new(ZenohReplier {
                 query_key: OwnedKeyExpr::from(query.key_expr().clone()),
-                query,
+                query: Some(query),
                 at,
                 message_max,
+                senders: senders.clone(),
             }),
         });
     }
@@ -106,13 +109,34 @@ pub(super) fn query_callback(
 
 /// Replies to a query of Zenoh. The query ends when this is dropped.
 struct ZenohReplier {
-    query: zenoh::query::Query,
+    /// Present until this is dropped.
+    query: Option<zenoh::query::Query>,
     query_key: OwnedKeyExpr,
     /// Timestamp of the query, in Zenoh's sense, which is unique per node. All replies to the query
     /// have this timestamp. Zenoh returns the latest reply per key, so of two nodes that reply on
     /// the same keys all returned replies come from the same node.
     at: Timestamp,
     message_max: usize,
+    senders: Senders,
+}
+
+impl ZenohReplier {
+    /// Sends a reply to the query.
+    async fn send(
+        &self,
+        send: impl FnOnce(zenoh::query::Query) -> zenoh::Result<()> + Send + 'static,
+    ) -> Result<(), BusError> {
+        let query = self.query.clone().expect("a replier has its query until it is dropped");
+        self.senders.send("reply to a query", query.priority(), move || send(query)).await
+    }
+}
+
+impl Drop for ZenohReplier {
+    fn drop(&mut self) {
+        if let Some(query) = self.query.take() {
+            self.senders.end(query);
+        }
+    }
 }
 
 #[async_trait]
@@ -126,12 +150,16 @@ impl Replier for ZenohReplier {
     ) -> Result<(), BusError> {
         let key = keys::reply_key(key, &self.query_key)?;
         keys::check_payload_size("reply to a query", &payload, self.message_max)?;
-        let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding)).timestamp(self.at);
-        reply.attachment(to_attachment(attachment)).await.map_err(|problem| failed("reply to a query", problem))
+        let at = self.at;
+        self.send(move |query| {
+            let reply = query.reply(key, payload).encoding(to_zenoh(encoding)).timestamp(at);
+            reply.attachment(to_attachment(attachment)).wait()
+        })
+        .await
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
-        let refusal = self.query.reply_err(reason).encoding(ZenohEncoding::TEXT_PLAIN);
-        refusal.await.map_err(|problem| failed("reply to a query", problem))
+        let reason = reason.to_owned();
+        self.send(move |query| query.reply_err(reason).encoding(ZenohEncoding::TEXT_PLAIN).wait()).await
     }
 }

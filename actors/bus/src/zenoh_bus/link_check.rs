@@ -14,7 +14,9 @@
 use super::current_session::CurrentSession;
 use super::error::failed;
 use super::settings::{LINK_CHECK, Mode, ZenohSettings};
+use super::transmission::zenoh_priority;
 use crate::bus::BusError;
+use consort_protocol::keys::Priority;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -137,6 +139,8 @@ async fn is_linked(session: &Session, neighbour: ZenohId) -> bool {
 async fn first_reply(session: &Session, selector: &str) -> Option<String> {
     let query =
         session.get(selector).target(QueryTarget::All).consolidation(ConsolidationMode::None).timeout(QUERY_TIMEOUT);
+    // A late reply would close a link that works.
+    let query = query.priority(zenoh_priority(Priority::Liveness));
     let (mailbox, mut replies) = tokio::sync::mpsc::unbounded_channel();
     let on_reply = move |reply: zenoh::query::Reply| {
         if let Ok(sample) = reply.into_result() {

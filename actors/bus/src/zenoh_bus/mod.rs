@@ -10,6 +10,7 @@ mod error;
 mod link_check;
 mod session;
 mod settings;
+mod transmission;
 
 pub use settings::{LinkTrust, Mode, ZenohSettings};
 
@@ -28,6 +29,8 @@ use std::time::Duration;
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep};
+use transmission::priority_of;
+use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 
@@ -110,6 +113,7 @@ impl Bus for ZenohBus {
         encoding: Encoding,
         delivery: Delivery,
     ) -> Result<(), BusError> {
+        let priority = priority_of(key);
         let key = keys::single_key(key)?;
         keys::check_payload_size("publish", &payload, self.manager.settings().message_max)?;
         let control = match delivery {
@@ -117,7 +121,7 @@ impl Bus for ZenohBus {
             Delivery::Block => CongestionControl::Block,
         };
         let session = self.manager.session();
-        let put = session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control);
+        let put = session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control).priority(priority);
         put.attachment(to_attachment(attachment)).await.map_err(|problem| failed("publish", problem))
     }
 
@@ -149,15 +153,18 @@ impl Bus for ZenohBus {
                 let _ = mailbox.send(reply);
             }
         };
-        let session = self.manager.session();
-        let mut get = session.get((query_key, parameters)).target(target).consolidation(consolidation).timeout(timeout);
-        if !payload.is_empty() {
-            get = get.payload(payload).encoding(to_zenoh(Encoding::Wire));
-        }
-        get.attachment(to_attachment(attachment))
-            .callback(on_reply)
-            .await
-            .map_err(|problem| failed("query", problem))?;
+        let (session, priority) = (self.manager.session(), priority_of(query_key.as_str()));
+        let parameters = parameters.to_owned();
+        let send = move || {
+            let get = session.get((query_key, parameters)).target(target).consolidation(consolidation).timeout(timeout);
+            // A dropped query or reply would be awaited until the timeout.
+            let mut get = get.congestion_control(CongestionControl::Block).priority(priority);
+            if !payload.is_empty() {
+                get = get.payload(payload).encoding(to_zenoh(Encoding::Wire));
+            }
+            get.attachment(to_attachment(attachment)).callback(on_reply).wait()
+        };
+        self.manager.senders().send("query", priority, send).await?;
         Ok(Stream::new(receiver, Box::new(())))
     }
 

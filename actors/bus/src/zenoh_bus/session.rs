@@ -5,6 +5,7 @@ use super::current_session::CurrentSession;
 use super::error::{failed, open_error};
 use super::link_check;
 use super::settings::{Mode, ZenohSettings};
+use super::transmission::Senders;
 use crate::author::Author;
 use crate::bus::{BusError, Presence, Query, Sample};
 use std::collections::{BTreeMap, BTreeSet};
@@ -55,6 +56,7 @@ pub(super) struct SessionManager {
     entries: Mutex<Entries>,
     /// Held during a declaration, and while everything is declared again.
     declaring: tokio::sync::Mutex<()>,
+    senders: Senders,
 }
 
 #[derive(Default)]
@@ -106,7 +108,12 @@ fn with_ports(listen: &[String], assigned: &[String]) -> Vec<String> {
 }
 
 impl Declaration {
-    async fn declare(&self, session: &Session, message_max: usize) -> Result<Box<dyn Send + Sync>, BusError> {
+    async fn declare(
+        &self,
+        session: &Session,
+        message_max: usize,
+        senders: &Senders,
+    ) -> Result<Box<dyn Send + Sync>, BusError> {
         match self {
             Declaration::Subscriber(key, mailbox) => {
                 let mailbox = mailbox.clone();
@@ -127,7 +134,8 @@ impl Declaration {
             }
             Declaration::Queryable { key, mailbox, complete } => {
                 let declared = session.declare_queryable(key.clone()).complete(*complete);
-                let declared = declared.callback(query_callback(mailbox.clone(), session.zid(), message_max)).await;
+                let on_query = query_callback(mailbox.clone(), session.zid(), message_max, senders.clone());
+                let declared = declared.callback(on_query).await;
                 Ok(Box::new(declared.map_err(|problem| failed("serve", problem))?))
             }
             Declaration::Token(key) => {
@@ -173,6 +181,7 @@ impl SessionManager {
             current: Arc::new(current),
             entries: Mutex::default(),
             declaring: tokio::sync::Mutex::default(),
+            senders: Senders::default(),
         });
         link_check::start(&manager.current, &manager.settings).await?;
         let weak = Arc::downgrade(&manager);
@@ -196,6 +205,10 @@ impl SessionManager {
         self.current.session()
     }
 
+    pub(super) fn senders(&self) -> &Senders {
+        &self.senders
+    }
+
     fn entries(&self) -> MutexGuard<'_, Entries> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -204,7 +217,7 @@ impl SessionManager {
     /// of the session.
     pub(super) async fn declare(self: &Arc<Self>, declaration: Declaration) -> Result<DeclarationGuard, BusError> {
         let _declaring = self.declaring.lock().await;
-        let declared = declaration.declare(&self.session(), self.settings.message_max).await?;
+        let declared = declaration.declare(&self.session(), self.settings.message_max, &self.senders).await?;
         let mut entries = self.entries();
         if entries.closed {
             return Err(failed("declare", "the bus has been closed"));
@@ -222,7 +235,7 @@ impl SessionManager {
             let Some(declaration) = self.entries().all.get(&id).map(|entry| entry.declaration.clone()) else {
                 continue;
             };
-            let declared = declaration.declare(session, self.settings.message_max).await?;
+            let declared = declaration.declare(session, self.settings.message_max, &self.senders).await?;
             let mut entries = self.entries();
             // A missing entry has ended in the meantime; the new declaration then ends as well.
             if let Some(entry) = entries.all.get_mut(&id) {

@@ -1,0 +1,128 @@
+//! Priorities of messages on Zenoh, and sends that wait for a slow link.
+//!
+//! A Zenoh link has a queue for each priority, and sends the queue of the highest priority first. Replies, and the
+//! message that ends a query, have the priority and the congestion control of the query. Nodes that relay keep both.
+//! `express` is not used: it gives each message a batch of its own, and a queue has few batches.
+//!
+//! A publication is dropped if its queue stays full. Queries and replies are not: Zenoh blocks the calling thread until
+//! the queue has space, for half a minute with a backup on a link of 1 Mbit/s. So messages that may be late are sent on
+//! threads of their own, and the threads of the runtime stay free for heartbeats.
+
+use super::error::failed;
+use crate::bus::BusError;
+use consort_protocol::keys::Priority;
+use std::sync::Arc;
+use tokio::runtime::Handle;
+use tokio::sync::Semaphore;
+use zenoh::qos::Priority as ZenohPriority;
+
+/// Number of threads for messages that may be late; further messages wait for a thread. Higher lets more slow links
+/// delay nobody, lower saves threads. A guess: several times the links of a node.
+const SENDERS_MAX: usize = 32;
+
+/// Returns Zenoh's priority of messages on a key or key expression.
+pub(super) fn priority_of(key_expr: &str) -> ZenohPriority {
+    zenoh_priority(Priority::of(key_expr))
+}
+
+/// Returns Zenoh's name of a priority.
+pub(super) fn zenoh_priority(priority: Priority) -> ZenohPriority {
+    match priority {
+        Priority::Consensus => ZenohPriority::RealTime,
+        Priority::Liveness => ZenohPriority::InteractiveHigh,
+        Priority::Mission => ZenohPriority::InteractiveLow,
+        Priority::Knowledge => ZenohPriority::DataHigh,
+        // Also the priority of clients that set none, so they do not delay records.
+        Priority::Event => ZenohPriority::Data,
+        Priority::View => ZenohPriority::DataLow,
+        Priority::Bulk => ZenohPriority::Background,
+    }
+}
+
+/// Checks whether messages of a priority may be late.
+fn may_be_late(priority: ZenohPriority) -> bool {
+    match priority {
+        ZenohPriority::RealTime | ZenohPriority::InteractiveHigh | ZenohPriority::InteractiveLow => false,
+        ZenohPriority::DataHigh | ZenohPriority::Data | ZenohPriority::DataLow | ZenohPriority::Background => true,
+    }
+}
+
+/// The threads for messages that may be late. Clones share them.
+#[derive(Clone)]
+pub(super) struct Senders(Arc<Semaphore>);
+
+impl Default for Senders {
+    fn default() -> Self {
+        Senders(Arc::new(Semaphore::new(SENDERS_MAX)))
+    }
+}
+
+impl Senders {
+    /// Sends a message of this priority, and waits until it is in the queue of its links.
+    pub(super) async fn send(
+        &self,
+        operation: &'static str,
+        priority: ZenohPriority,
+        send: impl FnOnce() -> zenoh::Result<()> + Send + 'static,
+    ) -> Result<(), BusError> {
+        if !may_be_late(priority) {
+            return send().map_err(|problem| failed(operation, problem));
+        }
+        let permit = Arc::clone(&self.0).acquire_owned().await.map_err(|closed| failed(operation, closed))?;
+        let sending = tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            send()
+        });
+        let sent = sending.await.map_err(|panicked| failed(operation, panicked))?;
+        sent.map_err(|problem| failed(operation, problem))
+    }
+
+    /// Ends a query of this priority by dropping it, which sends a message, too.
+    pub(super) fn end(&self, query: zenoh::query::Query) {
+        let runtime = Handle::try_current().ok().filter(|_| may_be_late(query.priority()));
+        let Some(runtime) = runtime else { return drop(query) };
+        let senders = self.clone();
+        runtime.spawn(async move {
+            let priority = query.priority();
+            let ended = senders.send("end a query", priority, move || {
+                drop(query);
+                Ok(())
+            });
+            // It fails only if the runtime ends.
+            let _ = ended.await;
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+    use std::time::Duration;
+
+    #[tokio::test]
+    async fn a_message_that_waits_for_its_link_stops_no_other_task() {
+        let (free, link) = mpsc::channel();
+        let senders = Senders::default();
+        let sending =
+            senders.send("send", ZenohPriority::Background, move || Ok(link.recv_timeout(Duration::from_secs(10))?));
+        let (sent, freed) = tokio::join!(sending, async { free.send(()) });
+        sent.expect("the link becomes free");
+        freed.expect("the message waits for its link");
+    }
+
+    #[test]
+    fn each_priority_has_a_queue_in_the_same_order() {
+        let all = [
+            Priority::Consensus,
+            Priority::Liveness,
+            Priority::Mission,
+            Priority::Knowledge,
+            Priority::Event,
+            Priority::View,
+            Priority::Bulk,
+        ];
+        // Zenoh counts from the highest.
+        assert!(all.is_sorted() && all.map(|priority| zenoh_priority(priority) as u8).is_sorted_by(|a, b| a < b));
+    }
+}
