@@ -96,8 +96,15 @@ pub enum Way {
 #[derive(Debug)]
 struct Host {
     number: usize,
-    /// Addresses on direct links, by the other host; other hosts use its address on the switch.
-    links: BTreeMap<String, String>,
+    /// Ends of direct links, by the other host; other hosts use its address on the switch.
+    links: BTreeMap<String, LinkEnd>,
+}
+
+/// End of a direct link at a host.
+#[derive(Debug)]
+struct LinkEnd {
+    device: String,
+    address: String,
 }
 
 /// The hosts and the switch between them.
@@ -146,15 +153,25 @@ impl HostNetwork {
         for (host, other, last) in [(a, b, 1), (b, a, 2)] {
             ip(&format!("-n {host} addr add 10.78.{number}.{last}/24 dev l{number}"));
             ip(&format!("-n {host} link set l{number} up"));
-            let address = format!("10.78.{number}.{last}");
-            self.host_mut(host).links.insert(other.to_owned(), address);
+            let end = LinkEnd { device: format!("l{number}"), address: format!("10.78.{number}.{last}") };
+            self.host_mut(host).links.insert(other.to_owned(), end);
+        }
+    }
+
+    /// Limits the direct cable of two hosts to a rate in each direction, such as `1mbit` (needs `tc`).
+    pub fn limit(&self, a: &str, b: &str, rate: &str) {
+        for (host, other) in [(a, b), (b, a)] {
+            let device = &self.host(host).links[other].device;
+            let limit =
+                format!("netns exec {host} tc qdisc add dev {device} root tbf rate {rate} burst 5kb latency 100ms");
+            ip(&limit);
         }
     }
 
     /// Returns the address of `to`, as seen by `from` if they have a direct cable.
     pub fn address(&self, to: &str, from: &str) -> String {
         let host = self.host(to);
-        host.links.get(from).cloned().unwrap_or_else(|| format!("10.77.0.{}", host.number))
+        host.links.get(from).map_or_else(|| format!("10.77.0.{}", host.number), |end| end.address.clone())
     }
 
     /// Removes the cable of a host from the switch: both ends see the link go down.

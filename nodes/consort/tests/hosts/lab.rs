@@ -93,6 +93,11 @@ impl Lab {
         self.network.link(a, b);
     }
 
+    /// Limits the direct cable of two hosts to a rate in each direction, such as `1mbit`.
+    pub(crate) fn limit(&self, a: &str, b: &str, rate: &str) {
+        self.network.limit(a, b, rate);
+    }
+
     /// Returns the address of `to`, as seen by `from` if they have a direct cable.
     pub(crate) fn address(&self, to: &str, from: &str) -> String {
         format!("{}/{}:7447", self.protocol(), self.network.address(to, from))

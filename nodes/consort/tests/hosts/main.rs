@@ -1,7 +1,7 @@
 //! Tests on separate hosts: network namespaces, cut cables, packet loss and partitions.
 //!
 //! Each test restarts itself inside its own namespaces (`lab`); where that is not allowed it is
-//! skipped. nftables (`nft`) drops packets, virtual Ethernet pairs are the cables,
+//! skipped. nftables (`nft`) drops packets, `tc` limits rates, virtual Ethernet pairs are the cables,
 //! and a bridge is the switch.
 
 #[expect(dead_code, reason = "the benches use the rest")]
@@ -12,6 +12,7 @@ mod packet_loss;
 mod partition;
 mod scenario;
 mod shipped_topology;
+mod slow_links;
 #[path = "../../../../tests/support/slots.rs"]
 mod slots;
 #[path = "../processes/support/mod.rs"]
