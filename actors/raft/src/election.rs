@@ -44,6 +44,11 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until};
 
+/// Heartbeat intervals for which a leader waits for the reply to a heartbeat request. On a slow link a reply takes longer
+/// than an interval, and still shows that the voter followed when the request was sent. The shortest election timeout
+/// has at least three intervals; an older acknowledgement is of no use.
+const HEARTBEATS_AWAITED: u32 = 3;
+
 /// Runs campaigns: when there is no leader contact and a majority grants the pre-vote, this node
 /// campaigns.
 pub(super) async fn run_elections<S: StateMachine>(
@@ -155,7 +160,7 @@ pub(super) async fn send_heartbeats<S: StateMachine>(raft: Raft<S>, client: Raft
             |voter: &RaftId| client.last_contacts.of(*voter).is_none_or(|at| at.elapsed() >= heartbeat.mul_f64(1.5));
         for voter in voters.into_iter().filter(|voter| *voter != client.me).filter(late) {
             let peer = client.peer(voter);
-            tokio::spawn(async move { peer.heartbeat(vote).await });
+            tokio::spawn(async move { peer.heartbeat(vote, heartbeat * HEARTBEATS_AWAITED).await });
         }
     }
 }

@@ -142,15 +142,12 @@ impl PeerClient {
         matches!(self.send(RaftCall::TransferLeadership, request, limit).await, Ok(RaftReply::Done(true)))
     }
 
-    /// Sends a heartbeat request. An acknowledgement is recorded. `None` without a reply.
-    pub(super) async fn heartbeat(&self, vote: Vote) -> Option<HeartbeatReply> {
+    /// Sends a heartbeat request. An acknowledgement is recorded. `None` without a reply within `limit`.
+    pub(super) async fn heartbeat(&self, vote: Vote, limit: Duration) -> Option<HeartbeatReply> {
         let request = self.encode(&HeartbeatRequest { vote }).ok()?;
         let sent_at = BootInstant::now();
-        let Ok(RaftReply::Done(heartbeat)) =
-            self.send::<HeartbeatReply>(RaftCall::Heartbeat, request, self.client.retry_interval).await
-        else {
-            return None;
-        };
+        let reply = self.send::<HeartbeatReply>(RaftCall::Heartbeat, request, limit).await;
+        let Ok(RaftReply::Done(heartbeat)) = reply else { return None };
         if heartbeat.follows {
             self.record_ack(vote, sent_at);
         }
@@ -179,7 +176,7 @@ impl PeerClient {
             let heartbeat = tokio::select! {
                 biased;
                 reply = &mut pending => return reply,
-                heartbeat = self.heartbeat(vote) => heartbeat,
+                heartbeat = self.heartbeat(vote, retry_interval) => heartbeat,
             };
             if !heartbeat.is_some_and(|heartbeat| heartbeat.busy) {
                 // The reply may have been sent just before.
