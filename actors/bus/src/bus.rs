@@ -35,6 +35,7 @@
 //! ```
 
 use crate::author::Author;
+use crate::mailbox::MailboxReceiver;
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::api::ErrorReply;
@@ -43,6 +44,7 @@ use consort_protocol::trust::MissionRights;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::mpsc::UnboundedReceiver;
 
 /// Maximum size of a message on either bus, in bytes, including a few kilobytes of overhead around
 /// its payload. Sending a larger payload is an error.
@@ -135,9 +137,15 @@ pub enum BusError {
 /// drops.
 type Transform<T> = Box<dyn FnMut(T) -> Option<T> + Send + Sync>;
 
+/// Source of the items of a stream.
+enum Source<T> {
+    Channel(UnboundedReceiver<T>),
+    Mailbox(MailboxReceiver<T>),
+}
+
 /// A stream of received items. Dropping it ends the declaration behind it.
 pub struct Stream<T> {
-    receiver: tokio::sync::mpsc::UnboundedReceiver<T>,
+    source: Source<T>,
     /// Applied to each item before it is returned.
     transform: Option<Transform<T>>,
     /// Keeps the declaration alive.
@@ -146,8 +154,13 @@ pub struct Stream<T> {
 
 impl<T: 'static> Stream<T> {
     /// Creates a stream fed through `receiver`. Its declaration lives as long as `guard`.
-    pub fn new(receiver: tokio::sync::mpsc::UnboundedReceiver<T>, guard: Box<dyn Send + Sync>) -> Self {
-        Stream { receiver, transform: None, _guard: guard }
+    pub fn new(receiver: UnboundedReceiver<T>, guard: Box<dyn Send + Sync>) -> Self {
+        Stream { source: Source::Channel(receiver), transform: None, _guard: guard }
+    }
+
+    /// Creates a stream of the items of a mailbox. Its declaration lives as long as `guard`.
+    pub(crate) fn of_mailbox(receiver: MailboxReceiver<T>, guard: Box<dyn Send + Sync>) -> Self {
+        Stream { source: Source::Mailbox(receiver), transform: None, _guard: guard }
     }
 
     /// Returns this stream with `transform` applied to each item on removal, after all earlier
@@ -171,7 +184,10 @@ impl<T: 'static> Stream<T> {
     /// Returns the next item, or `None` after the end of the stream.
     pub async fn recv(&mut self) -> Option<T> {
         loop {
-            let next = self.receiver.recv().await?;
+            let next = match &mut self.source {
+                Source::Channel(receiver) => receiver.recv().await?,
+                Source::Mailbox(receiver) => receiver.recv().await?,
+            };
             if let Some(item) = self.transformed(next) {
                 return Some(item);
             }
@@ -181,7 +197,10 @@ impl<T: 'static> Stream<T> {
     /// Returns the next item if it has already arrived.
     pub fn try_recv(&mut self) -> Option<T> {
         loop {
-            let next = self.receiver.try_recv().ok()?;
+            let next = match &mut self.source {
+                Source::Channel(receiver) => receiver.try_recv().ok()?,
+                Source::Mailbox(receiver) => receiver.try_recv()?,
+            };
             if let Some(item) = self.transformed(next) {
                 return Some(item);
             }

@@ -13,6 +13,7 @@ pub mod clock;
 pub mod cluster_membership;
 mod keys;
 mod layer;
+mod mailbox;
 mod metered;
 mod outbox;
 pub mod record_signer;

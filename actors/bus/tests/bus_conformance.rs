@@ -274,6 +274,29 @@ async fn an_error_reply_has_its_reason([a, _, c]: Nodes<'_>) {
     refusing.abort();
 }
 
+async fn a_busy_service_refuses_queries([a, _, c]: Nodes<'_>) {
+    let mut service = c.serve("busy").await.unwrap();
+    query_until_held(a, "busy", &mut service).await;
+    let large = Bytes::from(vec![0; MESSAGE_MAX - 64 * 1024]);
+    let mut open = Vec::new();
+    let refusal = loop {
+        assert!(open.len() < 8, "the service is never busy");
+        let mut replies = a.query("busy", large.clone(), NEVER).await.unwrap();
+        let arrived = tokio::select! {
+            query = next(&mut service, "a query") => Ok(query),
+            reply = next(&mut replies, "a refusal") => Err(reply),
+        };
+        match arrived {
+            Ok(query) => open.push((replies, query)),
+            Err(refusal) => break refusal,
+        }
+    };
+    assert_eq!(text(&refusal), ("busy", Err("busy: too many open queries; repeat the query later")));
+    assert!(open.len() > 1, "the service is busy too early");
+    drop(open);
+    query_until_held(a, "busy", &mut service).await;
+}
+
 async fn a_selector_has_parameters([a, _, c]: Nodes<'_>) {
     let describing = handle_all(c.serve("select/cyd").await.unwrap(), |query| async move {
         let received = format!("{} | {} | {}", query.key, query.parameters, query.payload.len());
@@ -538,6 +561,7 @@ test_cases! {
     a_query_without_services_ends_at_once,
     a_silent_service_delays_a_query_to_its_timeout,
     an_error_reply_has_its_reason,
+    a_busy_service_refuses_queries,
     a_selector_has_parameters,
     a_service_replies_only_on_matching_keys,
     a_single_complete_service_replies,

@@ -8,8 +8,11 @@ use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use std::sync::{Arc, Mutex, PoisonError};
-use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+use tokio::sync::mpsc::{Sender, channel};
 use tracing::debug;
+
+/// Maximum number of events that wait for the bus. Further events are dropped; a gap in the sequence numbers shows it.
+const UNSENT_MAX: usize = 1024;
 
 /// Publishes the events of this node, in order. Clones share a single sequence of numbers.
 /// Publishing never blocks.
@@ -26,7 +29,7 @@ struct Shared {
 
 struct NumberedStream {
     count: u64,
-    sender: UnboundedSender<Event>,
+    sender: Sender<Event>,
 }
 
 impl EventPublisher {
@@ -38,7 +41,7 @@ impl EventPublisher {
         clock: Clock,
         observer: Option<SharedObserver>,
     ) -> EventPublisher {
-        let (sender, mut events) = unbounded_channel::<Event>();
+        let (sender, mut events) = channel::<Event>(UNSENT_MAX);
         let key = keys.write(&Key::Events(node.clone()));
         let mut task = tokio::task::JoinSet::new();
         task.spawn(async move {
@@ -68,7 +71,8 @@ impl EventPublisher {
         if let Some(observer) = observer {
             observer.on_event(&event);
         }
-        // The task behind the channel lives as long as any clone.
-        let _ = stream.sender.send(event);
+        if stream.sender.try_send(event).is_err() {
+            debug!(sequence = stream.count, "event not published: too many wait for the bus");
+        }
     }
 }

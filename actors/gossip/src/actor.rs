@@ -19,8 +19,9 @@ use super::shared::SharedKnowledge;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
 use consort_bus::record_signer::SharedRecordSigner;
+use consort_bus::tasks::{Forwarded, forward_queries, forward_samples};
 use consort_bus::wire_version::WireVersion;
-use consort_bus::{Delivery, Encoding, Presence, PresenceToken, Query, Sample, SharedBus, Stream};
+use consort_bus::{Delivery, Encoding, Presence, PresenceToken, Query, Sample, SharedBus};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Knowledge;
@@ -57,11 +58,11 @@ pub(super) enum Message {
     /// The node's own knowledge changes.
     ChangeKnowledge(Change),
     /// A node published its record.
-    RecordReceived(Sample),
+    RecordReceived(Forwarded<Sample>),
     /// A packet of failure detection.
-    Packet(Sample),
+    Packet(Forwarded<Sample>),
     /// A token appeared or vanished.
-    Presence(Presence),
+    Presence(Forwarded<Presence>),
     /// A peer compares digests.
     RequestReceived(Query),
     /// A peer replied; `None` if it refused, or did not reply in time.
@@ -103,13 +104,13 @@ impl Actor for Gossip {
         let node = settings.node.clone();
 
         let records = bus.subscribe(&keys.any_knowledge()).await?;
-        forward(&mut tasks, &myself, records, "records", Message::RecordReceived);
+        forward(&mut tasks, &myself, "records", forward_samples(records, myself.clone(), Message::RecordReceived));
         let packets = bus.subscribe(&keys.write(&Key::Swim(node.clone()))).await?;
-        forward(&mut tasks, &myself, packets, "packets", Message::Packet);
+        forward(&mut tasks, &myself, "packets", forward_samples(packets, myself.clone(), Message::Packet));
         let queries = bus.serve(&keys.write(&Key::Gossip(node.clone()))).await?;
-        forward(&mut tasks, &myself, queries, "queries", Message::RequestReceived);
+        forward(&mut tasks, &myself, "queries", forward_queries(queries, myself.clone(), Message::RequestReceived));
         let presence = bus.watch(&keys.any_alive_node()).await?;
-        forward(&mut tasks, &myself, presence, "tokens", Message::Presence);
+        forward(&mut tasks, &myself, "tokens", forward_samples(presence, myself.clone(), Message::Presence));
         // Announced last: other nodes may query as soon as they receive the token.
         let token = bus.announce(&keys.write(&Key::AliveNode(node))).await?;
 
@@ -148,8 +149,8 @@ impl Actor for Gossip {
         let event = match message {
             Message::ChangeKnowledge(change) => Ok(Event::KnowledgeChanged(change)),
             Message::RecordReceived(sample) => inbox.read_update(&sample),
-            Message::Packet(sample) => inbox.read_packet(sample),
-            Message::Presence(presence) => inbox.read_presence(presence),
+            Message::Packet(sample) => inbox.read_packet(sample.into_inner()),
+            Message::Presence(presence) => inbox.read_presence(presence.into_inner()),
             Message::RequestReceived(query) => {
                 let exchange = inbox.read_exchange(&query.payload).map(Event::RequestReceived);
                 requester = Some(query);
@@ -235,21 +236,16 @@ async fn request_exchange(bus: &SharedBus, key: &str, payload: Bytes, limit: Dur
     None
 }
 
-/// Forwards the items of a bus stream to the mailbox.
-fn forward<T: Send + 'static>(
+/// Runs the forwarding of a bus stream to the mailbox, and notifies the actor of its end.
+fn forward(
     tasks: &mut JoinSet<()>,
     to: &ActorRef<Message>,
-    mut stream: Stream<T>,
     what: &'static str,
-    wrap: impl Fn(T) -> Message + Send + 'static,
+    forwarding: impl Future<Output = ()> + Send + 'static,
 ) {
     let to = to.clone();
     tasks.spawn(async move {
-        while let Some(item) = stream.recv().await {
-            if to.cast(wrap(item)).is_err() {
-                return;
-            }
-        }
+        forwarding.await;
         drop(to.cast(Message::Closed(what)));
     });
 }

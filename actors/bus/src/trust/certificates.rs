@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::{debug, warn};
@@ -40,7 +40,7 @@ const RECHECK_INTERVAL: Duration = Duration::from_secs(10);
 /// Queries certificates, serves the node's own, and verifies all again periodically, until it is
 /// dropped.
 pub(super) struct CertificateExchange {
-    requested: UnboundedSender<Fingerprint>,
+    requested: Sender<Fingerprint>,
     _tasks: JoinSet<()>,
 }
 
@@ -57,7 +57,7 @@ pub(super) struct ExchangeContext {
 impl CertificateExchange {
     /// Starts to serve the node's own certificate and to query others.
     pub(super) async fn open(context: ExchangeContext, revoked: RevokedFiles) -> Result<CertificateExchange, BusError> {
-        let (requested, requests) = unbounded_channel();
+        let (requested, requests) = channel(QUERIES_MAX);
         let mut tasks = JoinSet::new();
         // Persons publish no messages, so no node queries their certificates; and their links
         // reject services.
@@ -75,7 +75,8 @@ impl CertificateExchange {
 
     /// Requests the certificate of a fingerprint.
     pub(super) fn request(&self, fingerprint: Fingerprint) {
-        let _ = self.requested.send(fingerprint);
+        // The next message of its principal requests it again.
+        let _ = self.requested.try_send(fingerprint);
     }
 }
 
@@ -100,7 +101,7 @@ async fn serve_known(mut queried: Stream<Query>, context: ExchangeContext) {
 }
 
 /// Queries the requested certificates, each at most once at a time.
-async fn query_requested(context: ExchangeContext, mut requests: UnboundedReceiver<Fingerprint>) {
+async fn query_requested(context: ExchangeContext, mut requests: Receiver<Fingerprint>) {
     let mut queried: BTreeMap<Fingerprint, Instant> = BTreeMap::new();
     let mut queries = JoinSet::new();
     while let Some(requested) = requests.recv().await {

@@ -10,12 +10,12 @@ use crate::bus::{
     ServiceSelection, Stream,
 };
 use crate::keys;
+use crate::mailbox::{mailbox, query_mailbox};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
-use tokio::sync::mpsc;
 
 /// Endpoint of a node on a [`VirtualNetwork`](super::VirtualNetwork). Clones share the endpoint.
 /// Dropping it ends nothing; a [crash](super::VirtualNetwork::crash) does.
@@ -45,18 +45,14 @@ impl VirtualBus {
 
     fn serve_with(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
         let key_expr = keys::key_expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let (mailbox, receiver) = query_mailbox();
         let id = self.act("serve", |network| network.serve(self.incarnation, key_expr, complete, mailbox))?;
-        Ok(self.stream(receiver, id, Network::stop_serving))
+        Ok(Stream::new(receiver, self.guard(id, Network::stop_serving)))
     }
 
-    fn stream<T: 'static>(
-        &self,
-        receiver: mpsc::UnboundedReceiver<T>,
-        id: EntityId,
-        end: fn(&mut Network, EntityId),
-    ) -> Stream<T> {
-        Stream::new(receiver, Box::new(Guard { shared: Arc::downgrade(&self.shared), id, end }))
+    /// Returns a guard that ends a declaration or a query.
+    fn guard(&self, id: EntityId, end: fn(&mut Network, EntityId)) -> Box<dyn Send + Sync> {
+        Box::new(Guard { shared: Arc::downgrade(&self.shared), id, end })
     }
 }
 
@@ -89,9 +85,9 @@ impl Bus for VirtualBus {
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
         self.shared.until_unblocked(self.incarnation.index).await;
         let key_expr = keys::key_expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let (mailbox, receiver) = mailbox();
         let id = self.act("subscribe", |network| network.subscribe(self.incarnation, key_expr, mailbox))?;
-        Ok(self.stream(receiver, id, Network::unsubscribe))
+        Ok(Stream::of_mailbox(receiver, self.guard(id, Network::unsubscribe)))
     }
 
     async fn query_with(
@@ -106,9 +102,9 @@ impl Bus for VirtualBus {
         let (key_expr, parameters) = keys::selector(key_expr)?;
         keys::check_payload_size("query", &payload, MESSAGE_MAX)?;
         let request = QueryRequest { key_expr, parameters: parameters.to_owned(), payload, attachment };
-        let (replies, receiver) = mpsc::unbounded_channel();
+        let (replies, receiver) = mailbox();
         let id = self.act("query", |network| network.query(self.incarnation, request, timeout, target, replies))?;
-        Ok(self.stream(receiver, id, Network::cancel_query))
+        Ok(Stream::of_mailbox(receiver, self.guard(id, Network::cancel_query)))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
@@ -124,18 +120,14 @@ impl Bus for VirtualBus {
     async fn announce(&self, key: &str) -> Result<PresenceToken, BusError> {
         let key = keys::single_key(key)?;
         let id = self.act("announce", |network| network.announce(self.incarnation, key))?;
-        Ok(PresenceToken::new(Box::new(Guard {
-            shared: Arc::downgrade(&self.shared),
-            id,
-            end: Network::withdraw_token,
-        })))
+        Ok(PresenceToken::new(self.guard(id, Network::withdraw_token)))
     }
 
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
         let key_expr = keys::key_expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let (mailbox, receiver) = mailbox();
         let id = self.act("watch", |network| network.watch(self.incarnation, key_expr, mailbox))?;
-        Ok(self.stream(receiver, id, Network::stop_watching))
+        Ok(Stream::of_mailbox(receiver, self.guard(id, Network::stop_watching)))
     }
 
     async fn links(&self) -> Vec<Link> {

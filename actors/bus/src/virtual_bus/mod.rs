@@ -15,7 +15,7 @@
 //!   joined first.
 //! - A healed link works at once; tokens return after one latency.
 //! - [`Delivery::Drop`](crate::Delivery::Drop) and [`Delivery::Block`](crate::Delivery::Block) are
-//!   equivalent: mailboxes are unbounded, and the link model loses both.
+//!   equivalent: mailboxes drop messages rather than wait, and the link model loses both.
 //!
 //! Similarities with Zenoh: a node that falls silent keeps its tokens until a lease has expired.
 //! Until then a query to it waits; from then on it receives no more queries. If only its replies

@@ -7,6 +7,7 @@ use crate::keys;
 use async_trait::async_trait;
 use bytes::Bytes;
 use std::sync::{Arc, Weak};
+use tokio::sync::OwnedSemaphorePermit;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// A query, shared by all its parts.
@@ -21,6 +22,16 @@ impl QueryRequest {
     /// Returns the size in bytes.
     pub(super) fn bytes(&self) -> usize {
         self.key_expr.len() + self.parameters.len() + self.payload.len() + self.attachment.len()
+    }
+
+    /// Returns the reply of a service that refuses the query.
+    pub(super) fn refusal(&self, reason: &str) -> Reply {
+        Reply {
+            key: self.key_expr.to_string(),
+            payload: Err(QueryRefused(reason.to_owned())),
+            attachment: Bytes::new(),
+            author: Author::UNKNOWN,
+        }
     }
 }
 
@@ -48,6 +59,8 @@ pub(super) struct VirtualReplier {
     pub(super) part: QueryPart,
     pub(super) incarnation: Incarnation,
     pub(super) request: Arc<QueryRequest>,
+    /// Part of the open queries of the service.
+    pub(super) _open: OwnedSemaphorePermit,
 }
 
 impl VirtualReplier {
@@ -73,13 +86,7 @@ impl Replier for VirtualReplier {
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
-        self.send(Reply {
-            key: self.request.key_expr.to_string(),
-            payload: Err(QueryRefused(reason.to_owned())),
-            attachment: Bytes::new(),
-            author: Author::UNKNOWN,
-        })
-        .await
+        self.send(self.request.refusal(reason)).await
     }
 }
 

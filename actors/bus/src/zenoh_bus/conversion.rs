@@ -4,10 +4,11 @@ use super::transmission::Senders;
 use crate::author::Author;
 use crate::bus::{BusError, Encoding, Query, QueryRefused, Replier, Reply, RequestAuthority};
 use crate::keys;
+use crate::mailbox::{BUSY, QuerySender};
 use async_trait::async_trait;
 use bytes::Bytes;
 use std::time::{SystemTime, UNIX_EPOCH};
-use tokio::sync::mpsc;
+use tokio::sync::OwnedSemaphorePermit;
 use zenoh::Wait;
 use zenoh::bytes::{Encoding as ZenohEncoding, ZBytes};
 use zenoh::query::ReplyError;
@@ -80,16 +81,22 @@ pub(super) fn reply(from: zenoh::query::Reply, query_key: &OwnedKeyExpr) -> Opti
 
 /// Creates the callback that puts queries into a mailbox. `own` is the id of the session.
 pub(super) fn query_callback(
-    mailbox: mpsc::UnboundedSender<Query>,
+    mailbox: QuerySender,
     own: ZenohId,
     message_max: usize,
     senders: Senders,
 ) -> impl Fn(zenoh::query::Query) + Send + Sync {
     move |query| {
+        let size = |content: Option<&ZBytes>| content.map_or(0, ZBytes::len);
+        let Some(open) = mailbox.admit(size(query.payload()) + size(query.attachment())) else {
+            // The requester may be gone: ignore the error.
+            let _ = query.reply_err(BUSY).encoding(ZenohEncoding::TEXT_PLAIN).wait();
+            return;
+        };
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let at = Timestamp::new(NTP64::from(since_1970), TimestampId::from(own));
-        // The receiver is gone: the declaration is about to end.
-        let _ = mailbox.send(Query {
+        // It fails if the receiver is gone: the declaration is about to end.
+        mailbox.send(Query {
             key: query.key_expr().to_string(),
             parameters: query.parameters().to_string(),
             payload: query.payload().map(to_bytes).unwrap_or_default(),
@@ -102,6 +109,7 @@ pub(super) fn query_callback(
                 at,
                 message_max,
                 senders: senders.clone(),
+                _open: open,
             }),
         });
     }
@@ -118,6 +126,8 @@ struct ZenohReplier {
     at: Timestamp,
     message_max: usize,
     senders: Senders,
+    /// Part of the open queries of the service.
+    _open: OwnedSemaphorePermit,
 }
 
 impl ZenohReplier {

@@ -1,7 +1,7 @@
 //! The real bus, on a single Zenoh session.
 //!
 //! Zenoh runs callbacks inside its own receive and send paths. Therefore every callback here only
-//! pushes into an unbounded mailbox. A query goes to all matching services and its replies are not
+//! puts a message into a mailbox, which never waits. A query goes to all matching services and its replies are not
 //! consolidated, unless the nearest service is selected. Every query has its own timeout.
 
 mod conversion;
@@ -18,6 +18,7 @@ use crate::bus::{
     Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection, Stream,
 };
 use crate::keys;
+use crate::mailbox::{mailbox, query_mailbox};
 use async_trait::async_trait;
 use bytes::Bytes;
 use conversion::{reply, to_attachment, to_zenoh};
@@ -27,7 +28,6 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::{Handle, RuntimeFlavor};
-use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep};
 use transmission::priority_of;
 use zenoh::Wait;
@@ -97,7 +97,7 @@ impl ZenohBus {
 impl ZenohBus {
     async fn declare_queryable(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
         let key_expr = keys::key_expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let (mailbox, receiver) = query_mailbox();
         let declared = self.manager.declare(Declaration::Queryable { key: key_expr, mailbox, complete }).await?;
         Ok(Stream::new(receiver, Box::new(declared)))
     }
@@ -127,9 +127,9 @@ impl Bus for ZenohBus {
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
         let key_expr = keys::key_expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let (mailbox, receiver) = mailbox();
         let declared = self.manager.declare(Declaration::Subscriber(key_expr, mailbox)).await?;
-        Ok(Stream::new(receiver, Box::new(declared)))
+        Ok(Stream::of_mailbox(receiver, Box::new(declared)))
     }
 
     async fn query_with(
@@ -146,11 +146,11 @@ impl Bus for ZenohBus {
             ServiceSelection::All => (QueryTarget::All, ConsolidationMode::None),
             ServiceSelection::Nearest => (QueryTarget::BestMatching, ConsolidationMode::Latest),
         };
-        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let (mailbox, receiver) = mailbox();
         let key = query_key.clone();
         let on_reply = move |answer: zenoh::query::Reply| {
             if let Some(reply) = reply(answer, &key) {
-                let _ = mailbox.send(reply);
+                mailbox.send(reply);
             }
         };
         let (session, priority) = (self.manager.session(), priority_of(query_key.as_str()));
@@ -165,7 +165,7 @@ impl Bus for ZenohBus {
             get.attachment(to_attachment(attachment)).callback(on_reply).wait()
         };
         self.manager.senders().send("query", priority, send).await?;
-        Ok(Stream::new(receiver, Box::new(())))
+        Ok(Stream::of_mailbox(receiver, Box::new(())))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
@@ -183,9 +183,9 @@ impl Bus for ZenohBus {
 
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
         let key_expr = keys::key_expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let (mailbox, receiver) = mailbox();
         let declared = self.manager.declare(Declaration::PresenceSubscriber(key_expr, mailbox, Arc::default())).await?;
-        Ok(Stream::new(receiver, Box::new(declared)))
+        Ok(Stream::of_mailbox(receiver, Box::new(declared)))
     }
 
     async fn links(&self) -> Vec<Link> {

@@ -7,11 +7,11 @@ use super::link_check;
 use super::settings::{Mode, ZenohSettings};
 use super::transmission::Senders;
 use crate::author::Author;
-use crate::bus::{BusError, Presence, Query, Sample};
+use crate::bus::{BusError, Presence, Sample};
+use crate::mailbox::{MailboxSender, QuerySender};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
-use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::sleep;
 use tracing::{error, info, warn};
 use zenoh::Session;
@@ -32,15 +32,15 @@ const ATTEMPTS_MAX: u32 = 30;
 #[derive(Clone)]
 pub(super) enum Declaration {
     /// Receives samples.
-    Subscriber(OwnedKeyExpr, UnboundedSender<Sample>),
+    Subscriber(OwnedKeyExpr, MailboxSender<Sample>),
     /// Replies to queries: as a complete service for everything below the key, or as a service
     /// among several.
-    Queryable { key: OwnedKeyExpr, mailbox: UnboundedSender<Query>, complete: bool },
+    Queryable { key: OwnedKeyExpr, mailbox: QuerySender, complete: bool },
     /// Announces presence.
     Token(OwnedKeyExpr),
     /// Receives changes of presence. The present tokens are stored, since Zenoh repeats
     /// announcements when links open and close.
-    PresenceSubscriber(OwnedKeyExpr, UnboundedSender<Presence>, Arc<Mutex<BTreeSet<String>>>),
+    PresenceSubscriber(OwnedKeyExpr, MailboxSender<Presence>, Arc<Mutex<BTreeSet<String>>>),
 }
 
 /// A declaration, and Zenoh's object for it while a session exists.
@@ -119,8 +119,8 @@ impl Declaration {
                 let mailbox = mailbox.clone();
                 let on_sample = move |sample: zenoh::sample::Sample| {
                     if sample.kind() == SampleKind::Put {
-                        // The receiver is gone: the declaration is about to end.
-                        let _ = mailbox.send(Sample {
+                        // It fails if the receiver is gone: the declaration is about to end.
+                        mailbox.send(Sample {
                             key: sample.key_expr().to_string(),
                             payload: to_bytes(sample.payload()),
                             encoding: from_zenoh(sample.encoding()),
@@ -150,7 +150,7 @@ impl Declaration {
                     let mut present = present.lock().unwrap_or_else(PoisonError::into_inner);
                     let changed = if alive { present.insert(key.clone()) } else { present.remove(&key) };
                     if changed {
-                        let _ = mailbox.send(Presence { key, alive });
+                        mailbox.send(Presence { key, alive });
                     }
                 };
                 let declared =
@@ -164,7 +164,7 @@ impl Declaration {
     fn report_all_vanished(&self) {
         if let Declaration::PresenceSubscriber(_, mailbox, present) = self {
             for key in std::mem::take(&mut *present.lock().unwrap_or_else(PoisonError::into_inner)) {
-                let _ = mailbox.send(Presence { key, alive: false });
+                mailbox.send(Presence { key, alive: false });
             }
         }
     }

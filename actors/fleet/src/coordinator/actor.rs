@@ -50,13 +50,13 @@ impl Actor for Coordinator {
     ) -> Result<Self::State, ActorProcessingErr> {
         let NodeParts { replica, keys, bus, .. } = &settings.parts;
         let mut tasks = Tasks::default();
-        tasks.on_change(replica.leadership(), &myself, || CoordinatorMessage::Leadership);
-        tasks.on_change(replica.applied(), &myself, || CoordinatorMessage::Ledger);
-        myself.cast(CoordinatorMessage::Leadership)?;
+        tasks.on_change(replica.leadership(), &myself, |changed| CoordinatorMessage::Leadership(Some(changed)));
+        tasks.on_change(replica.applied(), &myself, CoordinatorMessage::Ledger);
+        myself.cast(CoordinatorMessage::Leadership(None))?;
         let requests = bus.serve(&keys.any_api()).await?;
-        tasks.forward(requests, &myself, CoordinatorMessage::Api);
+        tasks.forward_queries(requests, &myself, CoordinatorMessage::Api);
         let beacons = bus.subscribe(&keys.write(&Key::Beacon)).await?;
-        tasks.forward(beacons, &myself, CoordinatorMessage::Beacon);
+        tasks.forward_samples(beacons, &myself, CoordinatorMessage::Beacon);
         tasks.send_every(settings.tick_interval, &myself, || CoordinatorMessage::Tick);
         Ok(CoordinatorState {
             settings,
@@ -75,14 +75,20 @@ impl Actor for Coordinator {
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         match (message, &mut state.session) {
-            (CoordinatorMessage::Leadership, _) => state.follow_leadership(&myself).await?,
+            (CoordinatorMessage::Leadership(changed), _) => {
+                drop(changed); // later changes are a message of their own
+                state.follow_leadership(&myself).await?;
+            }
             (CoordinatorMessage::Beacon(sample), _) => state.follow_beacon(&sample),
             // Any node replies to read-only requests: see `views`.
             (CoordinatorMessage::Api(query), _) if is_read_only(&state.settings.parts.keys, &query) => {}
             (CoordinatorMessage::Api(query), None) => state.leave_to_coordinator(&myself, query).await,
             (CoordinatorMessage::ApiRecheck(query), None) => drop(state.reply_without_leader(query).await),
             (_, None) => {} // message of an ended session
-            (CoordinatorMessage::Ledger, Some(session)) => session.follow_ledger(),
+            (CoordinatorMessage::Ledger(changed), Some(session)) => {
+                drop(changed);
+                session.follow_ledger();
+            }
             (CoordinatorMessage::Tick, Some(session)) => session.tick().await,
             (CoordinatorMessage::VotersChanged { term, result }, Some(session)) if term == session.term() => {
                 session.handle_voters_changed(result).await;

@@ -99,9 +99,9 @@ impl LeaderSession {
         let (NodeParts { node, keys, bus, .. }, term) = (&settings.parts, leadership.term);
         let mut tasks = Tasks::default();
         let reports = bus.serve(&keys.write(&Key::Report(node.clone()))).await?;
-        tasks.forward(reports, mailbox, CoordinatorMessage::Report);
+        tasks.forward_queries(reports, mailbox, CoordinatorMessage::Report);
         let of_people = bus.subscribe(&keys.write(&Key::People(PeopleCall::Done))).await?;
-        tasks.forward(of_people, mailbox, CoordinatorMessage::PersonEvent);
+        tasks.forward_samples(of_people, mailbox, CoordinatorMessage::PersonEvent);
         let token = bus.announce(&keys.write(&Key::AliveCoordinator(term, node.clone()))).await?;
         let mut context = SessionContext::new(settings.clone(), mailbox.clone(), term, tasks);
         info!(%node, term, "started to coordinate");

@@ -3,6 +3,7 @@
 use super::status::CoordinatorStatus;
 use crate::autopilot::ActionResult;
 use crate::robot_driver::PersonRequestState;
+use consort_bus::tasks::Forwarded;
 use consort_bus::{Author, Query, Sample};
 use consort_protocol::auction::{AuctionId, Bid, BidResponse, CallForBids, Candidates, Invitation, RoleReply};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
@@ -16,10 +17,10 @@ use tokio::sync::oneshot;
 
 /// Message for the coordinator actor.
 pub(crate) enum CoordinatorMessage {
-    /// The leader of the ledger has changed.
-    Leadership,
+    /// The leader of the ledger has changed, or this actor starts.
+    Leadership(Option<Forwarded<()>>),
     /// The ledger has changed.
-    Ledger,
+    Ledger(Forwarded<()>),
     /// Periodic timer: publish the beacon and perform all periodic work.
     Tick,
     /// All bids have arrived, or the bid window has closed.
@@ -45,13 +46,13 @@ pub(crate) enum CoordinatorMessage {
     /// A robot reports a question that the ledger lacks, or no longer asks.
     Question { mission: MissionId, role: RoleId, epoch: Epoch, question: TaskQuestion },
     /// Event of the host of simulated people.
-    PersonEvent(Sample),
+    PersonEvent(Forwarded<Sample>),
     /// State of a request to a simulated person, in reply to a command, and the author of the reply.
     PersonReplied(GoalId, PersonRequestState, Author),
     /// A voter has returned the time of its clock, in milliseconds since 1970.
     ClockRead { voter: NodeId, wall_ms: u64 },
     /// Beacon of a coordinator.
-    Beacon(Sample),
+    Beacon(Forwarded<Sample>),
     /// Request of a client.
     Api(Query),
     /// Request of a client that arrived while another node was the coordinator, to be checked

@@ -2,7 +2,7 @@
 //! skill ends only this actor.
 
 use crate::robot_driver::RobotDriver;
-use consort_bus::tasks::Tasks;
+use consort_bus::tasks::{Forwarded, Tasks};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::scalar::Scalar;
 use consort_skills::library::{ActiveSkill, SkillStatus};
@@ -26,8 +26,8 @@ pub(crate) enum SkillOutcome {
 
 /// Message for a skill runner.
 pub(super) enum RunnerMessage {
-    /// Tick the tree.
-    Tick,
+    /// Tick the tree, periodically or since the driver has sent a state.
+    Tick(Option<Forwarded<()>>),
     /// Stop the robot safely, and end.
     Halt,
 }
@@ -98,9 +98,9 @@ impl Actor for SkillRunner {
 
     async fn pre_start(&self, myself: ActorRef<Self::Msg>, run: SkillRun) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
-        tasks.on_change(run.driver.changes(), &myself, || RunnerMessage::Tick);
-        tasks.send_every(run.period, &myself, || RunnerMessage::Tick);
-        myself.cast(RunnerMessage::Tick)?;
+        tasks.on_change(run.driver.changes(), &myself, |changed| RunnerMessage::Tick(Some(changed)));
+        tasks.send_every(run.period, &myself, || RunnerMessage::Tick(None));
+        myself.cast(RunnerMessage::Tick(None))?;
         Ok(RunnerState { started: false, skill: run.skill, driver: run.driver, done: Some(run.on_end), _tasks: tasks })
     }
 
@@ -115,12 +115,15 @@ impl Actor for SkillRunner {
         let outcome = match message {
             // A goal of an earlier attempt, perhaps of a previous incarnation, must end first: the
             // driver executes a single goal at a time.
-            RunnerMessage::Tick if !state.started => return Ok(()),
-            RunnerMessage::Tick => match state.skill.tick(&mut state.driver) {
-                SkillStatus::Running => return Ok(()),
-                SkillStatus::Succeeded(results) => Some(SkillOutcome::Succeeded(results)),
-                SkillStatus::Failed { cause, class } => Some(SkillOutcome::Failed { cause, class }),
-            },
+            RunnerMessage::Tick(_) if !state.started => return Ok(()),
+            RunnerMessage::Tick(changed) => {
+                drop(changed); // later states are a message of their own
+                match state.skill.tick(&mut state.driver) {
+                    SkillStatus::Running => return Ok(()),
+                    SkillStatus::Succeeded(results) => Some(SkillOutcome::Succeeded(results)),
+                    SkillStatus::Failed { cause, class } => Some(SkillOutcome::Failed { cause, class }),
+                }
+            }
             RunnerMessage::Halt => {
                 state.skill.halt(&mut state.driver);
                 None

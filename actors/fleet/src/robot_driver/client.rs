@@ -7,7 +7,7 @@ use super::questions::OpenQuestion;
 use crate::shared_exchanges::SharedExchanges;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
-use consort_bus::tasks::Tasks;
+use consort_bus::tasks::{Forwarded, Tasks};
 use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ensemble::ExchangedValue;
@@ -86,7 +86,7 @@ pub(super) enum DriverClientMessage {
     /// Periodic timer: send a heartbeat and repeat requests without a reply.
     Heartbeat,
     /// The server has published a state.
-    State(Sample),
+    State(Forwarded<Sample>),
     /// The server has replied to a command with this request.
     CommandReplied(Option<GoalRequest>, Reply),
 }
@@ -309,7 +309,7 @@ impl Actor for DriverClient {
         };
         let mut tasks = Tasks::default();
         let state_key = settings.keys.write(&Key::Driver(settings.robot.clone(), DriverCall::State));
-        tasks.forward(settings.bus.subscribe(&state_key).await?, &myself, DriverClientMessage::State);
+        tasks.forward_samples(settings.bus.subscribe(&state_key).await?, &myself, DriverClientMessage::State);
         tasks.send_every(settings.heartbeat_interval, &myself, || DriverClientMessage::Heartbeat);
         myself.cast(DriverClientMessage::Heartbeat)?;
         driver_sender.send(driver.clone())?;

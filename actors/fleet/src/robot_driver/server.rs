@@ -112,16 +112,16 @@ impl Actor for DriverServer {
         let mut tasks = Tasks::default();
         let (outbox, sending) = Outbox::new(settings.bus.clone(), OUTBOX_CAPACITY, || ());
         tasks.spawn(sending);
-        tasks.forward(
+        tasks.forward_queries(
             settings.bus.serve(&settings.keys.any_driver_command()).await?,
             &myself,
             DriverServerMessage::Command,
         );
         if world.serves_people() {
             let person_key = settings.keys.write(&Key::People(PeopleCall::Ask));
-            tasks.forward(settings.bus.serve(&person_key).await?, &myself, DriverServerMessage::PersonRequest);
+            tasks.forward_queries(settings.bus.serve(&person_key).await?, &myself, DriverServerMessage::PersonRequest);
             let view = settings.keys.write(&Key::World);
-            tasks.forward(settings.bus.serve(&view).await?, &myself, DriverServerMessage::WorldView);
+            tasks.forward_queries(settings.bus.serve(&view).await?, &myself, DriverServerMessage::WorldView);
         }
         tasks.send_every(settings.publish_interval, &myself, || DriverServerMessage::Tick);
         let (now, mut goals) = (settings.clock.now(), GoalTable::new(settings.client_timeout));

@@ -1,18 +1,18 @@
 //! A query that has not ended, with a part per service.
 
 use crate::bus::Reply;
+use crate::mailbox::MailboxSender;
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
 use crate::virtual_bus::responder::QueryRequest;
 use consort_protocol::keys::KeyKind;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::Instant;
 
 /// A query that has not ended.
 pub(super) struct PendingQuery {
     pub(super) requester: NodeIndex,
-    pub(super) replies: UnboundedSender<Reply>,
+    pub(super) replies: MailboxSender<Reply>,
     /// Latest reply per key, delivered at the end. Only for queries with a single reply per key.
     pub(super) latest: Option<BTreeMap<String, Reply>>,
     pub(super) request: Arc<QueryRequest>,
@@ -25,7 +25,7 @@ impl Drop for PendingQuery {
     fn drop(&mut self) {
         for (_, reply) in self.latest.take().unwrap_or_default() {
             // The receiver may be gone: ignore the error.
-            let _ = self.replies.send(reply);
+            self.replies.send(reply);
         }
     }
 }

@@ -4,9 +4,9 @@ use super::event_queue::Event;
 use super::presence_watch::PresenceWatch;
 use super::state::{Network, Node};
 use crate::bus::Presence;
+use crate::mailbox::MailboxSender;
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
 use std::collections::BTreeMap;
-use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 impl Network {
@@ -41,7 +41,7 @@ impl Network {
         &mut self,
         incarnation: Incarnation,
         key_expr: OwnedKeyExpr,
-        mailbox: UnboundedSender<Presence>,
+        mailbox: MailboxSender<Presence>,
     ) -> EntityId {
         let id = self.next_id();
         let mut watch = PresenceWatch { key_expr, mailbox, present: BTreeMap::new() };

@@ -1,14 +1,14 @@
 //! A watcher of presence tokens.
 
 use crate::bus::Presence;
+use crate::mailbox::MailboxSender;
 use std::collections::BTreeMap;
-use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// A watcher of presence tokens.
 pub(super) struct PresenceWatch {
     pub(super) key_expr: OwnedKeyExpr,
-    pub(super) mailbox: UnboundedSender<Presence>,
+    pub(super) mailbox: MailboxSender<Presence>,
     /// Number of known tokens per key.
     pub(super) present: BTreeMap<String, u32>,
 }
@@ -28,7 +28,7 @@ impl PresenceWatch {
         }
         if (before == 0) != (after == 0) {
             // The watcher may be gone: ignore the error.
-            let _ = self.mailbox.send(Presence { key: key.to_string(), alive });
+            self.mailbox.send(Presence { key: key.to_string(), alive });
         }
     }
 }

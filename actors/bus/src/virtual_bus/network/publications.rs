@@ -6,11 +6,11 @@ use super::publication::{EARLIEST_ARRIVALS_MIN, Publication};
 use super::routing_table::Declaration;
 use super::state::Network;
 use crate::bus::Sample;
+use crate::mailbox::MailboxSender;
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
 use rand::RngExt;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::Instant;
 use zenoh_keyexpr::OwnedKeyExpr;
 
@@ -24,7 +24,7 @@ impl Network {
         &mut self,
         incarnation: Incarnation,
         key_expr: OwnedKeyExpr,
-        mailbox: UnboundedSender<Sample>,
+        mailbox: MailboxSender<Sample>,
     ) -> EntityId {
         let id = self.next_id();
         self.subscriptions.declare(id, Declaration { node: incarnation.index, key_expr, complete: false, mailbox });
@@ -100,7 +100,7 @@ impl Network {
             if let Ok(found) = route.targets.binary_search_by_key(&to.index, |(index, _)| *index) {
                 for id in &route.targets[found].1 {
                     if let Some(subscription) = subscriptions.declared.get(id) {
-                        delivered |= subscription.mailbox.send(publication.sample.clone()).is_ok();
+                        delivered |= subscription.mailbox.send(publication.sample.clone());
                     }
                 }
             }

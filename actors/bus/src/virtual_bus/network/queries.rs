@@ -6,19 +6,19 @@ use super::routing_table::Declaration;
 use super::state::Network;
 use crate::author::Author;
 use crate::bus::{Query, Reply, RequestAuthority, ServiceSelection};
+use crate::mailbox::{BUSY, Item as _, MailboxSender, QuerySender};
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex, QueryPart};
 use crate::virtual_bus::responder::{QueryRequest, VirtualReplier};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::Instant;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// Returns the size of a reply in bytes.
 fn size(reply: &Reply) -> usize {
-    reply.key.len() + reply.payload.as_ref().map_or_else(|refused| refused.0.len(), Bytes::len) + reply.attachment.len()
+    reply.key.len() + reply.bytes()
 }
 
 impl Network {
@@ -27,7 +27,7 @@ impl Network {
         incarnation: Incarnation,
         key_expr: OwnedKeyExpr,
         complete: bool,
-        mailbox: UnboundedSender<Query>,
+        mailbox: QuerySender,
     ) -> EntityId {
         let id = self.next_id();
         self.services.declare(id, Declaration { node: incarnation.index, key_expr, complete, mailbox });
@@ -44,7 +44,7 @@ impl Network {
         request: QueryRequest,
         timeout: Duration,
         target: ServiceSelection,
-        replies: UnboundedSender<Reply>,
+        replies: MailboxSender<Reply>,
     ) -> EntityId {
         let requester = incarnation.index;
         let query = self.next_id();
@@ -144,6 +144,11 @@ impl Network {
             self.count_delivery(false);
             return self.finish_part(part); // the service has ended
         };
+        let Some(open) = service.mailbox.admit(request.bytes()) else {
+            self.count_delivery(false);
+            self.reply(part, request.refusal(BUSY));
+            return self.finish_part(part);
+        };
         let query = Query {
             key: request.key_expr.to_string(),
             parameters: request.parameters.clone(),
@@ -156,9 +161,10 @@ impl Network {
                 part,
                 incarnation: to,
                 request: Arc::clone(&request),
+                _open: open,
             }),
         };
-        let delivered = service.mailbox.send(query).is_ok();
+        let delivered = service.mailbox.send(query);
         self.count_received(from, to.index, kind, request.bytes());
         self.trace.record(self.now, from, to.index, part.service, &request.payload);
         self.count_delivery(delivered);
@@ -177,7 +183,7 @@ impl Network {
                 latest.insert(reply.key.clone(), reply);
                 !query.replies.is_closed()
             }
-            _ => query.replies.send(reply).is_ok(),
+            _ => query.replies.send(reply),
         };
         self.count_received(from, to, kind, bytes);
         self.trace.record(self.now, from, to, part.service, &content);

@@ -5,7 +5,6 @@ use consort_protocol::keys::KeyKind;
 use std::collections::{BTreeMap, HashMap};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
-use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
 use zenoh_keyexpr::keyexpr_tree::{IKeyExprTree as _, IKeyExprTreeMut as _, IKeyExprTreeNode as _, KeBoxTree};
 
@@ -13,17 +12,17 @@ use zenoh_keyexpr::keyexpr_tree::{IKeyExprTree as _, IKeyExprTreeMut as _, IKeyE
 const ROUTES_MAX: usize = 65_536;
 
 /// A subscription or a service: its node and its key expression.
-pub(super) struct Declaration<T> {
+pub(super) struct Declaration<M> {
     pub(super) node: NodeIndex,
     pub(super) key_expr: OwnedKeyExpr,
     /// Set for a complete service, which has every value below its key. Services only.
     pub(super) complete: bool,
-    pub(super) mailbox: UnboundedSender<T>,
+    pub(super) mailbox: M,
 }
 
 /// Declarations of a single kind, and cached matches for recently used keys.
-pub(super) struct RoutingTable<T> {
-    pub(super) declared: BTreeMap<EntityId, Declaration<T>>,
+pub(super) struct RoutingTable<M> {
+    pub(super) declared: BTreeMap<EntityId, Declaration<M>>,
     /// Ids of the declarations by key expression.
     by_key: KeBoxTree<Vec<EntityId>>,
     routes: HashMap<String, Arc<Route>>,
@@ -46,7 +45,7 @@ pub(super) struct Route {
     pub(super) complete: Vec<(NodeIndex, EntityId)>,
 }
 
-impl<T> RoutingTable<T> {
+impl<M> RoutingTable<M> {
     pub(super) fn new() -> Self {
         RoutingTable {
             declared: BTreeMap::new(),
@@ -57,7 +56,7 @@ impl<T> RoutingTable<T> {
         }
     }
 
-    pub(super) fn declare(&mut self, id: EntityId, declaration: Declaration<T>) {
+    pub(super) fn declare(&mut self, id: EntityId, declaration: Declaration<M>) {
         self.invalidate(&declaration.key_expr);
         match self.by_key.weight_at_mut(&declaration.key_expr) {
             Some(ids) => ids.push(id),

@@ -5,7 +5,8 @@ use super::pending_query::PendingQuery;
 use super::presence_watch::PresenceWatch;
 use super::publication::EARLIEST_ARRIVALS_MIN;
 use super::routing_table::RoutingTable;
-use crate::bus::{Query, Sample};
+use crate::bus::Sample;
+use crate::mailbox::{MailboxSender, QuerySender};
 use crate::virtual_bus::faults::Faults;
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
 use crate::virtual_bus::link::{LinkModel, NetworkCounters, TrafficByKind};
@@ -68,8 +69,8 @@ pub(crate) struct Network {
     pub(super) faults: Faults,
     pub(super) indexes: BTreeMap<NodeId, NodeIndex>,
     pub(super) nodes: Vec<Node>,
-    pub(super) subscriptions: RoutingTable<Sample>,
-    pub(super) services: RoutingTable<Query>,
+    pub(super) subscriptions: RoutingTable<MailboxSender<Sample>>,
+    pub(super) services: RoutingTable<QuerySender>,
     pub(super) queries: BTreeMap<EntityId, PendingQuery>,
     pub(super) event_queue: BinaryHeap<Reverse<ScheduledEvent>>,
     /// Arrival time of the latest publication, by publisher, receiver and key. Later publications

@@ -3,6 +3,7 @@
 use crate::robot::leader_poll::LeaderPoll;
 use crate::robot::signals::ReceivedSignals;
 use crate::robot::skill_runner::SkillOutcome;
+use consort_bus::tasks::Forwarded;
 use consort_bus::{Query, Sample};
 use consort_protocol::ids::NodeId;
 use consort_protocol::lease::Epoch;
@@ -17,7 +18,7 @@ pub(crate) enum RobotMessage {
     /// Periodic timer: update the knowledge record, the lease and the task.
     Tick,
     /// Beacon of the coordinator.
-    Beacon(Sample),
+    Beacon(Forwarded<Sample>),
     /// Call for bids of the coordinator.
     CallForBids(Query),
     /// Award of a role, or its end, from the coordinator.
@@ -34,7 +35,7 @@ pub(crate) enum RobotMessage {
         outcome: SkillOutcome,
     },
     /// Signal of another role of the mission.
-    Signal(Sample),
+    Signal(Forwarded<Sample>),
     /// Signal history of another role, in reply to a query.
     SignalHistory(ReceivedSignals),
     /// Result of writing the checkpoint.

@@ -62,9 +62,11 @@ impl Actor for Robot {
         let (robot, RobotLinks { keys, bus, .. }) = (&settings.robot, &settings.links);
         let restored = read_checkpoint(&settings).await;
         let mut tasks = Tasks::default();
-        tasks.forward(bus.subscribe(&keys.write(&Key::Beacon)).await?, &myself, RobotMessage::Beacon);
-        tasks.forward(bus.serve(&keys.write(&Key::Bid(robot.clone()))).await?, &myself, RobotMessage::CallForBids);
-        tasks.forward(bus.serve(&keys.write(&Key::Award(robot.clone()))).await?, &myself, RobotMessage::AwardNotice);
+        tasks.forward_samples(bus.subscribe(&keys.write(&Key::Beacon)).await?, &myself, RobotMessage::Beacon);
+        let calls = bus.serve(&keys.write(&Key::Bid(robot.clone()))).await?;
+        tasks.forward_queries(calls, &myself, RobotMessage::CallForBids);
+        let notices = bus.serve(&keys.write(&Key::Award(robot.clone()))).await?;
+        tasks.forward_queries(notices, &myself, RobotMessage::AwardNotice);
         let (now, report_timeout) = (settings.links.clock.now(), settings.execution.task_timeout.report_timeout);
         let driver = DriverLink::new(driver, WorkerRecord::new(worker, now), report_timeout);
         let (mut changes, to) = (driver.changes(), myself.clone());
@@ -122,7 +124,7 @@ impl Actor for Robot {
             RobotMessage::ReportReplied(report) => state.handle_report_reply(report).await,
             RobotMessage::LeaderPolled(poll) => state.handle_leader_poll(poll).await,
             RobotMessage::SkillEnded { run, outcome } => state.skill_ended(run, outcome).await,
-            RobotMessage::Signal(sample) => match ReceivedSignals::of(sample) {
+            RobotMessage::Signal(sample) => match ReceivedSignals::of(sample.into_inner()) {
                 Some(received) => state.receive_signals(&received).await,
                 None => Ok(()),
             },
