@@ -35,7 +35,7 @@
 //! ```
 
 use crate::author::Author;
-use crate::mailbox::MailboxReceiver;
+use crate::mailbox::{Item, MailboxReceiver};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::api::ErrorReply;
@@ -109,6 +109,36 @@ pub struct Presence {
     pub key: String,
     /// True if the token appeared, false if it vanished.
     pub alive: bool,
+}
+
+impl Item for Sample {
+    fn key(&self) -> &str {
+        &self.key
+    }
+
+    fn bytes(&self) -> usize {
+        self.payload.len() + self.attachment.len()
+    }
+}
+
+impl Item for Reply {
+    fn key(&self) -> &str {
+        &self.key
+    }
+
+    fn bytes(&self) -> usize {
+        self.payload.as_ref().map_or_else(|refused| refused.0.len(), Bytes::len) + self.attachment.len()
+    }
+}
+
+impl Item for Presence {
+    fn key(&self) -> &str {
+        &self.key
+    }
+
+    fn bytes(&self) -> usize {
+        0
+    }
 }
 
 /// The bus failed to perform an operation. Nothing was sent or declared.

@@ -15,6 +15,7 @@ mod keys;
 mod layer;
 mod mailbox;
 mod metered;
+mod open_queries;
 mod outbox;
 pub mod record_signer;
 pub mod reply;

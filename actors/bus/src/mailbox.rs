@@ -1,35 +1,20 @@
-//! Limits of received messages that wait for their receiver.
+//! Mailboxes for received messages, with limits.
 //!
 //! A peer sends as fast as its link allows, and a receiver may be slow. Without limits the messages would fill the
-//! memory of the node.
-//!
-//! | messages | when there are too many |
-//! |---|---|
-//! | publications, changes of presence, replies to a query | the oldest on the same key is dropped, else the oldest of all |
-//! | queries that a service has not ended | the query is refused as busy, and the requester repeats it |
-//!
-//! Publications are repeated or repaired, so the newest on a key is the one to keep. It also means that a peer that
+//! memory of the node. When a mailbox is full, the oldest item on the same key is dropped, else the oldest of all:
+//! publications are repeated or repaired, so the newest on a key is the one to keep. It also means that a peer that
 //! sends too much on a key displaces its own messages first.
 
-use crate::bus::{MESSAGE_MAX, Presence, Query, Reply, Sample};
-use bytes::Bytes;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// Maximum number of items of a mailbox: several for each node of a large fleet, which all reply to a query at once.
 const ITEMS_MAX: usize = 8192;
 
-/// Maximum size of the items of a mailbox and of the open queries of a service, in bytes: several of the largest
-/// messages. Higher: longer bursts pass; a peer can fill more memory.
-const BYTES_MAX: usize = 4 * MESSAGE_MAX;
-
-/// Size that each query counts in addition to its payload, in bytes.
-const QUERY_BYTES: usize = 1024;
-
-/// Reason of the refusal of a query by a busy service.
-pub(crate) const BUSY: &str = "busy: too many open queries; repeat the query later";
+/// Maximum size of the items of a mailbox and of the open queries of a service, in bytes: four of the largest messages.
+/// Higher: longer bursts pass; a peer can fill more memory.
+pub(crate) const BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// An item of a mailbox.
 pub(crate) trait Item {
@@ -38,36 +23,6 @@ pub(crate) trait Item {
 
     /// Returns the size of the content in bytes.
     fn bytes(&self) -> usize;
-}
-
-impl Item for Sample {
-    fn key(&self) -> &str {
-        &self.key
-    }
-
-    fn bytes(&self) -> usize {
-        self.payload.len() + self.attachment.len()
-    }
-}
-
-impl Item for Reply {
-    fn key(&self) -> &str {
-        &self.key
-    }
-
-    fn bytes(&self) -> usize {
-        self.payload.as_ref().map_or_else(|refused| refused.0.len(), Bytes::len) + self.attachment.len()
-    }
-}
-
-impl Item for Presence {
-    fn key(&self) -> &str {
-        &self.key
-    }
-
-    fn bytes(&self) -> usize {
-        0
-    }
 }
 
 /// Items in the order of their arrival, with their sizes.
@@ -179,39 +134,12 @@ impl<T> MailboxReceiver<T> {
     }
 }
 
-/// Creates the mailbox of a service.
-pub(crate) fn query_mailbox() -> (QuerySender, UnboundedReceiver<Query>) {
-    let (queries, receiver) = unbounded_channel();
-    (QuerySender { queries, room: Arc::new(Semaphore::new(BYTES_MAX / QUERY_BYTES)) }, receiver)
-}
-
-/// Sending end of the mailbox of a service.
-#[derive(Clone)]
-pub(crate) struct QuerySender {
-    queries: UnboundedSender<Query>,
-    /// Room for open queries, in units of [`QUERY_BYTES`].
-    room: Arc<Semaphore>,
-}
-
-impl QuerySender {
-    /// Admits a query of this size, until the replier that keeps the returned permit is dropped. `None` if the
-    /// service is busy.
-    pub(crate) fn admit(&self, bytes: usize) -> Option<OwnedSemaphorePermit> {
-        let units = u32::try_from(1 + bytes / QUERY_BYTES).ok()?;
-        Arc::clone(&self.room).try_acquire_many_owned(units).ok()
-    }
-
-    /// Adds an admitted query. Returns false if the service has ended.
-    pub(crate) fn send(&self, query: Query) -> bool {
-        self.queries.send(query).is_ok()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::author::Author;
-    use crate::bus::Encoding;
+    use crate::bus::{Encoding, MESSAGE_MAX, Sample};
+    use bytes::Bytes;
 
     fn sample(key: &str, payload: Vec<u8>) -> Sample {
         let (payload, attachment) = (payload.into(), Bytes::new());
@@ -266,16 +194,5 @@ mod tests {
         let (sender, receiver) = mailbox();
         drop(receiver);
         assert!(sender.is_closed() && !sender.send(sample("ada", vec![])));
-    }
-
-    #[test]
-    fn a_service_is_busy_until_queries_have_ended() {
-        let (sender, _receiver) = query_mailbox();
-        let large: Vec<_> = std::iter::from_fn(|| sender.admit(MESSAGE_MAX)).collect();
-        assert_eq!(large.len(), 3, "the queries count more than their payloads");
-        let small: Vec<_> = std::iter::from_fn(|| sender.admit(0)).collect();
-        assert!(small.len() > 1000 && sender.admit(0).is_none());
-        drop(large);
-        assert!(sender.admit(MESSAGE_MAX).is_some());
     }
 }

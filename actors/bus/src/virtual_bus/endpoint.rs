@@ -10,7 +10,8 @@ use crate::bus::{
     ServiceSelection, Stream,
 };
 use crate::keys;
-use crate::mailbox::{mailbox, query_mailbox};
+use crate::mailbox::mailbox;
+use crate::open_queries::query_mailbox;
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;

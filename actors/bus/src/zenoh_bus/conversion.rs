@@ -4,7 +4,7 @@ use super::transmission::Senders;
 use crate::author::Author;
 use crate::bus::{BusError, Encoding, Query, QueryRefused, Replier, Reply, RequestAuthority};
 use crate::keys;
-use crate::mailbox::{BUSY, QuerySender};
+use crate::open_queries::{BUSY, QuerySender};
 use async_trait::async_trait;
 use bytes::Bytes;
 use std::time::{SystemTime, UNIX_EPOCH};

@@ -18,7 +18,8 @@ use crate::bus::{
     Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Reply, Sample, ServiceSelection, Stream,
 };
 use crate::keys;
-use crate::mailbox::{mailbox, query_mailbox};
+use crate::mailbox::mailbox;
+use crate::open_queries::query_mailbox;
 use async_trait::async_trait;
 use bytes::Bytes;
 use conversion::{reply, to_attachment, to_zenoh};

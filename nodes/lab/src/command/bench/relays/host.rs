@@ -16,9 +16,9 @@ use std::time::{Duration, Instant};
 /// Port of the relays, and of the first session of a host of robots.
 pub(super) const PORT: u16 = 7447;
 
-const BEACON: &str = "consort/bench/beacon";
+const BEACON: &str = "consort/bench/wire/beacon";
 
-const KNOWLEDGE: &str = "consort/bench/knowledge";
+const KNOWLEDGE: &str = "consort/bench/wire/knowledge";
 
 /// Size of a record of knowledge.
 const RECORD_BYTES: usize = 300;
