@@ -1,7 +1,10 @@
-//! Model of a link between two nodes, and message counters.
+//! Model of a link between two nodes, its queue, and message counters.
 
-use consort_protocol::keys::KeyKind;
+use consort_protocol::keys::{KeyKind, Priority};
+use std::collections::BTreeMap;
+use std::ops::Bound::{Excluded, Unbounded};
 use std::time::Duration;
+use tokio::time::Instant;
 
 /// Effect of links on the messages that cross them. A node's messages to itself cross no link.
 ///
@@ -25,6 +28,8 @@ pub struct LinkModel {
     pub reordering: f64,
     /// Maximum additional delay of a reordered publication.
     pub reordering_delay: Duration,
+    /// Bytes per second in each direction; `None` for no limit. Messages of a higher [`Priority`] overtake others.
+    pub bandwidth: Option<u64>,
 }
 
 impl LinkModel {
@@ -36,6 +41,7 @@ impl LinkModel {
         duplication: 0.0,
         reordering: 0.0,
         reordering_delay: Duration::ZERO,
+        bandwidth: None,
     };
 
     /// Returns a model with a fixed latency, otherwise as [`LinkModel::LAN`].
@@ -49,6 +55,7 @@ impl LinkModel {
         for share in [self.loss, self.duplication, self.reordering] {
             assert!((0.0..=1.0).contains(&share), "a share must lie between 0 and 1: {self:?}");
         }
+        assert_ne!(self.bandwidth, Some(0), "a link without bandwidth is a cut: {self:?}");
         self
     }
 }
@@ -56,6 +63,46 @@ impl LinkModel {
 impl Default for LinkModel {
     fn default() -> Self {
         LinkModel::LAN
+    }
+}
+
+/// Class of the messages on a key.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MessageClass {
+    pub(super) kind: KeyKind,
+    pub(super) priority: Priority,
+}
+
+impl MessageClass {
+    /// Returns the class of the messages on a key or key expression.
+    pub(super) fn of(key_expr: &str) -> MessageClass {
+        MessageClass { kind: KeyKind::of(key_expr), priority: Priority::of(key_expr) }
+    }
+}
+
+/// Size of the part of a message that a message of a higher priority waits for, in bytes: that of Zenoh's batches.
+const BATCH_BYTES: usize = 8 * 1024;
+
+/// Messages that a link has not sent, as the time at which the last of each priority will have been sent.
+///
+/// A message that is overtaken keeps its time, so a link carries a little more than its bandwidth.
+#[derive(Debug, Default)]
+pub(super) struct LinkQueue(BTreeMap<Priority, Instant>);
+
+impl LinkQueue {
+    /// Adds a message, and returns the time at which it will have been sent.
+    pub(super) fn send(&mut self, now: Instant, priority: Priority, bytes: usize, bandwidth: u64) -> Instant {
+        let duration = |bytes: usize| Duration::from_nanos(bytes as u64 * 1_000_000_000 / bandwidth);
+        let same_or_higher = self.0.range(..=priority).map(|(_, sent)| *sent).max().filter(|sent| *sent > now);
+        let lower = self.0.range((Excluded(priority), Unbounded)).map(|(_, sent)| *sent).max();
+        let start = match (same_or_higher, lower) {
+            (Some(sent), _) => sent,
+            (None, Some(sent)) => sent.clamp(now, now + duration(BATCH_BYTES)),
+            (None, None) => now,
+        };
+        let sent = start + duration(bytes);
+        self.0.insert(priority, sent);
+        sent
     }
 }
 

@@ -77,6 +77,29 @@ async fn a_publication_takes_its_links_latency() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn urgent_messages_overtake_others_on_a_link_with_little_bandwidth() {
+    let network = network(LinkModel { bandwidth: Some(125_000), ..LinkModel::steady(Duration::ZERO) });
+    let (ada, bob) = (network.bus(node("ada")), network.bus(node("bob")));
+    let mut samples = bob.subscribe("consort/ward/**").await.unwrap();
+    let large = "x".repeat(125_000);
+    let sent = Instant::now();
+    for key in ["consort/ward/events/ada", "consort/ward/wire/knowledge/ada", "consort/ward/wire/beacon"] {
+        publish(&ada, key, if key.ends_with("beacon") { "" } else { &large }).await;
+    }
+    let mut arrivals = vec![];
+    for _ in 0..3 {
+        let sample = samples.recv().await.unwrap();
+        arrivals.push((sample.key, sent.elapsed().as_millis()));
+    }
+    // The beacon and the record each wait for a batch of the event.
+    let expected = [("consort/ward/wire/beacon", 60..80), ("consort/ward/events/ada", 1000..1010)];
+    for ((key, at), (expected, window)) in arrivals.iter().zip(&expected) {
+        assert!(key == expected && window.contains(at), "{arrivals:?}");
+    }
+    assert!((1060..1090).contains(&arrivals[2].1), "{arrivals:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn order_on_a_key_survives_changing_latency() {
     let network =
         network(LinkModel { latency_min: Duration::ZERO, latency_max: Duration::from_millis(50), ..LinkModel::LAN });

@@ -4,9 +4,9 @@ use super::event_queue::Event;
 use super::state::Network;
 use crate::virtual_bus::faults::Faults;
 use crate::virtual_bus::ids::NodeIndex;
-use crate::virtual_bus::link::LinkModel;
+use crate::virtual_bus::link::{LinkModel, MessageClass};
 use consort_protocol::ids::NodeId;
-use consort_protocol::keys::KeyKind;
+use consort_protocol::keys::Priority;
 use rand::RngExt;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -91,7 +91,7 @@ impl Network {
         &mut self,
         from: NodeIndex,
         to: NodeIndex,
-        kind: KeyKind,
+        class: MessageClass,
         bytes: Option<usize>,
     ) -> Option<Instant> {
         self.counters.sent += 1;
@@ -99,7 +99,7 @@ impl Network {
             return Some(self.now);
         }
         if let Some(bytes) = bytes {
-            self.nodes[from].traffic.sent(kind, bytes);
+            self.nodes[from].traffic.sent(class.kind, bytes);
         }
         if self.nodes[to].peers[from].blocked {
             self.counters.dropped += 1;
@@ -110,7 +110,14 @@ impl Network {
             self.counters.dropped += 1;
             return None;
         }
-        Some(self.now + self.latency(from, to))
+        let sent_at = self.sent_at(from, to, class.priority, bytes.unwrap_or_default());
+        Some(sent_at + self.latency(from, to))
+    }
+
+    /// Returns the time at which a link will have sent a message.
+    fn sent_at(&mut self, from: NodeIndex, to: NodeIndex, priority: Priority, bytes: usize) -> Instant {
+        let Some(bandwidth) = self.model_between(from, to).bandwidth else { return self.now };
+        self.link_queues.entry((from, to)).or_default().send(self.now, priority, bytes, bandwidth)
     }
 
     pub(super) fn latency(&mut self, from: NodeIndex, to: NodeIndex) -> Duration {

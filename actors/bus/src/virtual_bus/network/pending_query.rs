@@ -3,8 +3,8 @@
 use crate::bus::Reply;
 use crate::mailbox::MailboxSender;
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
+use crate::virtual_bus::link::MessageClass;
 use crate::virtual_bus::responder::QueryRequest;
-use consort_protocol::keys::KeyKind;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::time::Instant;
@@ -16,7 +16,7 @@ pub(super) struct PendingQuery {
     /// Latest reply per key, delivered at the end. Only for queries with a single reply per key.
     pub(super) latest: Option<BTreeMap<String, Reply>>,
     pub(super) request: Arc<QueryRequest>,
-    pub(super) kind: KeyKind,
+    pub(super) class: MessageClass,
     /// Parts, by id of the service.
     pub(super) parts: BTreeMap<EntityId, QueryPartState>,
 }

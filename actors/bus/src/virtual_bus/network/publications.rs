@@ -50,7 +50,7 @@ impl Network {
 
     fn send_publication(&mut self, from: NodeIndex, to: NodeIndex, publication: &Arc<Publication>) {
         let bytes = publication.bytes();
-        let Some(arrival) = self.transmit(from, to, publication.route.kind, Some(bytes)) else { return };
+        let Some(arrival) = self.transmit(from, to, publication.route.class, Some(bytes)) else { return };
         let receiver = self.incarnation(to);
         let event = |publication: &Arc<Publication>| Event::Publication {
             from,
@@ -106,7 +106,7 @@ impl Network {
             }
         }
         if delivered {
-            self.count_received(from, to.index, publication.route.kind, publication.bytes());
+            self.count_received(from, to.index, publication.route.class.kind, publication.bytes());
             self.trace.record(self.now, from, to.index, publication.route.hash, &publication.sample.payload);
         }
         self.count_delivery(delivered);

@@ -68,7 +68,7 @@ impl Network {
                 continue;
             }
             for service in services {
-                let arrival = self.transmit(requester, *index, route.kind, Some(request.bytes()));
+                let arrival = self.transmit(requester, *index, route.class, Some(request.bytes()));
                 let blocked = self.faults.blocks_query(&self.nodes[*index].id, &request.key_expr);
                 let arrival = arrival.filter(|_| !blocked);
                 let state = QueryPartState { service: self.incarnation(*index), broken: false, earliest: self.now };
@@ -80,9 +80,9 @@ impl Network {
             }
         }
         if !parts.is_empty() {
-            let (kind, request) = (route.kind, Arc::new(request));
+            let (class, request) = (route.class, Arc::new(request));
             let latest = (target == ServiceSelection::Nearest).then(BTreeMap::new);
-            self.queries.insert(query, PendingQuery { requester, replies, latest, request, kind, parts });
+            self.queries.insert(query, PendingQuery { requester, replies, latest, request, class, parts });
             if let Some(end) = self.now.checked_add(timeout) {
                 self.schedule(end, Event::QueryTimeout { query });
             }
@@ -116,12 +116,12 @@ impl Network {
     ) -> Option<(NodeIndex, NodeIndex, Instant)> {
         let pending = self.queries.get(&part.query)?;
         let state = pending.parts.get(&part.service)?;
-        let (from, to, kind) = (state.service.index, pending.requester, pending.kind);
+        let (from, to, class) = (state.service.index, pending.requester, pending.class);
         if state.broken || !self.is_running(state.service) {
             return None;
         }
         let before = self.counters;
-        let arrival = self.transmit(from, to, kind, bytes);
+        let arrival = self.transmit(from, to, class, bytes);
         if bytes.is_none() {
             self.counters = before;
         }
@@ -139,7 +139,7 @@ impl Network {
     }
 
     pub(super) fn deliver_query(&mut self, from: NodeIndex, to: Incarnation, part: QueryPart) {
-        let request = self.queries.get(&part.query).map(|query| (Arc::clone(&query.request), query.kind));
+        let request = self.queries.get(&part.query).map(|query| (Arc::clone(&query.request), query.class.kind));
         let service = self.services.declared.get(&part.service).filter(|_| self.is_running(to));
         let (Some((request, kind)), Some(service)) = (request, service) else {
             self.count_delivery(false);
@@ -178,7 +178,7 @@ impl Network {
             Err(refused) => Bytes::copy_from_slice(refused.0.as_bytes()),
         };
         let bytes = size(&reply);
-        let kind = query.kind;
+        let kind = query.class.kind;
         let delivered = match &mut query.latest {
             Some(latest) if reply.payload.is_ok() => {
                 latest.insert(reply.key.clone(), reply);

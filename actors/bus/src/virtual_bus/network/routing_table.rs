@@ -1,7 +1,7 @@
 //! Matching of declarations to keys, cached per key.
 
 use crate::virtual_bus::ids::{EntityId, NodeIndex};
-use consort_protocol::keys::KeyKind;
+use crate::virtual_bus::link::MessageClass;
 use std::collections::{BTreeMap, HashMap};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
@@ -38,7 +38,7 @@ pub(super) struct Route {
     pub(super) key: OwnedKeyExpr,
     /// Hash of the key. Two keys with the same hash would merely be ordered together.
     pub(super) hash: u64,
-    pub(super) kind: KeyKind,
+    pub(super) class: MessageClass,
     /// Receivers by node index, in order.
     pub(super) targets: Vec<(NodeIndex, Vec<EntityId>)>,
     /// Services that are complete for the key, in the order of their node indexes.
@@ -132,7 +132,7 @@ impl<M> RoutingTable<M> {
         let route = Arc::new(Route {
             key: key.clone(),
             hash: hasher.finish(),
-            kind: KeyKind::of(key),
+            class: MessageClass::of(key),
             targets: targets.into_iter().collect(),
             complete,
         });

@@ -10,7 +10,7 @@ use crate::mailbox::MailboxSender;
 use crate::open_queries::QuerySender;
 use crate::virtual_bus::faults::Faults;
 use crate::virtual_bus::ids::{EntityId, Incarnation, NodeIndex};
-use crate::virtual_bus::link::{LinkModel, NetworkCounters, TrafficByKind};
+use crate::virtual_bus::link::{LinkModel, LinkQueue, NetworkCounters, TrafficByKind};
 use crate::virtual_bus::responder::ReplySink;
 use crate::virtual_bus::trace::Trace;
 use consort_protocol::ids::NodeId;
@@ -66,6 +66,8 @@ pub(crate) struct Network {
     pub(super) models: BTreeMap<(NodeId, NodeId), LinkModel>,
     /// The same by node index, for existing nodes.
     pub(super) models_by_index: BTreeMap<(NodeIndex, NodeIndex), LinkModel>,
+    /// Messages that links with limited bandwidth have not sent: from, to.
+    pub(super) link_queues: BTreeMap<(NodeIndex, NodeIndex), LinkQueue>,
     pub(super) lease: Duration,
     pub(super) faults: Faults,
     pub(super) indexes: BTreeMap<NodeId, NodeIndex>,
@@ -93,6 +95,7 @@ impl Network {
             model: model.validated(),
             models: BTreeMap::new(),
             models_by_index: BTreeMap::new(),
+            link_queues: BTreeMap::new(),
             lease,
             faults: Faults::default(),
             indexes: BTreeMap::new(),
