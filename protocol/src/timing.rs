@@ -19,7 +19,8 @@
 //! timeouts detect a dead leader sooner (150–300 ms: median 176 ms), but depose a healthy leader on
 //! a busy machine. This was observed with two cores and seven nodes.
 //!
-//! **`wifi`** is for links that lose one message in ten and stall for a second when a robot roams.
+//! **`wifi`** is for links that lose one message in ten and stall for a second when a robot roams, and for links of
+//! 1 Mbit/s, on which a heartbeat takes half a second while views are downloaded.
 //! A voter treats its leader as lost only after six consecutive heartbeats were lost.
 
 use schemars::JsonSchema;

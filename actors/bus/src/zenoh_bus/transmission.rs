@@ -16,8 +16,8 @@ use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use zenoh::qos::Priority as ZenohPriority;
 
-/// Number of threads for messages that may be late; further messages wait for a thread. Higher lets more slow links
-/// delay nobody, lower saves threads. A guess: several times the links of a node.
+/// Number of threads for messages that may be late; further messages wait for a thread. Higher: more slow links delay no
+/// other link. Lower: fewer threads. A guess: several times the links of a node.
 const SENDERS_MAX: usize = 32;
 
 /// Returns Zenoh's priority of messages on a key or key expression.
