@@ -76,3 +76,28 @@ impl EventPublisher {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_bus::{LinkModel, VirtualNetwork};
+    use consort_protocol::ids::FleetId;
+    use std::time::Duration;
+
+    #[tokio::test(flavor = "current_thread", start_paused = true)]
+    async fn events_that_wait_for_the_bus_are_limited() {
+        let (node, keys) = (NodeId::new("ada").unwrap(), Keys::new(&FleetId::new("ward").unwrap()));
+        let bus: SharedBus = Arc::new(VirtualNetwork::new(1, LinkModel::LAN).bus(node.clone()));
+        let mut received = bus.subscribe(&keys.any_events()).await.unwrap();
+        let publisher = EventPublisher::open(node, &keys, Arc::clone(&bus), Clock::virtual_at(0), None);
+        // The task that publishes them does not run meanwhile.
+        for term in 0..2 * UNSENT_MAX as u64 {
+            publisher.publish(EventKind::SteppedDown { term });
+        }
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        assert_eq!(std::iter::from_fn(|| received.try_recv()).count(), UNSENT_MAX);
+        publisher.publish(EventKind::SteppedDown { term: 0 });
+        let next: serde_json::Value = serde_json::from_slice(&received.recv().await.unwrap().payload).unwrap();
+        assert_eq!(next["sequence"], 2 * UNSENT_MAX + 1, "the gap shows the loss");
+    }
+}

@@ -6,4 +6,5 @@ mod group_commit;
 mod leadership_transfer;
 mod ledger;
 mod log_limit;
+mod slow_links;
 mod support;

@@ -12,9 +12,9 @@ mod packet_loss;
 mod partition;
 mod scenario;
 mod shipped_topology;
-mod slow_links;
 #[path = "../../../../tests/support/slots.rs"]
 mod slots;
+mod slow_links;
 #[path = "../processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests of processes use the rest")]
 mod support;
