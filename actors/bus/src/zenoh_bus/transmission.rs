@@ -16,9 +16,9 @@ use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use zenoh::qos::Priority as ZenohPriority;
 
-/// Number of threads for messages that may be late; further messages wait for a thread. Higher: more slow links delay no
-/// other link. Lower: fewer threads. A guess: several times the links of a node.
-const SENDERS_MAX: usize = 32;
+/// Number of threads for the messages of each priority that may be late; further messages wait for a thread. Higher: more
+/// slow links delay no other link. Lower: fewer threads. A guess: several times the links of a node.
+const SENDERS_MAX: usize = 16;
 
 /// Returns Zenoh's priority of messages on a key or key expression.
 pub(super) fn priority_of(key_expr: &str) -> ZenohPriority {
@@ -39,25 +39,28 @@ pub(super) fn zenoh_priority(priority: Priority) -> ZenohPriority {
     }
 }
 
-/// Checks whether messages of a priority may be late.
-fn may_be_late(priority: ZenohPriority) -> bool {
-    match priority {
-        ZenohPriority::RealTime | ZenohPriority::InteractiveHigh | ZenohPriority::InteractiveLow => false,
-        ZenohPriority::DataHigh | ZenohPriority::Data | ZenohPriority::DataLow | ZenohPriority::Background => true,
-    }
-}
-
-/// The threads for messages that may be late. Clones share them.
+/// The threads for messages that may be late, by priority: downloads delay no record. Clones share them.
 #[derive(Clone)]
-pub(super) struct Senders(Arc<Semaphore>);
+pub(super) struct Senders([Arc<Semaphore>; 4]);
 
 impl Default for Senders {
     fn default() -> Self {
-        Senders(Arc::new(Semaphore::new(SENDERS_MAX)))
+        Senders(std::array::from_fn(|_| Arc::new(Semaphore::new(SENDERS_MAX))))
     }
 }
 
 impl Senders {
+    /// Returns the free threads for messages of a priority; `None` if they must not be late.
+    fn threads(&self, priority: ZenohPriority) -> Option<&Arc<Semaphore>> {
+        match priority {
+            ZenohPriority::RealTime | ZenohPriority::InteractiveHigh | ZenohPriority::InteractiveLow => None,
+            ZenohPriority::DataHigh => Some(&self.0[0]),
+            ZenohPriority::Data => Some(&self.0[1]),
+            ZenohPriority::DataLow => Some(&self.0[2]),
+            ZenohPriority::Background => Some(&self.0[3]),
+        }
+    }
+
     /// Sends a message of this priority, and waits until it is in the queue of its links.
     pub(super) async fn send(
         &self,
@@ -65,10 +68,10 @@ impl Senders {
         priority: ZenohPriority,
         send: impl FnOnce() -> zenoh::Result<()> + Send + 'static,
     ) -> Result<(), BusError> {
-        if !may_be_late(priority) {
+        let Some(threads) = self.threads(priority) else {
             return send().map_err(|problem| failed(operation, problem));
-        }
-        let permit = Arc::clone(&self.0).acquire_owned().await.map_err(|closed| failed(operation, closed))?;
+        };
+        let permit = Arc::clone(threads).acquire_owned().await.map_err(|closed| failed(operation, closed))?;
         let sending = tokio::task::spawn_blocking(move || {
             let _permit = permit;
             send()
@@ -79,7 +82,7 @@ impl Senders {
 
     /// Ends a query of this priority by dropping it, which sends a message, too.
     pub(super) fn end(&self, query: zenoh::query::Query) {
-        let runtime = Handle::try_current().ok().filter(|_| may_be_late(query.priority()));
+        let runtime = self.threads(query.priority()).and_then(|_| Handle::try_current().ok());
         let Some(runtime) = runtime else { return drop(query) };
         let senders = self.clone();
         runtime.spawn(async move {
