@@ -1,6 +1,7 @@
 //! Conformance suite of the bus: the same test cases run on the virtual bus and on Zenoh.
 //!
-//! Each case gets three nodes in a chain (on the virtual bus fully connected), and keys of its own.
+//! Each case gets three nodes in a chain (on the virtual bus fully connected), and keys of its own. On Zenoh
+//! all three are routers, or the first and the last are clients of the second.
 
 use bytes::Bytes;
 use consort_bus::zenoh_bus::Mode;
@@ -548,6 +549,19 @@ macro_rules! test_cases {
                 }
             })*
         }
+
+        mod on_clients_of_a_relay {
+            use super::*;
+            $(#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+            async fn $case() {
+                let relay = router(vec![]).await;
+                let [one, other] = [node_client(&relay).await, node_client(&relay).await];
+                super::$case([&one, &relay, &other]).await;
+                for bus in [one, other, relay] {
+                    bus.close().await.unwrap();
+                }
+            })*
+        }
     };
 }
 
@@ -578,6 +592,15 @@ test_cases! {
 
 async fn router(connect: Vec<String>) -> ZenohBus {
     ZenohBus::open(ZenohSettings { connect, ..ZenohSettings::default() }).await.unwrap()
+}
+
+/// A node that does not relay, linked with its relay.
+async fn node_client(relay: &ZenohBus) -> ZenohBus {
+    let connect = relay.listen_addresses().await;
+    let settings = ZenohSettings { mode: Mode::NodeClient, connect, ..ZenohSettings::default() };
+    let bus = ZenohBus::open(settings).await.unwrap();
+    assert!(!bus.wait_connected(WAIT_MAX).await.is_empty(), "a client found no relay");
+    bus
 }
 
 /// Three routers over TCP on loopback, each linked with the next only.

@@ -1,6 +1,6 @@
 //! Conversion of Zenoh's errors.
 
-use super::settings::{Mode, ZenohSettings};
+use super::settings::ZenohSettings;
 use crate::bus::BusError;
 
 /// Returns the error of a failed operation.
@@ -13,7 +13,7 @@ pub(super) fn failed(what: impl Into<String>, problem: impl ToString) -> BusErro
 pub(super) fn open_error(settings: &ZenohSettings, problem: &str) -> BusError {
     let problem = problem.split(" at /").next().unwrap_or_default().trim_end();
     let of = |addresses: &[String]| addresses.iter().find(|address| problem.contains(address.as_str())).cloned();
-    if settings.mode == Mode::Client {
+    if settings.mode.is_client() {
         return failed(format!("reach a router at {}", settings.connect.join(", ")), problem);
     }
     match of(&settings.listen) {

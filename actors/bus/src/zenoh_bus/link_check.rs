@@ -46,10 +46,13 @@ const SESSIONS_MAX: u32 = 3;
 /// Replies to the link checks of neighbours, and checks each link that this session opens.
 ///
 /// Does nothing for a client with a certificate: that is a person, and the access rules of its
-/// links reject replies. Every check would fail, and sessions would be reopened for nothing.
+/// links reject replies. Every check would fail, and sessions would be reopened for nothing. Does
+/// nothing for a node that is the client of a relay: it queries its relay for as long as it runs.
 pub(super) async fn start(current: &Arc<CurrentSession>, settings: &ZenohSettings) -> Result<(), BusError> {
-    if settings.mode == Mode::Client && settings.link_trust.is_some() {
-        return Ok(());
+    match settings.mode {
+        Mode::NodeClient => return Ok(()),
+        Mode::Client if settings.link_trust.is_some() => return Ok(()),
+        Mode::Client | Mode::Router | Mode::Peer => {}
     }
     let (session, runtime) = (current.session(), Handle::current());
     let own = session.zid();

@@ -7,7 +7,9 @@
 mod conversion;
 mod current_session;
 mod error;
+mod failover;
 mod link_check;
+mod presence;
 mod session;
 mod settings;
 mod transmission;
@@ -24,9 +26,10 @@ use async_trait::async_trait;
 use bytes::Bytes;
 use conversion::{reply, to_attachment, to_zenoh};
 use error::failed;
+use presence::PresentTokens;
 use session::{Declaration, SessionManager};
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::time::{Instant, sleep};
@@ -46,20 +49,24 @@ pub struct ZenohBus {
 }
 
 impl ZenohBus {
-    /// Opens a session. A router or peer opens even if no neighbour can be reached, and keeps
+    /// Opens a session. All but [`Mode::Client`] open even if no neighbour can be reached, and keep
     /// trying: see [`wait_connected`](Self::wait_connected).
     ///
     /// # Errors
     /// [`BusError::Failed`] if the runtime is not multi-threaded, a setting is invalid, an address
-    /// cannot be listened on (the error names it, and whether the port is taken), or a client
-    /// reaches no router.
+    /// cannot be listened on (the error names it, and whether the port is taken), or a
+    /// [`Mode::Client`] reaches no router.
     pub async fn open(settings: ZenohSettings) -> Result<ZenohBus, BusError> {
         let multi_threaded =
             Handle::try_current().is_ok_and(|runtime| runtime.runtime_flavor() != RuntimeFlavor::CurrentThread);
         if !multi_threaded {
             return Err(failed("open", "Zenoh needs a multi-threaded tokio runtime"));
         }
-        Ok(ZenohBus { manager: SessionManager::open(settings).await? })
+        let manager = SessionManager::open(settings).await?;
+        if manager.settings().mode == Mode::NodeClient {
+            tokio::spawn(failover::run(Arc::downgrade(&manager)));
+        }
+        Ok(ZenohBus { manager })
     }
 
     /// Returns this node's id on the bus, as neighbours see it in [`Bus::links`]. It changes when
@@ -185,7 +192,8 @@ impl Bus for ZenohBus {
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
         let key_expr = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mailbox();
-        let declared = self.manager.declare(Declaration::PresenceSubscriber(key_expr, mailbox, Arc::default())).await?;
+        let present = Arc::new(Mutex::new(PresentTokens::new(self.manager.settings().presence_hold())));
+        let declared = self.manager.declare(Declaration::PresenceSubscriber(key_expr, mailbox, present)).await?;
         Ok(Stream::of_mailbox(receiver, Box::new(declared)))
     }
 

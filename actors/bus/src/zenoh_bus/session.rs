@@ -4,17 +4,18 @@ use super::conversion::{attachment_bytes, from_zenoh, query_callback, to_bytes};
 use super::current_session::CurrentSession;
 use super::error::{failed, open_error};
 use super::link_check;
+use super::presence::PresentTokens;
 use super::settings::{Mode, ZenohSettings};
 use super::transmission::Senders;
 use crate::author::Author;
 use crate::bus::{BusError, Presence, Sample};
 use crate::mailbox::MailboxSender;
 use crate::open_queries::QuerySender;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::time::sleep;
-use tracing::{error, info, warn};
+use tracing::{debug, error, info, warn};
 use zenoh::Session;
 use zenoh::sample::SampleKind;
 use zenoh_keyexpr::OwnedKeyExpr;
@@ -39,9 +40,8 @@ pub(super) enum Declaration {
     Queryable { key: OwnedKeyExpr, mailbox: QuerySender, complete: bool },
     /// Announces presence.
     Token(OwnedKeyExpr),
-    /// Receives changes of presence. The present tokens are stored, since Zenoh repeats
-    /// announcements when links open and close.
-    PresenceSubscriber(OwnedKeyExpr, MailboxSender<Presence>, Arc<Mutex<BTreeSet<String>>>),
+    /// Receives changes of presence.
+    PresenceSubscriber(OwnedKeyExpr, MailboxSender<Presence>, Arc<Mutex<PresentTokens>>),
 }
 
 /// A declaration, and Zenoh's object for it while a session exists.
@@ -58,6 +58,8 @@ pub(super) struct SessionManager {
     /// Held during a declaration, and while everything is declared again.
     declaring: tokio::sync::Mutex<()>,
     senders: Senders,
+    /// Number of the relay of a client in its settings; `None` without a relay.
+    relay: Mutex<Option<usize>>,
 }
 
 #[derive(Default)]
@@ -83,12 +85,39 @@ impl Drop for DeclarationGuard {
     }
 }
 
-async fn open(settings: &ZenohSettings) -> Result<Session, BusError> {
-    if settings.mode == Mode::Router {
-        sleep(ROUTER_DELAY).await;
+/// A session that was opened.
+struct Opened {
+    session: Session,
+    /// Number of the relay, if the session is that of a [`Mode::NodeClient`] with a relay.
+    relay: Option<usize>,
+}
+
+async fn open(settings: &ZenohSettings) -> Result<Opened, BusError> {
+    match settings.mode {
+        Mode::NodeClient => return open_at_any_relay(settings).await,
+        Mode::Router => sleep(ROUTER_DELAY).await,
+        Mode::Client | Mode::Peer => {}
     }
+    Ok(Opened { session: open_with(settings).await?, relay: None })
+}
+
+async fn open_with(settings: &ZenohSettings) -> Result<Session, BusError> {
     let opened = zenoh::open(settings.config()?).await;
     opened.map_err(|problem| open_error(settings, &problem.to_string()))
+}
+
+/// Opens a session at the first relay that can be reached; if there is none, a session without links.
+async fn open_at_any_relay(settings: &ZenohSettings) -> Result<Opened, BusError> {
+    settings.config()?; // invalid settings are an error, in contrast to a relay that cannot be reached
+    for (number, relay) in settings.connect.iter().enumerate() {
+        match open_with(&settings.with_relay(relay)).await {
+            Ok(session) => return Ok(Opened { session, relay: Some(number) }),
+            Err(problem) => debug!(%relay, %problem, "the relay cannot be reached"),
+        }
+    }
+    let relays = settings.connect.join(", ");
+    warn!(relays, "no relay can be reached; the node works alone, and keeps trying");
+    Ok(Opened { session: open_with(&settings.without_links()).await?, relay: None })
 }
 
 /// Returns the addresses that a session listens on, with the assigned ports.
@@ -106,6 +135,15 @@ fn with_ports(listen: &[String], assigned: &[String]) -> Vec<String> {
         port.map_or_else(|| address.clone(), |port| format!("{host}:{port}"))
     };
     listen.iter().map(at).collect()
+}
+
+/// Closes a session that is no longer used: its relay may not respond.
+fn close_in_background(session: Session) {
+    tokio::spawn(async move {
+        if let Err(problem) = session.close().await {
+            debug!(%problem, "failed to close the session at the former relay");
+        }
+    });
 }
 
 impl Declaration {
@@ -147,11 +185,13 @@ impl Declaration {
                 let (mailbox, present) = (mailbox.clone(), present.clone());
                 let on_sample = move |sample: zenoh::sample::Sample| {
                     let key = sample.key_expr().to_string();
-                    let alive = sample.kind() == SampleKind::Put;
                     let mut present = present.lock().unwrap_or_else(PoisonError::into_inner);
-                    let changed = if alive { present.insert(key.clone()) } else { present.remove(&key) };
-                    if changed {
-                        mailbox.send(Presence { key, alive });
+                    let change = match sample.kind() {
+                        SampleKind::Put => present.appeared(key),
+                        SampleKind::Delete => present.vanished(key, Instant::now()),
+                    };
+                    if let Some(change) = change {
+                        mailbox.send(change);
                     }
                 };
                 let declared =
@@ -161,11 +201,12 @@ impl Declaration {
         }
     }
 
-    /// Reports all tokens as vanished: without a session no presence is known.
-    fn report_all_vanished(&self) {
+    /// Reports changes of presence that `change` makes to the present tokens.
+    fn report_presence(&self, change: impl FnOnce(&mut PresentTokens) -> Vec<Presence>) {
         if let Declaration::PresenceSubscriber(_, mailbox, present) = self {
-            for key in std::mem::take(&mut *present.lock().unwrap_or_else(PoisonError::into_inner)) {
-                mailbox.send(Presence { key, alive: false });
+            let mut present = present.lock().unwrap_or_else(PoisonError::into_inner);
+            for change in change(&mut present) {
+                mailbox.send(change);
             }
         }
     }
@@ -174,7 +215,7 @@ impl Declaration {
 impl SessionManager {
     /// Opens a session.
     pub(super) async fn open(mut settings: ZenohSettings) -> Result<Arc<SessionManager>, BusError> {
-        let session = open(&settings).await?;
+        let Opened { session, relay } = open(&settings).await?;
         settings.listen = with_ports(&settings.listen, &listen_addresses(&session).await);
         let (current, mut replacements) = CurrentSession::new(session);
         let manager = Arc::new(SessionManager {
@@ -183,6 +224,7 @@ impl SessionManager {
             entries: Mutex::default(),
             declaring: tokio::sync::Mutex::default(),
             senders: Senders::default(),
+            relay: Mutex::new(relay),
         });
         link_check::start(&manager.current, &manager.settings).await?;
         let weak = Arc::downgrade(&manager);
@@ -246,6 +288,67 @@ impl SessionManager {
         Ok(())
     }
 
+    /// Ends all declarations on the session in use; they are to be repeated on another.
+    fn undeclare_all(&self) {
+        let removed: Vec<_> = self.entries().all.values_mut().filter_map(|entry| entry.declared.take()).collect();
+        drop(removed); // not while the entries are held: Zenoh waits for callbacks under way
+    }
+
+    /// Reports changes of presence to each subscriber.
+    fn report_presence(&self, change: impl Fn(&mut PresentTokens) -> Vec<Presence>) {
+        self.entries().all.values().for_each(|entry| entry.declaration.report_presence(&change));
+    }
+
+    /// Reports the presence tokens that have vanished and have not returned.
+    pub(super) fn report_vanished(&self) {
+        let now = Instant::now();
+        self.report_presence(|present| present.due(now));
+    }
+
+    pub(super) fn is_closed(&self) -> bool {
+        self.entries().closed
+    }
+
+    /// Returns the number of the relay in use.
+    pub(super) fn relay(&self) -> Option<usize> {
+        *self.relay.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn set_relay(&self, relay: Option<usize>) {
+        *self.relay.lock().unwrap_or_else(PoisonError::into_inner) = relay;
+    }
+
+    /// Opens a session at the relay with a number, for [`move_to`](Self::move_to).
+    pub(super) async fn open_at(&self, relay: usize) -> Result<Session, BusError> {
+        open_with(&self.settings.with_relay(&self.settings.connect[relay])).await
+    }
+
+    /// Replaces the session in use by one at the relay with a number, and repeats all declarations on
+    /// it. Presence tokens that it does not announce are reported as vanished after a pause.
+    pub(super) async fn move_to(self: &Arc<Self>, session: Session, relay: usize) {
+        let declaring = self.declaring.lock().await;
+        self.undeclare_all();
+        let now = Instant::now();
+        self.report_presence(|present| {
+            present.all_vanished(now);
+            vec![]
+        });
+        if let Err(problem) = self.declare_all(&session).await {
+            warn!(%problem, "failed to repeat the declarations at another relay; reopening the session");
+            close_in_background(session);
+            drop(declaring);
+            return self.reopen().await;
+        }
+        let old = self.session();
+        self.current.set(session.clone());
+        self.set_relay(Some(relay));
+        close_in_background(old);
+        if self.is_closed() {
+            // The bus was closed meanwhile, which did not cover this session.
+            close_in_background(session);
+        }
+    }
+
     fn end_all(&self) {
         let all = {
             let mut entries = self.entries();
@@ -266,26 +369,22 @@ impl SessionManager {
     /// bus closes: every stream ends, and the node's supervisor is notified.
     async fn reopen(self: &Arc<Self>) {
         let _declaring = self.declaring.lock().await;
-        let removed: Vec<_> = {
-            let mut entries = self.entries();
-            entries.all.values_mut().filter_map(|entry| entry.declared.take()).collect()
-        };
-        drop(removed);
+        self.undeclare_all();
         if let Err(problem) = self.session().close().await {
             warn!(%problem, "failed to close the old session");
         }
-        self.entries().all.values().for_each(|entry| entry.declaration.report_all_vanished());
+        self.report_presence(PresentTokens::take_all);
         let mut attempts = 0;
-        let session = loop {
-            if self.entries().closed {
+        let Opened { session, relay } = loop {
+            if self.is_closed() {
                 return;
             }
             let problem = match open(&self.settings).await {
-                Ok(session) => match self.declare_all(&session).await {
-                    Ok(()) => break session,
+                Ok(opened) => match self.declare_all(&opened.session).await {
+                    Ok(()) => break opened,
                     Err(problem) => {
                         // The next attempt repeats all declarations on a session of its own.
-                        let _ = session.close().await;
+                        let _ = opened.session.close().await;
                         problem
                     }
                 },
@@ -301,7 +400,8 @@ impl SessionManager {
             sleep(RETRY_PAUSE).await;
         };
         self.current.set(session.clone());
-        if self.entries().closed {
+        self.set_relay(relay);
+        if self.is_closed() {
             // The bus was closed meanwhile, which did not cover this session.
             let _ = session.close().await;
             return;

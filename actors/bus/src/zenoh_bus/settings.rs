@@ -44,6 +44,9 @@ pub enum Mode {
     /// Sends and receives everything through a single router: the mode of command-line tools. It
     /// fails to open if no router can be reached.
     Client,
+    /// Sends and receives everything through a single router, and moves to another when that router
+    /// fails: the mode of a fleet's nodes that do not relay. It opens even if no router can be reached.
+    NodeClient,
     /// Exchanges messages with its direct neighbours, and never relays.
     Peer,
 }
@@ -52,9 +55,13 @@ impl Mode {
     pub(super) fn name(self) -> &'static str {
         match self {
             Mode::Router => "router",
-            Mode::Client => "client",
+            Mode::Client | Mode::NodeClient => "client",
             Mode::Peer => "peer",
         }
+    }
+
+    pub(super) fn is_client(self) -> bool {
+        matches!(self, Mode::Client | Mode::NodeClient)
     }
 }
 
@@ -72,7 +79,7 @@ pub struct ZenohSettings {
     pub listen: Vec<String>,
     /// Neighbours to connect to, such as `tcp/192.0.2.7:7447`. Unreachable neighbours are retried
     /// for as long as the bus exists. More neighbours cost traffic and prevent partitions of the
-    /// fleet: two to four are sufficient.
+    /// fleet: two to four are sufficient. A client connects to the first of them that can be reached.
     pub connect: Vec<String>,
     /// Time for which a silent neighbour counts as present. The value set on *this* node is the
     /// time that *other* nodes wait for it, so the whole fleet needs the same setting. A lower
@@ -130,6 +137,27 @@ impl ZenohSettings {
         Ok(config)
     }
 
+    /// Returns the time that the relay of a client has to respond to a query.
+    pub(super) fn response_limit(&self) -> Duration {
+        self.lease / 10
+    }
+
+    /// Returns the pause before a vanished presence token is reported: zero, except for the client of a
+    /// relay. A client changes its relay within 3/10 of the lease and the time to connect.
+    pub(super) fn presence_hold(&self) -> Duration {
+        if self.mode == Mode::NodeClient { self.lease * 3 / 4 } else { Duration::ZERO }
+    }
+
+    /// Returns the settings of a client of a single relay.
+    pub(super) fn with_relay(&self, relay: &str) -> ZenohSettings {
+        ZenohSettings { connect: vec![relay.to_owned()], ..self.clone() }
+    }
+
+    /// Returns the settings of a session without links.
+    pub(super) fn without_links(&self) -> ZenohSettings {
+        ZenohSettings { mode: Mode::Peer, listen: vec![], connect: vec![], ..self.clone() }
+    }
+
     fn entries(&self) -> Result<Vec<(&'static str, String)>, BusError> {
         let mut entries = self.link_entries()?;
         entries.extend(self.link_trust.iter().flat_map(LinkTrust::entries));
@@ -143,7 +171,12 @@ impl ZenohSettings {
                 problem: format!("a message limit of {} bytes exceeds {MESSAGE_MAX}", self.message_max),
             });
         }
-        let listen = if self.mode == Mode::Client { &[] } else { self.listen.as_slice() };
+        let listen = if self.mode.is_client() { &[] } else { self.listen.as_slice() };
+        // A client that waits for a relay that has failed reaches no other.
+        let open_timeout = match self.mode {
+            Mode::NodeClient => self.open_timeout.min(self.response_limit() * 2),
+            Mode::Router | Mode::Client | Mode::Peer => self.open_timeout,
+        };
         let lease_ms = self.lease.as_millis();
         Ok(vec![
             ("mode", format!("{:?}", self.mode.name())),
@@ -159,7 +192,7 @@ impl ZenohSettings {
             ("scouting/gossip/autoconnect", "{ router: [], peer: [], client: [] }".to_owned()),
             // For a router this delay has no use: connections are polled explicitly.
             ("scouting/delay", if self.mode == Mode::Router { "0" } else { "500" }.to_owned()),
-            ("transport/unicast/open_timeout", self.open_timeout.as_millis().to_string()),
+            ("transport/unicast/open_timeout", open_timeout.as_millis().to_string()),
             ("transport/unicast/accept_timeout", self.open_timeout.as_millis().to_string()),
             ("transport/link/tx/lease", lease_ms.to_string()),
             ("transport/unicast/qos/enabled", "true".to_owned()),
@@ -263,13 +296,13 @@ mod tests {
 
     #[test]
     fn zenoh_accepts_every_setting() {
-        for mode in [Mode::Router, Mode::Client, Mode::Peer] {
+        for mode in [Mode::Router, Mode::Client, Mode::NodeClient, Mode::Peer] {
             let settings = ZenohSettings { mode, connect: vec!["tcp/127.0.0.1:9".to_owned()], ..Default::default() };
             let config = settings.config().unwrap();
             let read = |path: &str| config.get_json(path).unwrap();
             assert_eq!(read("mode"), format!("{:?}", mode.name()));
             assert_eq!(read("connect/endpoints"), r#"["tcp/127.0.0.1:9"]"#);
-            let listen = if mode == Mode::Client { "[]" } else { r#"["tcp/127.0.0.1:0"]"# };
+            let listen = if mode.is_client() { "[]" } else { r#"["tcp/127.0.0.1:0"]"# };
             assert_eq!(read("listen/endpoints"), listen);
             assert_eq!(read("listen/exit_on_failure"), "true");
             assert_eq!(read("scouting/multicast/enabled"), "false");
@@ -282,6 +315,8 @@ mod tests {
                 assert_eq!(buffer("so_sndbuf"), SEND_BUFFER_BYTES.to_string());
                 assert_eq!(buffer("so_rcvbuf"), RECEIVE_BUFFER_BYTES.to_string());
             }
+            let open_timeout = if mode == Mode::NodeClient { "400" } else { "5000" };
+            assert_eq!(read("transport/unicast/open_timeout"), open_timeout);
             assert_eq!(read("transport/link/rx/max_message_size"), MESSAGE_MAX.to_string());
         }
     }
