@@ -1,6 +1,6 @@
 //! Checks files, each by its kind.
 
-use crate::config::{self, FleetConfig, NodeFile, RobotConfig, StationConfig, WorldConfig, load_unchecked};
+use crate::config::{self, FleetConfig, LinkRole, NodeFile, RobotConfig, StationConfig, WorldConfig, load_unchecked};
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::{domains, inputs, map_loader, mission_files, wiring};
 use consort_map_import::MapFormat;
@@ -127,19 +127,21 @@ fn check_kind(
             wiring::fleet_settings(&fleet, extensions)?;
             let equipment = wiring::fleet_skill_resources(&fleet, extensions)?;
             wiring::worker(&robot, &equipment.places)?;
-            Ok(robot.name.to_string())
+            describe_node(robot, &fleet)
         }
         FileKind::Station => {
             let (station, fleet, extensions): (StationConfig, _, _) = node_file(path, extensions)?;
             wiring::fleet_settings(&fleet, extensions)?;
-            Ok(station.name.to_string())
+            describe_node(station, &fleet)
         }
         FileKind::World => {
             let (world, fleet, extensions): (WorldConfig, _, _) = node_file(path, extensions)?;
             wiring::fleet_settings(&fleet, extensions)?;
             wiring::build_world(&world, &fleet, extensions)?;
             let robots = count(world.robot.len(), "robot", "robots");
-            Ok(format!("{robots}, {}", count(world.person.len(), "person", "people")))
+            let people = count(world.person.len(), "person", "people");
+            describe_node(world, &fleet)?;
+            Ok(format!("{robots}, {people}"))
         }
         FileKind::Workers => inputs::workers(text, file).map(|workers| format!("{} of them", workers.len())),
         FileKind::Scenarios => inputs::scenarios(text, file).map(|scenarios| format!("{} of them", scenarios.len())),
@@ -193,6 +195,16 @@ pub(crate) fn node_file<C: NodeFile>(
     let mut node: C = config::load(path, &domain)?;
     let fleet = node.common_mut().fleet.resolve(&domain)?;
     Ok((node, fleet, extensions))
+}
+
+/// Describes a node: its name, and its relays if it does not relay.
+fn describe_node<C: NodeFile>(mut node: C, fleet: &FleetConfig) -> Result<String, Diagnostics> {
+    let name = node.node();
+    let role = node.common_mut().link_role(&name, fleet);
+    Ok(match role.map_err(|problem| Diagnostic::for_file("", problem))? {
+        LinkRole::Relay(_) => name.to_string(),
+        client @ LinkRole::Client(..) => format!("{name}, {client}"),
+    })
 }
 
 /// Checks a tree. If no domain declares some of its nodes, as in a tree for another program, every such node
@@ -306,6 +318,7 @@ fn detect_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
                 "bootstrap_expect",
                 "timing",
                 "voters",
+                "planned_nodes",
                 "dead_after_ms",
                 "link_lease_ms",
                 "stall_after_s",

@@ -129,9 +129,11 @@ async fn run_until_end(
     let clock = settings.clock;
     let trust = NodeCredentials::open(bus, data_dir.as_deref(), &settings)?;
     let admission = Admission::for_fleet(&fleet.name, trust.keyring(), clock);
-    let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
-    let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
     let name = settings.node.clone();
+    let role = common.link_role(&name, fleet).map_err(|problem| Failure::Usage(problem.to_string()))?;
+    info!(node = %name, %role, "role towards neighbours");
+    let zenoh = ZenohBus::open(bus_settings(bus, fleet, role)).await;
+    let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
     info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listen_addresses().await.join(", "), "open");
     let mut watch = tokio::task::JoinSet::new();
     watch.spawn(log_links(zenoh.clone(), bus.connect.clone()));

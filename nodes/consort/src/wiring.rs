@@ -2,7 +2,8 @@
 //! demo's virtual fleet uses the virtual bus.
 
 use crate::config::{
-    self, BusConfig, ChargerConfig, ChargingConfig, FleetConfig, RobotConfig, StationConfig, WorldConfig, zone_problems,
+    self, BusConfig, ChargerConfig, ChargingConfig, FleetConfig, LinkRole, RobotConfig, StationConfig, WorldConfig,
+    zone_problems,
 };
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
@@ -10,7 +11,7 @@ use crate::map_loader;
 use crate::mission_files;
 use consort_bus::ZenohSettings;
 use consort_bus::clock::Clock;
-use consort_bus::zenoh_bus::LinkTrust;
+use consort_bus::zenoh_bus::{LinkTrust, Mode};
 use consort_dashboard::loaded_map::LoadedMap;
 use consort_driver::{DriverEndpoint, DriverSetting, EndpointError, ProcessDriver, RobotStart};
 use consort_fleet::autopilot;
@@ -469,11 +470,16 @@ pub(crate) fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
     LinkTrust { files: config::trust_files(certs), fleet: fleet.clone() }
 }
 
-/// Returns the Zenoh settings of a node: a router between its neighbours.
-pub(crate) fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
+/// Returns the Zenoh settings of a node with a role towards its neighbours.
+pub(crate) fn bus_settings(bus: &BusConfig, fleet: &FleetConfig, role: LinkRole) -> ZenohSettings {
+    let (mode, listen, connect) = match role {
+        LinkRole::Relay(_) => (Mode::Router, bus.listen_addresses(), bus.connect.clone()),
+        LinkRole::Client(_, relays) => (Mode::NodeClient, vec![], relays),
+    };
     ZenohSettings {
-        listen: bus.listen_addresses(),
-        connect: bus.connect.clone(),
+        mode,
+        listen,
+        connect,
         lease: fleet.times().link_lease,
         link_trust: bus.certs.as_deref().map(|folder| link_trust(folder, &fleet.name)),
         ..ZenohSettings::default()

@@ -2,7 +2,8 @@
 
 use super::flag_values::{deadline, key_value, priority, seconds, share, timing};
 use crate::config::{
-    BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load_unchecked, to_toml,
+    BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, RelaySetting, TelemetryConfig, load_unchecked,
+    to_toml,
 };
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
@@ -233,6 +234,9 @@ struct BusFlags {
     /// encrypted (tls/…), and nodes without a certificate of the fleet are rejected
     #[arg(long, env = "CONSORT_CERTS", value_name = "DIR")]
     certs: Option<PathBuf>,
+    /// Relay messages for other nodes, or be a client of the neighbours. Default: auto
+    #[arg(long, env = "CONSORT_RELAY", value_enum, value_name = "WHEN")]
+    relay: Option<RelaySetting>,
 }
 
 impl BusFlags {
@@ -245,6 +249,7 @@ impl BusFlags {
             bus.connect = self.connect;
         }
         bus.certs = self.certs.or(bus.certs.take());
+        set(&mut bus.relay, self.relay);
     }
 }
 
@@ -270,6 +275,9 @@ struct FleetFlags {
     /// Target number of voters: 1, 3, 5, 7 or 9
     #[arg(long, env = "CONSORT_VOTERS", value_name = "COUNT")]
     voters: Option<usize>,
+    /// Planned number of nodes. From 30 on only stations, worlds and nodes on mains power relay
+    #[arg(long, env = "CONSORT_PLANNED_NODES", value_name = "COUNT")]
+    planned_nodes: Option<usize>,
     /// Time that a voter must be unreachable until another replaces it
     #[arg(long, env = "CONSORT_DEAD_AFTER_MS", value_name = "MS")]
     dead_after_ms: Option<u64>,
@@ -324,6 +332,7 @@ impl FleetFlags {
         set(&mut fleet.bootstrap_expect, self.bootstrap_expect);
         set(&mut fleet.timing, self.timing);
         set(&mut fleet.voters, self.voters);
+        fleet.planned_nodes = self.planned_nodes.or(fleet.planned_nodes);
         fleet.dead_after_ms = self.dead_after_ms.or(fleet.dead_after_ms);
         fleet.link_lease_ms = self.link_lease_ms.or(fleet.link_lease_ms);
         set(&mut fleet.stall_after_s, self.stall_after_s);

@@ -8,21 +8,39 @@ use std::path::{Path, PathBuf};
 
 /// `[bus]`: listening addresses and neighbours of a node.
 ///
-/// Every node relays for its neighbours. Two to four configured neighbours for each node keep a
-/// fleet together when links or nodes fail; fewer save traffic. Without `certs` the fleet is open:
-/// every node that reaches the listening address becomes part of the fleet.
+/// Nodes that relay keep a fleet together: two to four configured neighbours for each node suffice when
+/// links or nodes fail; fewer save traffic. Without `certs` the fleet is open: every node that reaches
+/// the listening address becomes part of the fleet.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BusConfig {
     /// Addresses to listen on. Default: the loopback interface, at a port that the system selects.
     pub listen: Vec<String>,
-    /// Neighbours to connect to. Unreachable neighbours are retried for as long as the node runs.
+    /// Neighbours to connect to. Unreachable neighbours are retried for as long as the node runs. A node
+    /// that does not relay connects to one of them, which must relay, and moves to another when it fails.
     pub connect: Vec<String>,
+    /// Whether the node relays messages for others: `yes`, `no`, or `auto` (default): a node relays,
+    /// unless `planned_nodes` of the fleet is 30 or more and the node is a robot on battery power. A
+    /// node that does not relay cannot `listen`.
+    pub relay: RelaySetting,
     /// The folder with the node's certificate and key, and the fleet's authority, as written by
     /// `consort cert`. Links are then encrypted, both ends prove their identity, and messages
     /// between nodes are signed. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub certs: Option<PathBuf>,
+}
+
+/// Setting of a node, whether it relays.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RelaySetting {
+    /// Relays, unless the fleet is large and the node is a robot on battery power.
+    #[default]
+    Auto,
+    /// Relays.
+    Yes,
+    /// Is a client of its neighbours.
+    No,
 }
 
 impl BusConfig {

@@ -59,6 +59,11 @@ pub struct FleetConfig {
     /// Target number of voters, an odd number from 1 to 9. More voters survive more simultaneous
     /// failures, and slow each commit. Default 5.
     pub voters: usize,
+    /// Planned number of nodes: robots, stations and worlds. From 30 on only stations, worlds and nodes on
+    /// mains power relay messages for others, and all other nodes connect to them, unless `relay` of a
+    /// node says otherwise. Default: a small fleet, in which every node relays.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub planned_nodes: Option<usize>,
     /// Time that a voter must be unreachable until another replaces it, in milliseconds. Default:
     /// that of `timing`, 10000 or 20000: longer than a restart takes.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -218,6 +223,7 @@ impl Default for FleetConfig {
             bootstrap_expect: 1,
             timing: Timing::default(),
             voters: autopilot::VOTERS,
+            planned_nodes: None,
             dead_after_ms: None,
             link_lease_ms: None,
             stall_after_s: 900,
@@ -379,6 +385,7 @@ impl ConfigFile for FleetConfig {
             .collect();
         within("bootstrap_expect", self.bootstrap_expect as u64, 1, 1_000);
         within("voters", self.voters as u64, 1, autopilot::VOTERS_MAX as u64);
+        within("planned_nodes", self.planned_nodes.unwrap_or(1) as u64, 1, 100_000);
         within("dead_after_ms", ms(times.dead_after), 1_000, 86_400_000);
         within("link_lease_ms", ms(times.link_lease), 100, 600_000);
         within("stall_after_s", self.stall_after_s, 0, 604_800);

@@ -30,6 +30,10 @@ pub struct CommonConfig<'a> {
     pub bus: &'a mut BusConfig,
     /// Archive of a station.
     pub archive: Option<ArchiveConfig>,
+    /// True if the node is a station or a world, or runs on mains power.
+    pub is_powered: bool,
+    /// True if the node may keep a copy of the ledger, and coordinate.
+    pub may_vote: bool,
 }
 
 impl CommonConfig<'_> {

@@ -182,7 +182,7 @@ mod tests {
             messages::<FleetConfig>(text),
             [
                 "f.toml:1:1: unknown key `nam` in a fleet file; allowed: name, map, calibration, bootstrap_expect, \
-                 timing, voters, dead_after_ms, link_lease_ms, stall_after_s, domains, missions, dashboards, limits, requests, history, lease, auction, charging, zones, alarms, ensemble; did you mean `name`?",
+                 timing, voters, planned_nodes, dead_after_ms, link_lease_ms, stall_after_s, domains, missions, dashboards, limits, requests, history, lease, auction, charging, zones, alarms, ensemble; did you mean `name`?",
                 "f.toml:4:1: unknown key `lase_ms` in a fleet file; allowed: lease_ms, grace_ms; did you mean `lease_ms`?",
                 "f.toml:6:14: 3 is not a battery share: allowed is a number from 0 (empty) to 1 (full)",
             ]

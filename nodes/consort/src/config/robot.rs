@@ -160,6 +160,8 @@ impl NodeFile for RobotConfig {
             fleet: &mut self.fleet,
             bus: &mut self.bus,
             archive: None,
+            is_powered: self.mains_powered,
+            may_vote: self.may_vote,
         }
     }
 }

@@ -91,6 +91,8 @@ impl NodeFile for StationConfig {
             fleet: &mut self.fleet,
             bus: &mut self.bus,
             archive: self.archive,
+            is_powered: true,
+            may_vote: self.may_vote,
         }
     }
 }

@@ -133,6 +133,8 @@ impl NodeFile for WorldConfig {
             fleet: &mut self.fleet,
             bus: &mut self.bus,
             archive: None,
+            is_powered: true,
+            may_vote: self.may_vote,
         }
     }
 }

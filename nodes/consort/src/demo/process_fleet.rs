@@ -122,7 +122,6 @@ fn write_files(
     // Each node is linked to the world's node and to the next two in a ring: no single failure
     // partitions the fleet.
     let bus = |index: usize| BusConfig {
-        certs: None,
         listen: vec![endpoint(index)],
         connect: match index {
             0 => vec![],
@@ -134,6 +133,7 @@ fn write_files(
                 connect
             }
         },
+        ..BusConfig::default()
     };
     let mut kinds = BTreeMap::new();
     let mut write = |node: &NodeId, kind: &'static str, toml: String| {

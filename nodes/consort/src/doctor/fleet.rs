@@ -41,6 +41,7 @@ async fn query(target: &DiagnosisTarget) -> Result<Vec<Finding>, Failure> {
             format!("coordinator {coordinator}; no problems found"),
         ));
     }
+    findings.extend(target.role.as_ref().and_then(|role| role.check_size(nodes.len())));
     findings.extend(nodes.iter().flat_map(node));
     Ok(findings)
 }

@@ -28,7 +28,7 @@ fn check_link(target: &DiagnosisTarget, address: &str) -> Finding {
             );
         }
     };
-    let down = "is the node up, does it listen on that address and not on loopback alone, does a firewall let the port through?";
+    let down = "is the node up, does it relay (bus.relay), does it listen on that address and not on loopback alone, does a firewall let the port through?";
     match (protocol, &target.bus.certs) {
         ("tls", Some(folder)) => match trust_files(folder).probe(at, &target.fleet, LIMIT) {
             Ok(identity) => Finding::ok(

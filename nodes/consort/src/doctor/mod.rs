@@ -5,6 +5,7 @@ mod credentials;
 mod fleet;
 mod links;
 mod machine;
+mod relay;
 
 use crate::check::{self, FileKind};
 use crate::client::ClientFlags;
@@ -12,6 +13,7 @@ use crate::config::{BusConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::diagnostic::Diagnostics;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_skills::extensions::Extensions;
+use relay::RoleTarget;
 use serde::Serialize;
 use std::fmt;
 use std::net::SocketAddr;
@@ -83,6 +85,8 @@ pub(crate) struct DiagnosisTarget {
     node: Option<NodeId>,
     fleet: FleetId,
     bus: BusConfig,
+    /// The node's role towards its neighbours; `None` for a client.
+    role: Option<RoleTarget>,
     data_dir: Option<PathBuf>,
     /// Addresses of its HTTP pages, with their names.
     pages: Vec<(&'static str, SocketAddr)>,
@@ -96,14 +100,15 @@ impl DiagnosisTarget {
     /// [`crate::exit::Failure::Usage`] of the flags.
     pub(crate) fn client(client_flags: ClientFlags) -> Result<DiagnosisTarget, crate::exit::Failure> {
         let bus = BusConfig {
-            listen: vec![],
             connect: client_flags.addresses().to_vec(),
             certs: client_flags.certs().cloned(),
+            ..BusConfig::default()
         };
         Ok(DiagnosisTarget {
             node: None,
             fleet: client_flags.fleet()?,
             bus,
+            role: None,
             data_dir: None,
             pages: vec![],
             client_flags,
@@ -132,8 +137,13 @@ impl DiagnosisTarget {
         extensions: Extensions,
     ) -> Result<DiagnosisTarget, Diagnostics> {
         let (mut file, fleet, _): (C, _, _) = check::node_file(file, extensions)?;
-        let node = Some(file.node());
+        let node = file.node();
         let common = file.common_mut();
+        let role = RoleTarget {
+            role: common.link_role(&node, &fleet),
+            may_vote: common.may_vote,
+            planned_nodes: fleet.planned_nodes,
+        };
         let fleet = fleet.name;
         let pages = [("dashboard", *common.dashboard), ("metrics", common.telemetry.metrics)];
         let pages = pages.into_iter().filter_map(|(what, at)| at.map(|at| (what, at))).collect();
@@ -144,7 +154,8 @@ impl DiagnosisTarget {
         let addresses: Vec<String> =
             bus.listen_addresses().iter().filter(|at| !at.ends_with(":0")).chain(&bus.connect).cloned().collect();
         let client_flags = client_flags.with_target(addresses, bus.certs.clone(), &fleet);
-        Ok(DiagnosisTarget { node, fleet, bus, data_dir: common.data_dir.clone(), pages, client_flags })
+        let data_dir = common.data_dir.clone();
+        Ok(DiagnosisTarget { node: Some(node), fleet, bus, role: Some(role), data_dir, pages, client_flags })
     }
 }
 
@@ -157,7 +168,9 @@ pub(crate) fn run_checks(target: &DiagnosisTarget, mut report: impl FnMut(&Findi
     };
     add(machine::check_clock());
     add(machine::check_data_dir(target.data_dir.as_deref()));
-    add(machine::check_ports(target.node.as_ref().map(|_| target.bus.listen_addresses()), &target.pages));
+    let listening = target.role.as_ref().filter(|role| role.accepts_links());
+    add(machine::check_ports(listening.map(|_| target.bus.listen_addresses()), &target.pages));
+    add(target.role.as_ref().map(RoleTarget::check).unwrap_or_default());
     add(credentials::check_addresses(target));
     add(credentials::check_certificates(target));
     add(links::check_links(target));

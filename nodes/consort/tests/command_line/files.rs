@@ -26,6 +26,32 @@ fn the_shipped_examples_missions_and_maps_are_valid() {
 }
 
 #[test]
+fn check_describes_the_relays_of_a_client_and_rejects_a_client_that_listens() {
+    let fleet = test_file("large_fleet.toml", "name = \"ward\"\nplanned_nodes = 100\n");
+    let check = |name: &str, bus: &str| {
+        let text = format!(
+            "name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\nfleet = {fleet:?}\n[bus]\n\
+             connect = [\"tcp/station-1:7447\", \"tcp/station-2:7447\"]\n{bus}\n"
+        );
+        let ran = run(&["check", &test_file(name, &text)]);
+        (ran.code, ran.out)
+    };
+    let (code, out) = check("client.toml", "");
+    assert_eq!(code, Some(0), "{out}");
+    assert!(
+        out.contains(": ok, a robot: a, client of 2 relays, since the fleet has 30 planned_nodes or more"),
+        "{out}"
+    );
+    let listen = "listen = [\"tcp/127.0.0.1:7447\"]";
+    let (code, out) = check("client_that_listens.toml", listen);
+    assert_eq!(code, Some(1), "{out}");
+    assert!(out.contains("client_that_listens.toml: bus.listen: this node does not relay"), "{out}");
+    let (code, out) = check("relay.toml", &format!("{listen}\nrelay = \"yes\""));
+    assert_eq!(code, Some(0), "{out}");
+    assert!(out.ends_with(": ok, a robot: a\n"), "{out}");
+}
+
+#[test]
 fn check_reports_every_error_with_file_and_position() {
     let fleet = test_file("wrong_fleet.toml", "name = \"ward\"\nmapp = \"hospital\"\n[lease]\nlase_ms = 1\n");
     let robot = test_file("wrong_robot.toml", "name = \"a\"\nplace = \"Kitchen\"\nskills = [\"pick_up\"]\n");
