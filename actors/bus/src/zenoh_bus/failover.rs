@@ -3,28 +3,31 @@
 //! Zenoh 1.10.2 can give a client several addresses, and reconnects it when its link closes. This is
 //! slow when a relay's machine fails: the link ends after its lease, and then Zenoh tries all addresses
 //! one after the other, each for as long as a link may take to open. So each session gets a single
-//! address, and this module queries its relay. After two queries without a response it opens a session
-//! at another relay, checks that relay, and moves the declarations to it. The former session stays until
-//! then: a node that reaches no relay at all keeps its session, and Zenoh reconnects it.
+//! address, and this module queries its relay. After two queries without a response, or when the link
+//! has closed, it opens a session at another relay, checks that relay, and moves the declarations to it.
+//! The former session stays until then: a node that reaches no relay at all keeps its session, and Zenoh
+//! reconnects it.
 //!
 //! ```text
 //!   relay responds ──▶ pause ──▶ query …
-//!   two queries without a response ──▶ open a session at the next relay ──▶ it responds: move
+//!   the link has closed,
+//!   or two queries have no response ──▶ open a session at the next relay ──▶ it responds: move
 //!                                       none responds: keep the session ──▶ pause, query …
 //! ```
 //!
-//! With a lease of 2 s a client has moved after at most 0.6 s, and the time to connect: a pause and two
-//! queries of a tenth of the lease each.
+//! A client leaves a silent relay after at most three tenths of the lease: a pause, and two queries.
 
 use super::session::SessionManager;
 use super::settings::{LINK_CHECK, ZenohSettings};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
-use tokio::sync::mpsc;
-use tokio::time::{Instant, sleep, timeout_at};
+use tokio::sync::{Notify, mpsc};
+use tokio::time::{Instant, sleep, timeout};
 use tracing::{debug, info, warn};
 use zenoh::Session;
 use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::SampleKind;
+use zenoh::session::TransportEvent;
 
 /// Queries without a response, in a row, after which a relay counts as failed. A single one may be
 /// lost with a link that closes and returns.
@@ -33,8 +36,19 @@ const UNANSWERED_MAX: u32 = 2;
 /// Pause after an attempt in which no relay responded.
 const RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// Interval of checks for a link.
-const POLL_INTERVAL: Duration = Duration::from_millis(10);
+/// Pause after an event, until the session has handled it, too.
+const SHORT_PAUSE: Duration = Duration::from_millis(10);
+
+/// Result of a query to the relay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Response {
+    /// The relay has ended the query.
+    Received,
+    /// The query has not ended in time.
+    Missing,
+    /// The session has no link.
+    NoLink,
+}
 
 /// What the client does after a query.
 #[derive(Debug, PartialEq, Eq)]
@@ -52,18 +66,22 @@ enum Step {
 struct Unanswered(u32);
 
 impl Unanswered {
-    /// Handles the end of a query. `limit` is the time that a response may take, `took` that of the query.
-    fn queried(&mut self, responds: bool, took: Duration, limit: Duration) -> Step {
-        if responds {
-            self.0 = 0;
-            return Step::Pause;
-        }
-        if took > limit * 2 {
+    /// Handles the result of a query that took a time. `limit` is the time that a response may take.
+    fn queried(&mut self, response: Response, took: Duration, limit: Duration) -> Step {
+        let step = match response {
+            Response::Received => Step::Pause,
+            Response::NoLink => Step::Move,
             // This process was stalled: the response may have arrived, and was not read.
-            return Step::QueryAgain;
+            Response::Missing if took > limit * 2 => Step::QueryAgain,
+            Response::Missing => {
+                self.0 += 1;
+                if self.0 < UNANSWERED_MAX { Step::QueryAgain } else { Step::Move }
+            }
+        };
+        if step != Step::QueryAgain {
+            self.0 = 0;
         }
-        self.0 = (self.0 + 1).min(UNANSWERED_MAX);
-        if self.0 == UNANSWERED_MAX { Step::Move } else { Step::QueryAgain }
+        step
     }
 }
 
@@ -76,21 +94,40 @@ fn candidates(present: Option<usize>, relays: usize) -> impl Iterator<Item = usi
 
 /// Queries the relay of a client until the bus is closed, and moves the client when the relay fails.
 pub(super) async fn run(manager: Weak<SessionManager>) {
-    let mut unanswered = Unanswered::default();
+    let (mut unanswered, mut watched, closed) = (Unanswered::default(), None, Arc::new(Notify::new()));
     loop {
         let Some(manager) = manager.upgrade().filter(|manager| !manager.is_closed()) else { return };
-        let limit = manager.settings().response_limit();
+        let (session, limit) = (manager.session(), manager.settings().response_limit());
+        if watched != Some(session.zid()) {
+            watch_link(&session, &closed).await;
+            watched = Some(session.zid());
+        }
         manager.report_vanished();
         let began = Instant::now();
-        let responds = relay_responds(&manager.session(), limit).await;
-        let pause = match unanswered.queried(responds, began.elapsed(), limit) {
+        let response = query_relay(&session, limit).await;
+        let pause = match unanswered.queried(response, began.elapsed(), limit) {
             Step::Pause => limit,
-            Step::QueryAgain => POLL_INTERVAL,
-            Step::Move if move_to_another_relay(&manager).await => POLL_INTERVAL,
+            Step::QueryAgain => SHORT_PAUSE,
+            Step::Move if move_to_another_relay(&manager).await => SHORT_PAUSE,
             Step::Move => RETRY_PAUSE,
         };
-        drop(manager); // the session closes with its last user
-        sleep(pause).await;
+        drop((session, manager)); // the session closes with its last user
+        if timeout(pause, closed.notified()).await.is_ok() {
+            sleep(SHORT_PAUSE).await;
+        }
+    }
+}
+
+/// Notifies `closed` when the link of a session closes.
+async fn watch_link(session: &Session, closed: &Arc<Notify>) {
+    let closed = Arc::clone(closed);
+    let on_event = move |event: TransportEvent| {
+        if event.kind() == SampleKind::Delete {
+            closed.notify_one();
+        }
+    };
+    if let Err(problem) = session.info().transport_events_listener().callback(on_event).background().await {
+        warn!(%problem, "the link to the relay is checked by queries only");
     }
 }
 
@@ -107,7 +144,7 @@ async fn move_to_another_relay(manager: &Arc<SessionManager>) -> bool {
                 continue;
             }
         };
-        if relay_responds(&session, manager.settings().response_limit()).await {
+        if query_relay(&session, manager.settings().response_limit()).await == Response::Received {
             warn!(to = %relay, "the relay of this node does not respond; moving to another");
             manager.move_to(session, number).await;
             info!(%relay, "moved to a relay");
@@ -119,32 +156,24 @@ async fn move_to_another_relay(manager: &Arc<SessionManager>) -> bool {
     false
 }
 
-/// Checks whether the relay of a session ends a query within `limit`. A Zenoh router that is not a node
-/// ends it without a reply.
-async fn relay_responds(session: &Session, limit: Duration) -> bool {
-    let end = Instant::now() + limit;
-    let relay = loop {
-        if session.is_closed() {
-            return false;
-        }
-        if let Some(relay) = session.info().transports().await.next() {
-            break *relay.zid();
-        }
-        if Instant::now() >= end {
-            return false;
-        }
-        sleep(POLL_INTERVAL).await;
-    };
-    let selector = format!("{LINK_CHECK}/{relay}");
-    let query = session.get(selector.as_str()).target(QueryTarget::All);
-    // Zenoh ends the query later than this function, so that its end is a response.
-    let query = query.consolidation(ConsolidationMode::None).timeout(limit * 2);
+/// Queries the relay of a session. A Zenoh router that is not a node ends the query without a reply.
+async fn query_relay(session: &Session, limit: Duration) -> Response {
+    if session.is_closed() {
+        return Response::NoLink;
+    }
+    let Some(relay) = session.info().transports().await.next() else { return Response::NoLink };
+    let selector = format!("{LINK_CHECK}/{}", relay.zid());
+    let query = session.get(selector.as_str()).target(QueryTarget::All).consolidation(ConsolidationMode::None);
     // The callback is dropped when the query ends.
     let (mailbox, mut ended) = mpsc::unbounded_channel();
     let on_reply = move |_: zenoh::query::Reply| {
         let _ = mailbox.send(());
     };
-    query.callback(on_reply).await.is_ok() && timeout_at(end, ended.recv()).await.is_ok()
+    // Zenoh ends the query later than this function, so that its end is a response.
+    match query.timeout(limit * 2).callback(on_reply).await {
+        Ok(()) if timeout(limit, ended.recv()).await.is_ok() => Response::Received,
+        Ok(()) | Err(_) => Response::Missing,
+    }
 }
 
 #[cfg(test)]
@@ -156,18 +185,25 @@ mod tests {
     #[test]
     fn two_queries_in_a_row_without_a_response_move_the_client() {
         let mut unanswered = Unanswered::default();
-        assert_eq!(unanswered.queried(false, LIMIT, LIMIT), Step::QueryAgain);
-        assert_eq!(unanswered.queried(true, LIMIT, LIMIT), Step::Pause);
-        assert_eq!(unanswered.queried(false, LIMIT, LIMIT), Step::QueryAgain);
-        assert_eq!(unanswered.queried(false, LIMIT, LIMIT), Step::Move);
-        assert_eq!(unanswered.queried(false, LIMIT, LIMIT), Step::Move, "no relay was reached");
+        assert_eq!(unanswered.queried(Response::Missing, LIMIT, LIMIT), Step::QueryAgain);
+        assert_eq!(unanswered.queried(Response::Received, LIMIT, LIMIT), Step::Pause);
+        assert_eq!(unanswered.queried(Response::Missing, LIMIT, LIMIT), Step::QueryAgain);
+        assert_eq!(unanswered.queried(Response::Missing, LIMIT, LIMIT), Step::Move);
+        // After an attempt to move the count begins anew.
+        assert_eq!(unanswered.queried(Response::Missing, LIMIT, LIMIT), Step::QueryAgain);
+        assert_eq!(unanswered.queried(Response::Missing, LIMIT, LIMIT), Step::Move);
+    }
+
+    #[test]
+    fn a_closed_link_moves_the_client_at_once() {
+        assert_eq!(Unanswered::default().queried(Response::NoLink, Duration::ZERO, LIMIT), Step::Move);
     }
 
     #[test]
     fn a_stall_of_the_own_process_is_no_failure_of_the_relay() {
         let mut unanswered = Unanswered::default();
         for _ in 0..9 {
-            assert_eq!(unanswered.queried(false, LIMIT * 3, LIMIT), Step::QueryAgain);
+            assert_eq!(unanswered.queried(Response::Missing, LIMIT * 3, LIMIT), Step::QueryAgain);
         }
     }
 
