@@ -132,9 +132,13 @@ fn settings(args: &HostArgs, number: usize) -> ZenohSettings {
         let listen = vec![format!("tcp/0.0.0.0:{PORT}")];
         return ZenohSettings { listen, connect: args.connect.clone(), ..ZenohSettings::default() };
     };
-    // A robot connects to two relays. The first of them differs between successive robots.
+    // The first relay differs between successive robots. A client has all relays to choose from, a router two neighbours.
     let relays = args.connect.len();
-    let connect = (0..2).map(|next| args.connect[(args.first + number + next) % relays].clone()).collect();
+    let chosen = match args.mode {
+        RobotMode::Client => relays,
+        RobotMode::Router => relays.min(2),
+    };
+    let connect = (0..chosen).map(|next| args.connect[(args.first + number + next) % relays].clone()).collect();
     let listen = vec![format!("tcp/0.0.0.0:{}", usize::from(PORT) + 1 + number)];
     ZenohSettings { mode: args.mode.mode(), listen, connect, ..ZenohSettings::default() }
 }

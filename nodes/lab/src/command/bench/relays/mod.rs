@@ -34,18 +34,21 @@ const START_LIMIT: Duration = Duration::from_secs(180);
 /// Duration of each phase.
 const PHASE: Duration = Duration::from_secs(20);
 
-/// Time for which a cable is unplugged.
+/// Time in which a relay with a plugged cable is linked again.
+const RELINK: Duration = Duration::from_secs(10);
+
+/// Time for which the cable of robots is unplugged.
 const FLAP: Duration = Duration::from_secs(1);
 
 /// Measures Zenoh with three relays and many robots, in network namespaces.
 ///
 /// Three relays are processes on hosts of their own, and three more processes contain the sessions of the robots. The
 /// first relay publishes a beacon every 100 ms, which all others receive, and each robot publishes 300 bytes a second,
-/// which the relays receive. After a calm phase the cable of a host with a third of the robots is unplugged for a second,
-/// and then the last relay is killed.
+/// which the relays receive. After a calm phase the cable of a host with a third of the robots is unplugged for a second.
+/// Then the cable of the third relay is unplugged for as long as a phase takes, and at last the second relay is killed.
 ///
-/// With `--mode client` robots are Zenoh clients of the relays; with `router` they are routers with two neighbours, as the
-/// nodes of a fleet are.
+/// With `--mode client` robots are clients of the relays, as in a fleet with `planned_nodes`; with `router` they are
+/// routers with two neighbours, as in a fleet without.
 ///
 /// It needs Linux with unprivileged user namespaces, or root, and the program ip (iproute2). Nothing is sent outside of its
 /// own namespaces.
@@ -57,8 +60,8 @@ Examples:
   consort-lab bench relays --robots 300 --json | jq .kill.longest_gap_ms
 
 longest_gap_ms is the longest time that a robot received no beacon; of the robots behind the unplugged cable it is
-affected_gap_ms. false_takeovers counts the times that a relay missed the beacons for 300 ms, after which a voter of a
-fleet with the timing `lan` campaigns.")]
+affected_gap_ms. vanish is the phase of the unplugged relay. false_takeovers counts the times that a relay missed the
+beacons for 300 ms, after which a voter of a fleet with the timing `lan` campaigns.")]
 pub(super) struct Args {
     /// Number of robots: a run for each number, from 3 to 1000
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [50, 100, 300],
@@ -76,7 +79,7 @@ pub(super) struct Args {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum RobotMode {
-    /// Sends and receives everything through a relay.
+    /// Sends and receives everything through a relay, and moves to another when it fails.
     Client,
     /// Relays messages of its neighbours.
     Router,
@@ -92,7 +95,7 @@ impl RobotMode {
 
     fn mode(self) -> Mode {
         match self {
-            RobotMode::Client => Mode::Client,
+            RobotMode::Client => Mode::NodeClient,
             RobotMode::Router => Mode::Router,
         }
     }
@@ -108,6 +111,8 @@ struct RelayFigures {
     calm: PhaseFigures,
     /// A cable is unplugged for a second.
     flap: PhaseFigures,
+    /// The cable of a relay is unplugged.
+    vanish: PhaseFigures,
     /// A relay is killed.
     kill: PhaseFigures,
     /// Computing time of the mean relay in the calm phase, in percent of a core.
@@ -211,12 +216,33 @@ fn measure(network: &HostNetwork, robots: usize, mode: RobotMode) -> Result<Rela
     std::thread::sleep(PHASE - FLAP);
     let flap = phase(&mut relays, &mut hosts, Some(0))?;
 
+    progress.show(format_args!("{robots} robots: the cable of a relay is unplugged"));
+    network.unplug(RELAYS[2]);
+    std::thread::sleep(PHASE);
+    // The unplugged relay misses the beacons, which is no false takeover.
+    let vanish = phase(&mut relays[..2], &mut hosts, None);
+    network.plug(RELAYS[2], "br0");
+    let vanish = vanish?;
+    std::thread::sleep(RELINK);
+    reset(&mut relays, &mut hosts)?;
+
     progress.show(format_args!("{robots} robots: a relay is killed"));
     let relay_memory_mb = relays.iter().map(HostProcess::memory_mb).fold(0.0, f64::max);
-    relays.pop();
+    drop(relays.remove(1));
     std::thread::sleep(PHASE);
     let kill = phase(&mut relays, &mut hosts, None)?;
-    Ok(RelayFigures { robots, mode, start_s, calm, flap, kill, relay_cpu_percent, robot_cpu_percent, relay_memory_mb })
+    Ok(RelayFigures {
+        robots,
+        mode,
+        start_s,
+        calm,
+        flap,
+        vanish,
+        kill,
+        relay_cpu_percent,
+        robot_cpu_percent,
+        relay_memory_mb,
+    })
 }
 
 fn reset(relays: &mut [HostProcess], hosts: &mut [HostProcess]) -> Result<(), Failure> {
@@ -241,19 +267,20 @@ fn phase(
 }
 
 const HEADER: &str = "\
-robots  mode    start  longest gap without beacon, ms           false      silent  CPU of relay  CPU of robot  relay
-                s      calm    cable   behind cable  relay dead  takeovers  robots  % of a core   % of a core   MB";
+robots  mode    start  longest gap without beacon, ms                          false      silent  CPU of relay  CPU of robot  relay
+                s      calm    cable   behind cable  relay silent  relay dead  takeovers  robots  % of a core   % of a core   MB";
 
 fn row(figures: &RelayFigures) -> String {
-    let phases = [&figures.calm, &figures.flap, &figures.kill];
+    let phases = [&figures.calm, &figures.flap, &figures.vanish, &figures.kill];
     format!(
-        "{:<7} {:<7} {:<6.1} {:<7.0} {:<7.0} {:<13.0} {:<11.0} {:<10} {:<7} {:<13.1} {:<13.2} {:.0}",
+        "{:<7} {:<7} {:<6.1} {:<7.0} {:<7.0} {:<13.0} {:<13.0} {:<11.0} {:<10} {:<7} {:<13.1} {:<13.2} {:.0}",
         figures.robots,
         figures.mode.name(),
         figures.start_s,
         figures.calm.longest_gap_ms,
         figures.flap.longest_gap_ms,
         figures.flap.affected_gap_ms.unwrap_or_default(),
+        figures.vanish.longest_gap_ms,
         figures.kill.longest_gap_ms,
         phases.iter().map(|phase| phase.false_takeovers).sum::<u64>(),
         figures.kill.silent_robots,
