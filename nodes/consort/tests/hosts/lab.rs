@@ -50,8 +50,8 @@ impl Lab {
         Lab { fleet, network, programs: BTreeMap::new(), commands: 0, folder, closed: false }
     }
 
-    /// Creates certificates for these nodes with their roles, and for a person with the read scope.
-    /// Nodes start with certificates from now on.
+    /// Creates certificates for these nodes with their roles, and for a person with the read scope and one who may submit
+    /// missions. Nodes and commands have certificates from now on.
     pub(crate) fn close(&mut self, nodes: &[(&str, &str)]) {
         let dir = self.certs("").display().to_string();
         let cert = |words: &[&str]| run(env!("CARGO_BIN_EXE_consort"), &[&["cert", "--dir", &dir], words].concat());
@@ -61,6 +61,7 @@ impl Lab {
             cert(&[&["node", node, "--roles", roles], serves].concat());
         }
         cert(&["person", "looker", "--scope", "read"]);
+        cert(&["person", "submitter", "--scope", "submit"]);
         self.closed = true;
     }
 
@@ -103,13 +104,17 @@ impl Lab {
         format!("{}/{}:7447", self.protocol(), self.network.address(to, from))
     }
 
-    /// Starts the node of a host with `consort KIND --config FILE`, on all its addresses, linked to
-    /// these hosts.
+    /// Starts the node of a host with `consort KIND --config FILE`, linked to these hosts. It listens on
+    /// all its addresses, unless its file says that it does not relay.
     pub(crate) fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
         let connect: Vec<String> = neighbours.iter().map(|other| self.address(other, &name)).collect();
         let mut bus = Table::new();
-        bus.insert("listen".to_owned(), vec![format!("{}/0.0.0.0:7447", self.protocol())].into());
+        let relay = node.get("bus").and_then(|bus| bus.get("relay")).and_then(toml::Value::as_str);
+        match relay {
+            Some("no") => bus.insert("relay".to_owned(), "no".into()),
+            _ => bus.insert("listen".to_owned(), vec![format!("{}/0.0.0.0:7447", self.protocol())].into()),
+        };
         if self.closed {
             bus.insert("certs".to_owned(), self.certs(&name).display().to_string().into());
         }
@@ -135,8 +140,11 @@ impl Lab {
     pub(crate) fn run(&mut self, arguments: &[&str], on: &str, timeout: Duration) -> Ended {
         self.commands += 1;
         let (name, timeout) = (format!("command-{}", self.commands), timeout.as_secs().to_string());
-        let more = ["--connect", "tcp/127.0.0.1:7447", "--fleet", &self.fleet, "--timeout", &timeout];
-        let program = Program::start_by(&within(on), &self.folder, &name, &[arguments, &more].concat());
+        let address = format!("{}/127.0.0.1:7447", self.protocol());
+        let certs = self.certs("submitter").display().to_string();
+        let certs: &[&str] = if self.closed { &["--certs", &certs] } else { &[] };
+        let more = ["--connect", &address, "--fleet", &self.fleet, "--timeout", &timeout];
+        let program = Program::start_by(&within(on), &self.folder, &name, &[arguments, &more, certs].concat());
         program.end(LONG)
     }
 

@@ -10,6 +10,7 @@ mod link_failures;
 mod multi_hop;
 mod packet_loss;
 mod partition;
+mod relays;
 mod scenario;
 mod shipped_topology;
 #[path = "../../../../tests/support/slots.rs"]

@@ -54,13 +54,18 @@ pub(crate) fn hospital(speed: f64, closed: bool) -> (Lab, Client) {
     lab.start("robot", robot("arm"), &["world", "s1", "s2", "s3"]);
     lab.await_open();
     let client = lab.client("world", FLEET);
-    until("the carrier and the arm are members, and there are five voters", LONG, || {
+    wait_for_members(&client, stations.len());
+    (lab, client)
+}
+
+/// Waits until the carrier and the arm are members, and there is this number of voters.
+pub(crate) fn wait_for_members(client: &Client, voters: usize) {
+    until(&format!("the carrier and the arm are members, and there are {voters} voters"), LONG, || {
         let members = client.all("view/fleet", "").into_iter().next()?.1["ensembles"][0]["nodes"].clone();
         let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();
-        let voters = client.all("view/coordinator", "").into_iter().next()?.1["voters"].as_array()?.len();
-        (members == 2 && voters == 5).then_some(())
+        let present = client.all("view/coordinator", "").into_iter().next()?.1["voters"].as_array()?.len();
+        (members == 2 && present == voters).then_some(())
     });
-    (lab, client)
 }
 
 /// Returns the coordinator and its term from the views.
