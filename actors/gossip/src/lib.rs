@@ -35,7 +35,8 @@
 //!   version received from another node. The owner renews the version every few seconds, so both
 //!   show whether the owner still publishes.
 //! - A dead node is declared down within 2 s if its token vanished, and within 6 s otherwise
-//!   (fleets of 3 and of 10). From then on it receives no calls for bids, and its record is not
+//!   (fleets of 3 and of 10). The bus of a node that does not relay reports a vanished token 1.5 s
+//!   later: its own relay may have failed. From then on it receives no calls for bids, and its record is not
 //!   forwarded. It leaves the ensemble once its record is stale, and its record is removed after
 //!   `forget_after`, 30 s.
 //! - A seed determines the run: the agenda is ordered, randomness is passed in, and time is

@@ -135,19 +135,25 @@ async fn watch_link(session: &Session, closed: &Arc<Notify>) {
 /// stays.
 async fn move_to_another_relay(manager: &Arc<SessionManager>) -> bool {
     let ZenohSettings { connect, .. } = manager.settings();
+    let limit = manager.settings().response_limit();
     for number in candidates(manager.relay(), connect.len()) {
         let relay = &connect[number];
         let session = match manager.open_at(number).await {
             Ok(session) => session,
             Err(problem) => {
-                debug!(%relay, %problem, "the relay cannot be reached");
+                debug!(%relay, %problem, "no session at the relay");
                 continue;
             }
         };
-        if query_relay(&session, manager.settings().response_limit()).await == Response::Received {
-            warn!(to = %relay, "the relay of this node does not respond; moving to another");
+        if query_relay(&session, limit).await == Response::Received {
+            match manager.relay() {
+                Some(former) => {
+                    let former = &connect[former];
+                    warn!(%former, %relay, "the former relay does not respond; moving to another");
+                }
+                None => info!(%relay, "found a relay"),
+            }
             manager.move_to(session, number).await;
-            info!(%relay, "moved to a relay");
             return true;
         }
         debug!(%relay, "the relay does not respond");
