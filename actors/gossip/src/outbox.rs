@@ -9,16 +9,18 @@ use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::message::{Exchange, RecordUpdate};
 
-/// Capacity of the outbox, in messages.
+/// Capacity of an outbox, in messages.
 const CAPACITY: usize = 1024;
 
-/// Outgoing messages. Those that are not sent are counted.
+/// Outgoing messages. Those that are not sent are counted. Records and replies may wait for a slow link, and a late packet
+/// of failure detection ends its sender, so packets have an outbox of their own.
 pub(super) struct Outbox {
     node: NodeId,
     keys: Keys,
     wire_version: WireVersion,
     shared: SharedKnowledge,
     messages: consort_bus::Outbox,
+    packets: consort_bus::Outbox,
 }
 
 impl Outbox {
@@ -31,8 +33,13 @@ impl Outbox {
         bus: SharedBus,
     ) -> (Outbox, impl Future<Output = ()> + Send) {
         let counted = shared.clone();
-        let (messages, task) = consort_bus::Outbox::new(bus, CAPACITY, move || counted.lock().counters.unsent += 1);
-        (Outbox { node, keys, wire_version, shared, messages }, task)
+        let count_unsent = move || counted.lock().counters.unsent += 1;
+        let (messages, sending) = consort_bus::Outbox::new(bus.clone(), CAPACITY, count_unsent.clone());
+        let (packets, sending_packets) = consort_bus::Outbox::new(bus, CAPACITY, count_unsent);
+        let task = async move {
+            tokio::join!(sending, sending_packets);
+        };
+        (Outbox { node, keys, wire_version, shared, messages, packets }, task)
     }
 
     /// Publishes an update of the own record.
@@ -43,7 +50,7 @@ impl Outbox {
 
     /// Sends a packet of failure detection.
     pub(super) fn send(&self, to: NodeId, packet: Bytes) {
-        self.count(self.messages.publish(self.keys.write(&Key::Swim(to)), packet));
+        self.count(self.packets.publish(self.keys.write(&Key::Swim(to)), packet));
     }
 
     /// Replies to a peer.
@@ -61,6 +68,59 @@ impl Outbox {
     fn count(&self, accepted: bool) {
         if !accepted {
             self.shared.lock().counters.unsent += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_bus::{Author, Bus as _, BusError, Encoding, LinkModel, Replier, RequestAuthority, VirtualNetwork};
+    use consort_protocol::ids::FleetId;
+    use consort_protocol::knowledge::{Digest, DigestScope};
+    use ractor::async_trait;
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    /// A replier whose link takes no message.
+    struct Stalled;
+
+    #[async_trait]
+    impl Replier for Stalled {
+        async fn reply_with_attachment(&self, _: &str, _: Bytes, _: Bytes, _: Encoding) -> Result<(), BusError> {
+            std::future::pending().await
+        }
+
+        async fn refuse(&self, _: &str) -> Result<(), BusError> {
+            std::future::pending().await
+        }
+    }
+
+    #[tokio::test(flavor = "current_thread", start_paused = true)]
+    async fn a_reply_on_a_slow_link_delays_no_packet() {
+        let (ada, bob) = (NodeId::new("ada").unwrap(), NodeId::new("bob").unwrap());
+        let keys = Keys::new(&FleetId::new("ward").unwrap());
+        let network = VirtualNetwork::new(1, LinkModel::LAN);
+        let mut packets = network.bus(bob.clone()).subscribe(&keys.write(&Key::Swim(bob.clone()))).await.unwrap();
+        let bus: SharedBus = Arc::new(network.bus(ada.clone()));
+        let (outbox, sending) =
+            Outbox::new(ada.clone(), keys.clone(), WireVersion::default(), SharedKnowledge::default(), bus);
+        let query = Query {
+            key: keys.write(&Key::Gossip(ada)),
+            parameters: String::new(),
+            payload: Bytes::new(),
+            attachment: Bytes::new(),
+            author: Author::UNKNOWN,
+            authority: RequestAuthority::Unchecked,
+            replier: Box::new(Stalled),
+        };
+        let exchange = Exchange { sums: vec![], scope: DigestScope::NONE, digest: Digest::new(), records: vec![] };
+        outbox.reply(query, exchange);
+        outbox.send(bob, Bytes::from_static(b"ping"));
+        tokio::select! {
+            () = sending => panic!("the outbox has ended"),
+            received = packets.recv() => assert_eq!(received.unwrap().payload, "ping"),
+            () = tokio::time::sleep(Duration::from_secs(9)) => panic!("the packet waits for the reply"),
         }
     }
 }
