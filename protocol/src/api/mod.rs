@@ -30,7 +30,9 @@
 //! additional `"retry_after_ms"` the same request, with the same `request` id, may be repeated
 //! after that time: there is no coordinator yet, or the ledger did not commit in time. The reply to
 //! a submission is sent once the mission is committed. Any node replies to the other calls (see
-//! [`crate::view`]).
+//! [`crate::view`]). A node with too many open requests refuses further ones, by an error reply of Zenoh
+//! that begins with `busy`, or in a fleet with certificates by no reply; such a request was not executed
+//! and may be repeated.
 //!
 //! A read is answered from the copy of the nearest node, which may lag behind: `ledger` in the reply
 //! states its `revision` and its age. With `"linearizable": true` a majority first confirms the

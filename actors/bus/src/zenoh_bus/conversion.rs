@@ -89,9 +89,7 @@ pub(super) fn query_callback(
     move |query| {
         let size = |content: Option<&ZBytes>| content.map_or(0, ZBytes::len);
         let Some(open) = mailbox.admit(size(query.payload()) + size(query.attachment())) else {
-            // The requester may be gone: ignore the error.
-            let _ = query.reply_err(BUSY).encoding(ZenohEncoding::TEXT_PLAIN).wait();
-            return;
+            return senders.refuse(query, BUSY);
         };
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let at = Timestamp::new(NTP64::from(since_1970), TimestampId::from(own));
@@ -105,11 +103,10 @@ pub(super) fn query_callback(
             authority: RequestAuthority::Unchecked,
             replier: Box::new(ZenohReplier {
                 query_key: OwnedKeyExpr::from(query.key_expr().clone()),
-                query: Some(query),
+                query: Some((query, open)),
                 at,
                 message_max,
                 senders: senders.clone(),
-                _open: open,
             }),
         });
     }
@@ -117,8 +114,8 @@ pub(super) fn query_callback(
 
 /// Replies to a query of Zenoh. The query ends when this is dropped.
 struct ZenohReplier {
-    /// Present until this is dropped.
-    query: Option<zenoh::query::Query>,
+    /// The query, and its part of the open queries of the service; present until this is dropped.
+    query: Option<(zenoh::query::Query, OwnedSemaphorePermit)>,
     query_key: OwnedKeyExpr,
     /// Timestamp of the query, in Zenoh's sense, which is unique per node. All replies to the query
     /// have this timestamp. Zenoh returns the latest reply per key, so of two nodes that reply on
@@ -126,8 +123,6 @@ struct ZenohReplier {
     at: Timestamp,
     message_max: usize,
     senders: Senders,
-    /// Part of the open queries of the service.
-    _open: OwnedSemaphorePermit,
 }
 
 impl ZenohReplier {
@@ -136,15 +131,16 @@ impl ZenohReplier {
         &self,
         send: impl FnOnce(zenoh::query::Query) -> zenoh::Result<()> + Send + 'static,
     ) -> Result<(), BusError> {
-        let query = self.query.clone().expect("a replier has its query until it is dropped");
+        let (query, _) = self.query.as_ref().expect("a replier has its query until it is dropped");
+        let query = query.clone();
         self.senders.send("reply to a query", query.priority(), move || send(query)).await
     }
 }
 
 impl Drop for ZenohReplier {
     fn drop(&mut self) {
-        if let Some(query) = self.query.take() {
-            self.senders.end(query);
+        if let Some((query, open)) = self.query.take() {
+            self.senders.end(query, open);
         }
     }
 }

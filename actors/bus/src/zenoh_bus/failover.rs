@@ -17,14 +17,17 @@
 //!
 //! A client leaves a silent relay after at most three tenths of the lease: a pause, and two queries.
 
-use super::session::SessionManager;
+use super::session::{SessionManager, close};
 use super::settings::{LINK_CHECK, ZenohSettings};
+use super::transmission::zenoh_priority;
+use consort_protocol::keys::Priority;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::sync::{Notify, mpsc};
 use tokio::time::{Instant, sleep, timeout};
 use tracing::{debug, info, warn};
 use zenoh::Session;
+use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::SampleKind;
 use zenoh::session::TransportEvent;
@@ -157,7 +160,7 @@ async fn move_to_another_relay(manager: &Arc<SessionManager>) -> bool {
             return true;
         }
         debug!(%relay, "the relay does not respond");
-        let _ = session.close().await;
+        let _ = close(session).await;
     }
     false
 }
@@ -170,6 +173,8 @@ async fn query_relay(session: &Session, limit: Duration) -> Response {
     let Some(relay) = session.info().transports().await.next() else { return Response::NoLink };
     let selector = format!("{LINK_CHECK}/{}", relay.zid());
     let query = session.get(selector.as_str()).target(QueryTarget::All).consolidation(ConsolidationMode::None);
+    // A query that waits for the link would block the thread, and a download would delay its response.
+    let query = query.congestion_control(CongestionControl::Drop).priority(zenoh_priority(Priority::Liveness));
     // The callback is dropped when the query ends.
     let (mailbox, mut ended) = mpsc::unbounded_channel();
     let on_reply = move |_: zenoh::query::Reply| {

@@ -129,8 +129,12 @@ impl Bus for ZenohBus {
             Delivery::Block => CongestionControl::Block,
         };
         let session = self.manager.session();
-        let put = session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control).priority(priority);
-        put.attachment(to_attachment(attachment)).await.map_err(|problem| failed("publish", problem))
+        let send = move || {
+            let put = session.put(key, payload).encoding(to_zenoh(encoding));
+            let put = put.congestion_control(control).priority(priority);
+            put.attachment(to_attachment(attachment)).wait()
+        };
+        self.manager.senders().send("publish", priority, send).await
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
@@ -172,7 +176,12 @@ impl Bus for ZenohBus {
             }
             get.attachment(to_attachment(attachment)).callback(on_reply).wait()
         };
-        self.manager.senders().send("query", priority, send).await?;
+        let sent = self.manager.senders().send("query", priority, send);
+        match tokio::time::timeout(timeout, sent).await {
+            Ok(sent) => sent?,
+            // It waits for a slow link. Its replies would be late.
+            Err(_) => return Ok(Stream::of_mailbox(crate::mailbox::mailbox().1, Box::new(()))),
+        }
         Ok(Stream::of_mailbox(receiver, Box::new(())))
     }
 

@@ -16,8 +16,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 use tokio::time::sleep;
 use tracing::{debug, error, info, warn};
-use zenoh::Session;
 use zenoh::sample::SampleKind;
+use zenoh::{Session, Wait as _};
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// Pause before a router opens its session. Zenoh 1.10.2 recomputes its routes at most every 100
@@ -137,10 +137,17 @@ fn with_ports(listen: &[String], assigned: &[String]) -> Vec<String> {
     listen.iter().map(at).collect()
 }
 
+/// Closes a session, on a thread of its own. The message that closes a link has the lowest priority, and Zenoh blocks the
+/// thread while other messages of this priority wait for a slow link.
+pub(super) async fn close(session: Session) -> Result<(), BusError> {
+    let closed = tokio::task::spawn_blocking(move || session.close().wait()).await;
+    closed.map_err(|problem| failed("close", problem))?.map_err(|problem| failed("close", problem))
+}
+
 /// Closes a session that is no longer used: its relay may not respond.
 fn close_in_background(session: Session) {
     tokio::spawn(async move {
-        if let Err(problem) = session.close().await {
+        if let Err(problem) = close(session).await {
             debug!(%problem, "failed to close the session at the former relay");
         }
     });
@@ -361,7 +368,7 @@ impl SessionManager {
     /// Ends all declarations, and the session.
     pub(super) async fn close(&self) -> Result<(), BusError> {
         self.end_all();
-        self.session().close().await.map_err(|problem| failed("close", problem))
+        close(self.session()).await
     }
 
     /// Reopens the session at the same addresses, and repeats all declarations. Meanwhile
@@ -370,7 +377,7 @@ impl SessionManager {
     async fn reopen(self: &Arc<Self>) {
         let _declaring = self.declaring.lock().await;
         self.undeclare_all();
-        if let Err(problem) = self.session().close().await {
+        if let Err(problem) = close(self.session()).await {
             warn!(%problem, "failed to close the old session");
         }
         self.report_presence(PresentTokens::take_all);
@@ -384,7 +391,7 @@ impl SessionManager {
                     Ok(()) => break opened,
                     Err(problem) => {
                         // The next attempt repeats all declarations on a session of its own.
-                        let _ = opened.session.close().await;
+                        let _ = close(opened.session).await;
                         problem
                     }
                 },
@@ -403,7 +410,7 @@ impl SessionManager {
         self.set_relay(relay);
         if self.is_closed() {
             // The bus was closed meanwhile, which did not cover this session.
-            let _ = session.close().await;
+            let _ = close(session).await;
             return;
         }
         info!(id = %session.zid(), "reopened the session");

@@ -5,20 +5,28 @@
 //! `express` is not used: it gives each message a batch of its own, and a queue has few batches.
 //!
 //! A publication is dropped if its queue stays full. Queries and replies are not: Zenoh blocks the calling thread until
-//! the queue has space, for half a minute with a backup on a link of 1 Mbit/s. So messages that may be late are sent on
-//! threads of their own, and the threads of the runtime stay free for heartbeats.
+//! the queue has space, for half a minute with a backup on a link of 1 Mbit/s. Meanwhile it also blocks the threads that
+//! publish with the same priority. So messages that may be late are sent on threads of their own, and the threads of the
+//! runtime stay free for heartbeats.
 
 use super::error::failed;
 use crate::bus::BusError;
 use consort_protocol::keys::Priority;
 use std::sync::Arc;
 use tokio::runtime::Handle;
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use zenoh::Wait;
+use zenoh::bytes::Encoding as ZenohEncoding;
 use zenoh::qos::Priority as ZenohPriority;
+use zenoh::query::Query;
 
 /// Number of threads for the messages of each priority that may be late; further messages wait for a thread. Higher: more
 /// slow links delay no other link. Lower: fewer threads. A guess: several times the links of a node.
 const SENDERS_MAX: usize = 16;
+
+/// Refused queries that wait for a thread. Each keeps its payload, so a further refusal blocks the thread of Zenoh that
+/// received the query, which slows its sender down.
+const REFUSALS_MAX: usize = 64;
 
 /// Returns Zenoh's priority of messages on a key or key expression.
 pub(super) fn priority_of(key_expr: &str) -> ZenohPriority {
@@ -41,11 +49,17 @@ pub(super) fn zenoh_priority(priority: Priority) -> ZenohPriority {
 
 /// The threads for messages that may be late, by priority: downloads delay no record. Clones share them.
 #[derive(Clone)]
-pub(super) struct Senders([Arc<Semaphore>; 4]);
+pub(super) struct Senders {
+    threads: [Arc<Semaphore>; 4],
+    refusals: Arc<Semaphore>,
+}
 
 impl Default for Senders {
     fn default() -> Self {
-        Senders(std::array::from_fn(|_| Arc::new(Semaphore::new(SENDERS_MAX))))
+        Senders {
+            threads: std::array::from_fn(|_| Arc::new(Semaphore::new(SENDERS_MAX))),
+            refusals: Arc::new(Semaphore::new(REFUSALS_MAX)),
+        }
     }
 }
 
@@ -54,10 +68,10 @@ impl Senders {
     fn threads(&self, priority: ZenohPriority) -> Option<&Arc<Semaphore>> {
         match priority {
             ZenohPriority::RealTime | ZenohPriority::InteractiveHigh | ZenohPriority::InteractiveLow => None,
-            ZenohPriority::DataHigh => Some(&self.0[0]),
-            ZenohPriority::Data => Some(&self.0[1]),
-            ZenohPriority::DataLow => Some(&self.0[2]),
-            ZenohPriority::Background => Some(&self.0[3]),
+            ZenohPriority::DataHigh => Some(&self.threads[0]),
+            ZenohPriority::Data => Some(&self.threads[1]),
+            ZenohPriority::DataLow => Some(&self.threads[2]),
+            ZenohPriority::Background => Some(&self.threads[3]),
         }
     }
 
@@ -80,19 +94,43 @@ impl Senders {
         sent.map_err(|problem| failed(operation, problem))
     }
 
-    /// Ends a query of this priority by dropping it, which sends a message, too.
-    pub(super) fn end(&self, query: zenoh::query::Query) {
-        let runtime = self.threads(query.priority()).and_then(|_| Handle::try_current().ok());
-        let Some(runtime) = runtime else { return drop(query) };
+    /// Ends a query by dropping it, which sends a message, too. The query is part of the `open` queries of its service
+    /// until then.
+    pub(super) fn end(&self, query: Query, open: OwnedSemaphorePermit) {
+        self.finish(query, move |query| {
+            drop(query);
+            drop(open);
+        });
+    }
+
+    /// Refuses and ends a query.
+    pub(super) fn refuse(&self, query: Query, reason: &'static str) {
+        let refuse = move |query: Query| {
+            // The requester may be gone: ignore the error.
+            let _ = query.reply_err(reason).encoding(ZenohEncoding::TEXT_PLAIN).wait();
+        };
+        match Arc::clone(&self.refusals).try_acquire_owned() {
+            Ok(waiting) => self.finish(query, move |query| {
+                refuse(query);
+                drop(waiting);
+            }),
+            Err(_) => refuse(query),
+        }
+    }
+
+    /// Runs the last step of a query, on a thread for its priority if it may be late.
+    fn finish(&self, query: Query, step: impl FnOnce(Query) + Send + 'static) {
+        let priority = query.priority();
+        let runtime = self.threads(priority).and_then(|_| Handle::try_current().ok());
+        let Some(runtime) = runtime else { return step(query) };
         let senders = self.clone();
         runtime.spawn(async move {
-            let priority = query.priority();
-            let ended = senders.send("end a query", priority, move || {
-                drop(query);
+            let finished = senders.send("end a query", priority, move || {
+                step(query);
                 Ok(())
             });
             // It fails only if the runtime ends.
-            let _ = ended.await;
+            let _ = finished.await;
         });
     }
 }
