@@ -13,7 +13,7 @@ pub enum Priority {
     /// Votes, heartbeats and entries of the ledger. Late ones replace a leader that works.
     Consensus,
     /// What keeps a coordinator, a member, a role or a goal alive: beacons, probes, reports, awards, commands to
-    /// drivers. Late ones end it.
+    /// drivers. Late ones end it. Also requests that stop robots.
     Liveness,
     /// Progress of missions: bids, signals, requests that change something. Missions wait for them.
     Mission,
@@ -52,6 +52,7 @@ impl Key {
                 Priority::Mission
             }
             Key::Leave(_) => Priority::Mission,
+            Key::Api(ApiCall::Hold | ApiCall::Alarm) => Priority::Liveness,
             Key::Api(ApiCall::Backup) => Priority::Bulk,
             Key::Api(call) if call.is_read_only() => Priority::View,
             Key::Api(_) => Priority::Mission,
@@ -132,13 +133,23 @@ mod tests {
         for key in crate::keys::tests::all() {
             let kind = KeyKind::of(&keys().write(&key));
             // Calls of several priorities, and tokens.
-            if !matches!(kind, KeyKind::Raft | KeyKind::Other) {
+            if !matches!(kind, KeyKind::Raft | KeyKind::Other) && !matches!(key, Key::Api(_)) {
                 assert_eq!(key.priority() <= Priority::Liveness, urgent.contains(&kind), "{key}");
             }
         }
         for call in RaftCall::ALL {
             let expected = if *call == RaftCall::Snapshot { Priority::Bulk } else { Priority::Consensus };
             assert_eq!(Key::Raft(7, *call).priority(), expected, "{call:?}");
+        }
+    }
+
+    #[test]
+    fn requests_precede_views_and_those_that_stop_robots_are_urgent() {
+        for call in ApiCall::ALL {
+            let urgent = [ApiCall::Hold, ApiCall::Alarm].contains(call);
+            let changes = !call.is_read_only() && *call != ApiCall::Backup;
+            let priority = Key::Api(*call).priority();
+            assert_eq!((priority <= Priority::Liveness, priority <= Priority::Mission), (urgent, changes), "{call:?}");
         }
     }
 }
