@@ -45,8 +45,11 @@ impl<T: Item> Queue<T> {
     /// Adds an item, after it has dropped as many as exceed the limits.
     fn push(&mut self, item: T) {
         let bytes = item.bytes();
+        let mut same_key = Some(0); // each search continues after the last, so a large item needs a single pass
         while !self.items.is_empty() && (self.items.len() >= ITEMS_MAX || self.bytes + bytes > BYTES_MAX) {
-            let same_key = self.items.iter().position(|(_, other)| other.key() == item.key());
+            same_key = same_key.and_then(|from| {
+                Some(from + self.items.range(from..).position(|(_, other)| other.key() == item.key())?)
+            });
             self.remove(same_key.unwrap_or(0));
         }
         self.bytes += bytes;
@@ -173,6 +176,19 @@ mod tests {
         }
         let kept: Vec<String> = rest(&mut receiver).into_iter().map(|sample| sample.key).collect();
         assert_eq!(kept, ["6", "7", "8", "9"]);
+    }
+
+    #[test]
+    fn a_large_item_displaces_those_on_its_key_first() {
+        let (sender, mut receiver) = mailbox();
+        for number in 0..16 {
+            let key = if number % 3 == 0 { "ada" } else { "bob" };
+            sender.send(sample(key, vec![number; MESSAGE_MAX / 4]));
+        }
+        sender.send(sample("ada", vec![16; MESSAGE_MAX]));
+        sender.send(sample("ada", vec![17; MESSAGE_MAX]));
+        let kept: Vec<u8> = rest(&mut receiver).into_iter().map(|sample| sample.payload[0]).collect();
+        assert_eq!(kept, [1, 2, 4, 5, 7, 8, 10, 11, 13, 14, 17]);
     }
 
     #[tokio::test]
