@@ -158,11 +158,11 @@ impl Bus for ZenohBus {
             ServiceSelection::All => (QueryTarget::All, ConsolidationMode::None),
             ServiceSelection::Nearest => (QueryTarget::BestMatching, ConsolidationMode::Latest),
         };
-        let (mailbox, receiver) = mailbox();
+        let (replies, receiver) = mailbox();
         let key = query_key.clone();
         let on_reply = move |answer: zenoh::query::Reply| {
             if let Some(reply) = reply(answer, &key) {
-                mailbox.send(reply);
+                replies.send(reply);
             }
         };
         let (session, priority) = (self.manager.session(), priority_of(query_key.as_str()));
@@ -180,7 +180,7 @@ impl Bus for ZenohBus {
         match tokio::time::timeout(timeout, sent).await {
             Ok(sent) => sent?,
             // It waits for a slow link. Its replies would be late.
-            Err(_) => return Ok(Stream::of_mailbox(crate::mailbox::mailbox().1, Box::new(()))),
+            Err(_) => return Ok(Stream::of_mailbox(mailbox().1, Box::new(()))),
         }
         Ok(Stream::of_mailbox(receiver, Box::new(())))
     }

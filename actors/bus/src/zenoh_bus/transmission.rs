@@ -24,9 +24,9 @@ use zenoh::query::Query;
 /// slow links delay no other link. Lower: fewer threads. A guess: several times the links of a node.
 const SENDERS_MAX: usize = 16;
 
-/// Refused queries that wait for a thread. Each keeps its payload, so a further refusal blocks the thread of Zenoh that
-/// received the query, which slows its sender down.
-const REFUSALS_MAX: usize = 64;
+/// Maximum number of refused queries that wait for a thread. Each keeps its payload of up to 4 MiB, so a further refusal
+/// blocks the thread of Zenoh that received the query, which slows its sender down.
+const REFUSALS_MAX: usize = 8;
 
 /// Returns Zenoh's priority of messages on a key or key expression.
 pub(super) fn priority_of(key_expr: &str) -> ZenohPriority {
