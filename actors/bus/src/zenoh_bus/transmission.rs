@@ -138,18 +138,53 @@ impl Senders {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::atomic::{AtomicBool, Ordering};
     use std::sync::mpsc;
     use std::time::Duration;
+    use tokio::task::JoinSet;
+    use tokio::time::timeout;
 
     #[tokio::test]
     async fn a_message_that_waits_for_its_link_stops_no_other_task() {
         let (free, link) = mpsc::channel();
         let senders = Senders::default();
-        let sending =
-            senders.send("send", ZenohPriority::Background, move || Ok(link.recv_timeout(Duration::from_secs(10))?));
+        let sending = senders.send("send", ZenohPriority::Background, move || {
+            link.recv_timeout(Duration::from_secs(10)).map_err(Into::into)
+        });
         let (sent, freed) = tokio::join!(sending, async { free.send(()) });
         sent.expect("the link becomes free");
         freed.expect("the message waits for its link");
+    }
+
+    #[tokio::test]
+    async fn a_message_that_finds_no_thread_waits_alone_and_may_give_up() {
+        let (senders, mut links, mut sending) = (Senders::default(), vec![], JoinSet::new());
+        for _ in 0..SENDERS_MAX {
+            let (free, link) = mpsc::channel();
+            links.push(free);
+            let senders = senders.clone();
+            sending.spawn(async move {
+                senders.send("send", ZenohPriority::Background, move || link.recv().map_err(Into::into)).await
+            });
+        }
+        while senders.threads[3].available_permits() > 0 {
+            tokio::task::yield_now().await;
+        }
+        let was_sent = Arc::new(AtomicBool::new(false));
+        let sent = Arc::clone(&was_sent);
+        let late = senders.send("send", ZenohPriority::Background, move || {
+            sent.store(true, Ordering::Relaxed);
+            Ok(())
+        });
+        assert!(timeout(Duration::from_millis(1), late).await.is_err());
+        for other in [ZenohPriority::DataLow, ZenohPriority::RealTime] {
+            senders.send("send", other, || Ok(())).await.expect("a free thread");
+        }
+        links.iter().for_each(|link| link.send(()).expect("the message waits for its link"));
+        while let Some(sent) = sending.join_next().await {
+            sent.expect("no panic").expect("the link is free");
+        }
+        assert!(!was_sent.load(Ordering::Relaxed));
     }
 
     #[test]
