@@ -48,6 +48,11 @@ pub fn wire_in<T: Serialize + Send + Sync + 'static>(tasks: &mut Tasks, query: Q
     tasks.spawn(async move { wire(&query, &key, &message).await });
 }
 
+/// Replies like [`json`] on the key of the query, in the background.
+pub fn json_in<T: Serialize + Send + Sync + 'static>(tasks: &mut Tasks, query: Query, value: T) {
+    tasks.spawn(async move { json(&query, &query.key, &value).await });
+}
+
 /// Refuses like [`refuse`], in the background.
 pub fn refuse_in(tasks: &mut Tasks, query: Query, reason: String) {
     tasks.spawn(async move { refuse(&query, &reason).await });

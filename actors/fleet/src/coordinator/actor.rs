@@ -82,8 +82,8 @@ impl Actor for Coordinator {
             (CoordinatorMessage::Beacon(sample), _) => state.follow_beacon(&sample),
             // Any node replies to read-only requests: see `views`.
             (CoordinatorMessage::Api(query), _) if is_read_only(&state.settings.parts.keys, &query) => {}
-            (CoordinatorMessage::Api(query), None) => state.leave_to_coordinator(&myself, query).await,
-            (CoordinatorMessage::ApiRecheck(query), None) => drop(state.reply_without_leader(query).await),
+            (CoordinatorMessage::Api(query), None) => state.leave_to_coordinator(&myself, query),
+            (CoordinatorMessage::ApiRecheck(query), None) => drop(state.reply_without_leader(query)),
             (_, None) => {} // message of an ended session
             (CoordinatorMessage::Ledger(changed), Some(session)) => {
                 drop(changed);
@@ -117,7 +117,7 @@ impl Actor for Coordinator {
             (CoordinatorMessage::ApiRecheck(query), Some(_)) => {
                 // The former coordinator may or may not have executed the request. A repeated
                 // request shows it.
-                reply::json(&query, &query.key, &retry_reply(String::new())).await;
+                reply::json_in(&mut state.tasks, query, retry_reply(String::new()));
             }
             // The requester may have stopped waiting.
             (CoordinatorMessage::QueryStatus(to), Some(session)) => drop(to.send(session.status())),
@@ -141,24 +141,22 @@ impl CoordinatorState {
 
     /// Leaves a request to the active coordinator, and checks it again after a short delay if this
     /// node cannot reply now.
-    async fn leave_to_coordinator(&mut self, myself: &ActorRef<CoordinatorMessage>, query: Query) {
-        if let Some(query) = self.reply_without_leader(query).await {
+    fn leave_to_coordinator(&mut self, myself: &ActorRef<CoordinatorMessage>, query: Query) {
+        if let Some(query) = self.reply_without_leader(query) {
             self.tasks.send_after(RECHECK_DELAY, myself, CoordinatorMessage::ApiRecheck(query));
         }
     }
 
     /// Replies to a request while this node is not the coordinator, if the reply is up to this
     /// node. Otherwise returns the request.
-    async fn reply_without_leader(&self, query: Query) -> Option<Query> {
+    fn reply_without_leader(&mut self, query: Query) -> Option<Query> {
         let NodeParts { node, replica, knowledge, .. } = &self.settings.parts;
         let leadership = replica.leadership().borrow().clone();
         let now = self.settings.parts.clock.now();
         let last_beacon = self.last_beacon.as_ref().map(|(node, at)| (node, now.since(*at)));
-        if let Some(reply) = no_leader_reply(node, &leadership, knowledge, last_beacon) {
-            reply::json(&query, &query.key, &reply).await;
-            return None;
-        }
-        Some(query)
+        let Some(reply) = no_leader_reply(node, &leadership, knowledge, last_beacon) else { return Some(query) };
+        reply::json_in(&mut self.tasks, query, reply);
+        None
     }
 
     async fn follow_leadership(&mut self, myself: &ActorRef<CoordinatorMessage>) -> Result<(), BusError> {

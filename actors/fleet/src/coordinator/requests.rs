@@ -38,7 +38,7 @@ impl Requests {
             let asked = query.key.rsplit('/').next().unwrap_or_default();
             let calls = ApiCall::ALL.iter().map(|call| call.as_str()).collect::<Vec<_>>().join(", ");
             let reply = ErrorReply::rejected(format!("no such request: {asked}; there are {calls}"));
-            context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
+            reply::json_in(&mut context.tasks, query, reply);
             return;
         };
         let requester = match &query.authority {
@@ -46,13 +46,13 @@ impl Requests {
             RequestAuthority::Verified(requester) => Some(requester.clone()),
             RequestAuthority::Rejected(reply) => {
                 let reply = reply.clone();
-                context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
+                reply::json_in(&mut context.tasks, query, reply);
                 return;
             }
         };
         if let Err(after) = self.limiter.try_acquire(context.now()) {
             let reply = busy_reply("too many requests per second", after);
-            context.tasks.spawn(async move { reply::json(&query, &query.key, &reply).await });
+            reply::json_in(&mut context.tasks, query, reply);
             return;
         }
         self.count += 1;
