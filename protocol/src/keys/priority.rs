@@ -13,7 +13,7 @@ pub enum Priority {
     /// Votes, heartbeats and entries of the ledger. Late ones replace a leader that works.
     Consensus,
     /// What keeps a coordinator, a member, a role or a goal alive: beacons, probes, reports, awards, commands to
-    /// drivers. Late ones end it. Also requests that stop robots.
+    /// drivers. Late ones end it. Also requests that stop robots, and those that release them.
     Liveness,
     /// Progress of missions: bids, signals, requests that change something. Missions wait for them.
     Mission,
@@ -52,7 +52,8 @@ impl Key {
                 Priority::Mission
             }
             Key::Leave(_) => Priority::Mission,
-            Key::Api(ApiCall::Hold | ApiCall::Alarm) => Priority::Liveness,
+            // A hold that overtook an earlier release would be ended by it.
+            Key::Api(ApiCall::Hold | ApiCall::Release | ApiCall::Alarm) => Priority::Liveness,
             Key::Api(ApiCall::Backup) => Priority::Bulk,
             Key::Api(call) if call.is_read_only() => Priority::View,
             Key::Api(_) => Priority::Mission,
@@ -144,9 +145,9 @@ mod tests {
     }
 
     #[test]
-    fn requests_precede_views_and_those_that_stop_robots_are_urgent() {
+    fn requests_precede_views_and_those_that_stop_or_release_robots_are_urgent() {
         for call in ApiCall::ALL {
-            let urgent = [ApiCall::Hold, ApiCall::Alarm].contains(call);
+            let urgent = [ApiCall::Hold, ApiCall::Release, ApiCall::Alarm].contains(call);
             let changes = !call.is_read_only() && *call != ApiCall::Backup;
             let priority = Key::Api(*call).priority();
             assert_eq!((priority <= Priority::Liveness, priority <= Priority::Mission), (urgent, changes), "{call:?}");
