@@ -25,7 +25,7 @@ pub(crate) trait Item {
     fn bytes(&self) -> usize;
 }
 
-/// Items in the order of their arrival, with their sizes.
+/// Items in the order of their arrival, with their sizes: those of their keys and of their contents.
 struct Queue<T> {
     items: VecDeque<(usize, T)>,
     bytes: usize,
@@ -44,7 +44,7 @@ impl<T> Queue<T> {
 impl<T: Item> Queue<T> {
     /// Adds an item, after it has dropped as many as exceed the limits.
     fn push(&mut self, item: T) {
-        let bytes = item.bytes();
+        let bytes = item.key().len() + item.bytes();
         let mut same_key = Some(0); // each search continues after the last, so a large item needs a single pass
         while !self.items.is_empty() && (self.items.len() >= ITEMS_MAX || self.bytes + bytes > BYTES_MAX) {
             same_key = same_key.and_then(|from| {
@@ -149,6 +149,13 @@ mod tests {
         Sample { key: key.to_owned(), payload, encoding: Encoding::Wire, attachment, author: Author::UNKNOWN }
     }
 
+    /// Returns a sample that counts `size` bytes.
+    fn sized(key: &str, first: u8, size: usize) -> Sample {
+        let mut payload = vec![0; size - key.len()];
+        payload[0] = first;
+        sample(key, payload)
+    }
+
     /// Returns the items of a mailbox.
     fn rest(receiver: &mut MailboxReceiver<Sample>) -> Vec<Sample> {
         std::iter::from_fn(|| receiver.try_recv()).collect()
@@ -172,10 +179,18 @@ mod tests {
     fn the_size_of_a_mailbox_is_limited() {
         let (sender, mut receiver) = mailbox();
         for number in 0..10 {
-            sender.send(sample(&number.to_string(), vec![0; MESSAGE_MAX]));
+            sender.send(sized(&number.to_string(), 0, MESSAGE_MAX));
         }
         let kept: Vec<String> = rest(&mut receiver).into_iter().map(|sample| sample.key).collect();
         assert_eq!(kept, ["6", "7", "8", "9"]);
+    }
+
+    #[test]
+    fn long_keys_count_as_contents_do() {
+        let (sender, mut receiver) = mailbox();
+        let key = "x".repeat(MESSAGE_MAX / 4);
+        (0..20).for_each(|_| assert!(sender.send(sample(&key, vec![]))));
+        assert_eq!(rest(&mut receiver).len(), 16);
     }
 
     #[test]
@@ -183,10 +198,10 @@ mod tests {
         let (sender, mut receiver) = mailbox();
         for number in 0..16 {
             let key = if number % 3 == 0 { "ada" } else { "bob" };
-            sender.send(sample(key, vec![number; MESSAGE_MAX / 4]));
+            sender.send(sized(key, number, MESSAGE_MAX / 4));
         }
-        sender.send(sample("ada", vec![16; MESSAGE_MAX]));
-        sender.send(sample("ada", vec![17; MESSAGE_MAX]));
+        sender.send(sized("ada", 16, MESSAGE_MAX));
+        sender.send(sized("ada", 17, MESSAGE_MAX));
         let kept: Vec<u8> = rest(&mut receiver).into_iter().map(|sample| sample.payload[0]).collect();
         assert_eq!(kept, [1, 2, 4, 5, 7, 8, 10, 11, 13, 14, 17]);
     }
@@ -194,9 +209,9 @@ mod tests {
     #[tokio::test]
     async fn a_mailbox_ends_after_its_last_item() {
         let (sender, mut receiver) = mailbox();
-        (0..8).for_each(|_| assert!(sender.send(sample("small", vec![0; MESSAGE_MAX / 2]))));
+        (0..8).for_each(|_| assert!(sender.send(sized("small", 0, MESSAGE_MAX / 2))));
         // Displaces two, whose arrivals the receiver skips.
-        assert!(sender.send(sample("large", vec![0; MESSAGE_MAX])));
+        assert!(sender.send(sized("large", 0, MESSAGE_MAX)));
         drop(sender);
         let mut received = 0;
         while receiver.recv().await.is_some() {

@@ -276,26 +276,31 @@ async fn an_error_reply_has_its_reason([a, _, c]: Nodes<'_>) {
 }
 
 async fn a_busy_service_refuses_queries([a, _, c]: Nodes<'_>) {
-    let mut service = c.serve("busy").await.unwrap();
-    query_until_held(a, "busy", &mut service).await;
-    let large = Bytes::from(vec![0; MESSAGE_MAX - 64 * 1024]);
-    let mut open = Vec::new();
-    let refusal = loop {
-        assert!(open.len() < 8, "the service is never busy");
-        let mut replies = a.query("busy", large.clone(), NEVER).await.unwrap();
-        let arrived = tokio::select! {
-            query = next(&mut service, "a query") => Ok(query),
-            reply = next(&mut replies, "a refusal") => Err(reply),
+    let large = MESSAGE_MAX - 64 * 1024;
+    let by_payload = ("busy/payload", String::new(), Bytes::from(vec![0; large]));
+    let by_parameters = ("busy/parameters", "x".repeat(large), Bytes::new());
+    for (key, parameters, payload) in [by_payload, by_parameters] {
+        let mut service = c.serve(key).await.unwrap();
+        query_until_held(a, key, &mut service).await;
+        let selector = format!("{key}?{parameters}");
+        let mut open = Vec::new();
+        let refusal = loop {
+            assert!(open.len() < 8, "the service of {key} is never busy");
+            let mut replies = a.query(&selector, payload.clone(), NEVER).await.unwrap();
+            let arrived = tokio::select! {
+                query = next(&mut service, "a query") => Ok(query),
+                reply = next(&mut replies, "a refusal") => Err(reply),
+            };
+            match arrived {
+                Ok(query) => open.push((replies, query)),
+                Err(refusal) => break refusal,
+            }
         };
-        match arrived {
-            Ok(query) => open.push((replies, query)),
-            Err(refusal) => break refusal,
-        }
-    };
-    assert_eq!(text(&refusal), ("busy", Err("busy: too many open queries; repeat the query later")));
-    assert!(open.len() > 1, "the service is busy too early");
-    drop(open);
-    query_until_held(a, "busy", &mut service).await;
+        assert_eq!(text(&refusal), (key, Err("busy: too many open queries; repeat the query later")));
+        assert!(open.len() > 1, "the service of {key} is busy too early");
+        drop(open);
+        query_until_held(a, key, &mut service).await;
+    }
 }
 
 async fn a_selector_has_parameters([a, _, c]: Nodes<'_>) {

@@ -88,7 +88,8 @@ pub(super) fn query_callback(
 ) -> impl Fn(zenoh::query::Query) + Send + Sync {
     move |query| {
         let size = |content: Option<&ZBytes>| content.map_or(0, ZBytes::len);
-        let Some(open) = mailbox.admit(size(query.payload()) + size(query.attachment())) else {
+        let texts = query.key_expr().as_str().len() + query.parameters().as_str().len();
+        let Some(open) = mailbox.admit(texts + size(query.payload()) + size(query.attachment())) else {
             return senders.refuse(query, BUSY);
         };
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
