@@ -13,7 +13,11 @@ pub(super) struct LeaderAcks {
 }
 
 impl LeaderAcks {
+    /// Records an acknowledgement. One for an earlier vote of this node is late, and of no use.
     pub(super) fn record(&mut self, vote: Vote, voter: RaftId, sent_at: BootInstant) {
+        if self.vote.is_some_and(|present| vote.leader_id().term < present.leader_id().term) {
+            return;
+        }
         if self.vote != Some(vote) {
             *self = LeaderAcks { vote: Some(vote), sent: BTreeMap::new() };
         }
@@ -54,5 +58,24 @@ impl LastContacts {
     /// Returns the send time of the last request that `voter` has replied to.
     pub(super) fn of(&self, voter: RaftId) -> Option<BootInstant> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&voter).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_late_acknowledgement_of_an_earlier_vote_removes_no_later_ones() {
+        let [me, voter] = [RaftId(1), RaftId(2)];
+        let [earlier, present] = [5, 7].map(|term| Vote::new_committed(term, me));
+        let halves = [BTreeSet::from([me, voter, RaftId(3)])];
+        let sent_at = BootInstant::now();
+        let mut acks = LeaderAcks::default();
+        acks.record(earlier, voter, sent_at);
+        acks.record(present, voter, sent_at);
+        acks.record(earlier, voter, sent_at);
+        assert_eq!(acks.quorum_ack(&present, me, &halves), Some(sent_at));
+        assert_eq!(acks.quorum_ack(&earlier, me, &halves), None);
     }
 }
