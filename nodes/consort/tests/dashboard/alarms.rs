@@ -5,7 +5,7 @@ use crate::closures::{is_drawn, select, sign};
 use crate::demo_fleet::{ENTER, check_access, tab_to};
 use crate::mission_orders::fill;
 use crate::shown_model::ShownModel;
-use crate::station::{start_station, wait_for_coordinator};
+use crate::station::open_station;
 use crate::support::{Folder, until};
 use consort_protocol::keys::Key;
 use serde_json::json;
@@ -26,9 +26,7 @@ fn open_form(browser: &Browser) {
 fn an_alarm_is_raised_and_cleared_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let (mut fleet, url) = start_station();
-    browser.open(&url);
-    wait_for_coordinator(&browser);
+    let mut fleet = open_station(&browser);
     open_form(&browser);
     let effect = browser.text("#order-effect");
     assert!(effect.starts_with(PLAN), "{effect}");

@@ -4,7 +4,7 @@ use crate::browser::{Browser, SOON};
 use crate::closures::{is_drawn, select};
 use crate::demo_fleet::{ENTER, check_access, tab_to};
 use crate::mission_orders::fill;
-use crate::station::{start_station, wait_for_coordinator};
+use crate::station::open_station;
 use crate::support::{Folder, until};
 
 const LANE: &str = "IC Corridor 6 – IC Room 6";
@@ -25,9 +25,7 @@ fn wait_for_selection(browser: &Browser, part: &str) {
 fn speeds_are_limited_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let (mut fleet, url) = start_station();
-    browser.open(&url);
-    wait_for_coordinator(&browser);
+    let mut fleet = open_station(&browser);
     for place in ["IC Room 4", "IC Room 5", "IC Room 6"] {
         browser.wait_until("the zone on the map", &is_drawn("zone", place, (9, 9)));
     }

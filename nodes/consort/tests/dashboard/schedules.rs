@@ -2,7 +2,7 @@
 
 use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access};
-use crate::station::{start_station, wait_for_coordinator};
+use crate::station::open_station;
 use crate::support::Folder;
 use std::time::Duration;
 
@@ -13,9 +13,7 @@ const OCCURRENCE: Duration = Duration::from_secs(120);
 fn schedules_are_changed_on_the_page() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
-    let (fleet, url) = start_station();
-    browser.open(&url);
-    wait_for_coordinator(&browser);
+    let fleet = open_station(&browser);
     browser.click("#tab-calendar");
     browser.wait_until("no schedule", "document.querySelector('#schedules-none').checkVisibility()");
 

@@ -15,12 +15,13 @@ pub(crate) fn station_with_dashboard() -> Table {
     with(example("station"), "dashboard", "127.0.0.1:0")
 }
 
-/// Starts a fleet of a single station. Returns it with the address of its dashboard.
-pub(crate) fn start_station() -> (Fleet, String) {
+/// Starts a fleet of a single station, and opens its dashboard.
+pub(crate) fn open_station(browser: &Browser) -> Fleet {
     let mut fleet = Fleet::new(&with(example("fleet"), "bootstrap_expect", 1));
     fleet.start("station", station_with_dashboard(), &[]);
-    let url = dashboard_address(fleet.node("station-1"));
-    (fleet, url)
+    browser.open(&dashboard_address(fleet.node("station-1")));
+    wait_for_coordinator(browser);
+    fleet
 }
 
 /// Starts a ward with ada and an arm whose world runs at this speed, and opens its dashboard.
