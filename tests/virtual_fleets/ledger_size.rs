@@ -53,7 +53,7 @@ fn a_waiting_mission_writes_a_record_for_many_auctions() {
             fleet.restart("gorse").await;
             fleet.wait_for_next("an auction with gorse", SOON, auction_with_gorse(last, true)).await;
         }
-        // At most one record in five minutes.
+        // A waiting mission is recorded at most once in five minutes.
         let intervals = (fleet.elapsed() - began).as_secs() / 300;
         let records_max = missions.len() * usize::try_from(1 + intervals).expect("a short test");
         let records = deferred(&fleet);

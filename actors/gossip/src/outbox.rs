@@ -82,7 +82,7 @@ mod tests {
     use std::sync::Arc;
     use std::time::Duration;
 
-    /// A replier whose link takes no message.
+    /// A replier that never finishes sending, as on a link that transmits nothing.
     struct Stalled;
 
     #[async_trait]

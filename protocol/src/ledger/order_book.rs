@@ -47,7 +47,7 @@ impl Orders {
         self.robots.values().flat_map(RobotOrders::iter).chain(of_map).any(|order| order.is_over(now_ms))
     }
 
-    /// Removes the orders whose time has passed.
+    /// Removes expired orders.
     pub(super) fn expire(&mut self, now_ms: u64) {
         self.robots.values_mut().for_each(|orders| orders.expire(now_ms));
         self.robots.retain(|_, orders| !orders.is_empty());

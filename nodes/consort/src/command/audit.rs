@@ -1,4 +1,4 @@
-//! `consort audit`: lists who requested which change, and when.
+//! `consort audit`: lists requested changes with their times and persons.
 
 use super::flag_values::parse_duration;
 use crate::client::{ClientFlags, ReadFlags, read_answer};

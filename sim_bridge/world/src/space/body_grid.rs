@@ -388,7 +388,7 @@ mod tests {
             for (number, dx, dy, level) in moves {
                 let number = number % discs.len();
                 let moved = &mut discs[number];
-                // One move in eight leaves the level.
+                // One move in eight ends on level 1, the others on level 0.
                 (moved.at, moved.level) = (moved.at + Vector3::new(dx, dy, 0.0), level / 7);
                 bodies.place(number, moved.at, moved.level);
                 bodies.refresh();
