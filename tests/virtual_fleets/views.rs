@@ -1,6 +1,6 @@
 //! Views of a fleet for any client.
 
-use crate::support::{fleet, task_began};
+use crate::support::{fleet, request, task_began};
 use consort_bus::{Bus, VirtualBus};
 use consort_protocol::api::{
     AlarmsReply, AnswerReply, ClosuresReply, ErrorReply, ExplainReply, HelpReply, LimitsReply, MissionChangeReply,
@@ -348,9 +348,19 @@ fn every_node_answers_views_with_their_origin_and_age() {
         let began = task_began("deposit");
         fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
         let nodes = ["aster", "basil", "clove", "fern", "gorse", "lab-arm", "world"];
-        // Nodes without a ledger show the missions of a voter.
+        let hold = json!({ "robots": ["fern"], "for_s": 600, "reason": "a spill", "by": "Nia" });
+        request(&fleet, ApiCall::Hold, &hold).await;
+        // Nodes without a ledger show the missions and the orders of a voter.
         for node in nodes {
             let bus = fleet.network.bus(slug(node));
+            let held = async |_: &Fleet| {
+                let fleet_view = query_views(&bus, "consort/ward/view/fleet").await.0.remove("view/fleet")?;
+                assert_eq!(fleet_view["seen_by"], node, "seed {seed}");
+                assert!(fleet_view["closures"].is_array(), "seed {seed}: {node}: {fleet_view}");
+                let fern = fleet_view["nodes"].as_array()?.iter().find(|node| node["node"] == "fern")?;
+                (fern["orders"]["hold"]["by"] == "Nia").then_some(())
+            };
+            fleet.poll_until("the hold in the view of the fleet", Duration::from_secs(2), held).await;
             let (views, _) = query_views(&bus, "consort/ward/view/**").await;
             let of_its_own = ["fleet", "coordinator", "ensembles", "map"];
             for view in of_its_own {

@@ -23,13 +23,16 @@ pub struct FleetView {
     /// Ensembles of the fleet.
     #[serde(default, deserialize_with = "readable")]
     pub ensembles: Vec<EnsembleView>,
-    /// Zones, places and lanes that people have closed; null if they are unknown to the replying node, which has no ledger.
+    /// Zones, places and lanes that people have closed; null if neither the replying node nor a voter that it
+    /// has asked has a ledger.
     #[serde(default, deserialize_with = "readable_if_known")]
     pub closures: Option<Vec<Closure>>,
-    /// Speed limits that people have set; null if they are unknown to the replying node, which has no ledger.
+    /// Speed limits that people have set; null if neither the replying node nor a voter that it
+    /// has asked has a ledger.
     #[serde(default, deserialize_with = "readable_if_known")]
     pub speed_limits: Option<Vec<SpeedLimit>>,
-    /// Alarms in force; null if they are unknown to the replying node, which has no ledger.
+    /// Alarms in force; null if neither the replying node nor a voter that it
+    /// has asked has a ledger.
     #[serde(default, deserialize_with = "readable_if_known")]
     pub alarms: Option<Vec<Alarm>>,
     /// Charging by the robots themselves; null if robots charge by tasks of missions only.

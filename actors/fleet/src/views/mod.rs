@@ -25,6 +25,7 @@ mod api;
 mod cluster_status;
 mod draw;
 mod health;
+mod ledger_part;
 mod linearizable;
 mod list_parts;
 mod mission;
@@ -52,6 +53,7 @@ use consort_protocol::units::NodeTime;
 use consort_protocol::view::{ChargingView, DeclarationsView, MapView, RobotView};
 use consort_raft::{RaftId, Replica};
 use draw::{Copies, DriverValues, ViewContext, json, millis};
+use ledger_part::{copy_ledger_part, has_ledger_part};
 use list_parts::{ListParts, PartRequest};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
@@ -297,10 +299,16 @@ impl ViewService {
             || wanted(&Key::ViewAudit)
             || wanted(&Key::ViewAuctions)
             || wanted(&Key::ViewHealth)
+            || wanted(&Key::ViewFleet)
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
         if needs_ledger && !context.status.has_ledger {
             match self.query_voter(requested, &context.status).await {
-                Some(voter_views) => {
+                Some(mut voter_views) => {
+                    if let Some((_, of_voter)) = voter_views.extract_if(.., |(key, _)| *key == Key::ViewFleet).next()
+                        && let Some((_, own)) = views.iter_mut().find(|(key, _)| *key == Key::ViewFleet)
+                    {
+                        copy_ledger_part(&of_voter, own);
+                    }
                     let contributes =
                         |(key, value): &(Key, Value)| is_of_ledger(key) && wanted(key) && value.get("error").is_none();
                     for (key, value) in voter_views.into_iter().filter(contributes) {
@@ -345,6 +353,7 @@ impl ViewService {
     async fn query_voter(&self, requested: &keyexpr, status: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
         let Views { keys, bus, knowledge, node, .. } = &*self.views;
         let only_health = requested.as_str() == keys.write(&Key::ViewHealth);
+        let only_fleet = requested.as_str() == keys.write(&Key::ViewFleet);
         let coordinator = status.coordinator.iter();
         let others = status.voters.iter().filter(|voter| Some(*voter) != status.coordinator.as_ref());
         let voters = coordinator.chain(others).filter(|voter| *voter != node && knowledge.is_alive(voter));
@@ -363,8 +372,12 @@ impl ViewService {
                 }
             }
             // A former voter has no missions to show.
-            let is_shown = |key: &Key| is_of_ledger(key) && (only_health || *key != Key::ViewHealth);
-            if views.iter().any(|(key, _)| is_shown(key)) {
+            let is_shown = |(key, view): &(Key, Value)| match key {
+                Key::ViewFleet => only_fleet && has_ledger_part(view),
+                Key::ViewHealth => only_health,
+                key => is_of_ledger(key),
+            };
+            if views.iter().any(is_shown) {
                 return Some(views);
             }
         }

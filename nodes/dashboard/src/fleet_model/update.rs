@@ -163,6 +163,9 @@ impl FleetModel {
     }
 
     fn take_fleet(&mut self, view: FleetView, published_ms: u64) {
+        // A node without a ledger, such as a node that restarts, does not know what it states. That stays as it was.
+        let has_ledger = view.closures.is_some();
+        self.knows_orders |= has_ledger;
         let mut present = vec![];
         for NodeView { node: name, contact, record, traits, orders, promised, .. } in
             view.nodes.into_iter().take(bounds::NODES)
@@ -178,8 +181,8 @@ impl FleetModel {
                 robot: record.robot.is_some(),
             };
             if let Some(robot) = record.robot {
-                let next = self.next_roles(promised);
-                self.take_robot(name.as_str(), robot, orders, next, &node);
+                let by_ledger = has_ledger.then(|| (orders, self.next_roles(promised)));
+                self.take_robot(name.as_str(), robot, by_ledger, &node);
             }
             present.push(name.to_string());
             self.nodes.insert(name.to_string(), node);
@@ -193,8 +196,6 @@ impl FleetModel {
         if let Some(charging) = &mut self.charging {
             charging.chargers.truncate(bounds::NODES);
         }
-        // A node without a ledger, such as a node that restarts, does not know them. They stay as they were.
-        self.knows_orders |= view.closures.is_some();
         if let Some(closures) = view.closures {
             let closures = closures.into_iter().take(bounds::CLOSURES);
             self.closures.replace(closures.map(|closure| (closure.part.to_string(), closure)).collect());
@@ -213,13 +214,13 @@ impl FleetModel {
         self.zones.replace(zones.map(|(name, places)| (name.to_string(), places)).collect());
     }
 
-    /// Applies the record of a robot, the orders of people to it, and the roles that it gets later.
+    /// Applies the record of a robot, and, if the ledger is known, the orders of people to it and the roles that it gets
+    /// later.
     fn take_robot(
         &mut self,
         name: &str,
         robot: RobotKnowledge,
-        orders: RobotOrders,
-        next: Vec<NextRole>,
+        by_ledger: Option<(RobotOrders, Vec<NextRole>)>,
         node: &NodeModel,
     ) {
         let shown = self.robots.get_or_insert_with(name.to_owned(), RobotModel::default);
@@ -249,8 +250,10 @@ impl FleetModel {
             // The rate of the charge is another.
             (shown.charge_trend, shown.forecast) = (ChargeTrend::default(), None);
         }
-        shown.problem = problem.or_else(|| orders.problem());
-        (shown.orders, shown.next) = (orders, next);
+        if let Some((orders, next)) = by_ledger {
+            (shown.orders, shown.next) = (orders, next);
+        }
+        shown.problem = problem.or_else(|| shown.orders.problem());
         let (mission, role) = held.map(|(mission, role)| (mission.to_string(), role.to_string())).unzip();
         let before = std::mem::replace(&mut shown.mission, mission);
         shown.role = role;

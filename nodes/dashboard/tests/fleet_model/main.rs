@@ -49,7 +49,7 @@ fn fleet(mut nodes: Value) -> Value {
     for node in nodes.as_array_mut().unwrap() {
         node["seen_by"] = json!("station-1");
     }
-    json!({ "nodes": nodes, "ensembles": [{ "name": "logistics", "membership": ["member.robot"], "skills": ["navigation"],
+    json!({ "nodes": nodes, "closures": [], "ensembles": [{ "name": "logistics", "membership": ["member.robot"], "skills": ["navigation"],
         "stale_after_ms": 10_000, "nodes": [
         { "node": "ada", "member": true, "reason": "", "age_ms": 5 },
         { "node": "bob", "member": false, "reason": "lacks navigation", "age_ms": 5 },
@@ -239,15 +239,19 @@ fn a_robot_at_work_shows_the_orders_of_people() {
     let mut model = model();
     let holding = || json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let order = json!({ "by": "Nia", "reason": "a spill", "since_ms": NOW, "until_ms": NOW + 600_000 });
-    let mut show = |hold: &Value| {
+    let mut show = |hold: &Value, by_ledger: bool| {
         let orders = json!({ "hold": hold, "maintenance": null });
         let node = json!({ "node": "ada", "alive": true, "robot": worker(holding()), "orders": orders });
-        model.apply_view(&Key::ViewFleet, &fleet(json!([node])), NOW);
+        let mut view = fleet(json!([node]));
+        view["closures"] = if by_ledger { json!([]) } else { Value::Null };
+        model.apply_view(&Key::ViewFleet, &view, NOW);
         let robot = model.to_json()["robots"]["ada"].clone();
         (robot["problem"].clone(), robot["orders"].clone())
     };
-    assert_eq!(show(&order), (json!("held by Nia: a spill"), json!({ "hold": order })));
-    assert_eq!(show(&Value::Null), (Value::Null, Value::Null));
+    let held = (json!("held by Nia: a spill"), json!({ "hold": order }));
+    assert_eq!(show(&order, true), held);
+    assert_eq!(show(&Value::Null, false), held, "a node without a ledger does not know them");
+    assert_eq!(show(&Value::Null, true), (Value::Null, Value::Null));
 }
 
 #[test]
@@ -406,6 +410,7 @@ fn closures_are_those_of_the_latest_view() {
     assert_eq!(model.to_json()["closures"], expected);
     // A node without a ledger does not know them.
     let mut unknown = fleet(json!([{ "node": "bob", "alive": true, "robot": worker(json!("free")) }]));
+    unknown.as_object_mut().unwrap().remove("closures");
     for closures in [None, Some(Value::Null)] {
         unknown.as_object_mut().unwrap().extend(closures.map(|closures| ("closures".to_owned(), closures)));
         model.apply_view(&Key::ViewFleet, &unknown, NOW);

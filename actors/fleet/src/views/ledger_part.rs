@@ -1,0 +1,64 @@
+//! The part of the view of a fleet that comes from the ledger. A node without a ledger takes it from the view of a voter.
+
+use serde_json::Value;
+
+/// Members of the view of a fleet, by the ledger.
+const OF_FLEET: [&str; 4] = ["closures", "speed_limits", "alarms", "chargers"];
+
+/// Members of the view of a node, by the ledger.
+const OF_NODE: [&str; 3] = ["holds", "orders", "promised"];
+
+/// Checks whether the node that drew a view of the fleet had a ledger.
+pub(super) fn has_ledger_part(fleet: &Value) -> bool {
+    fleet.get("closures").is_some_and(|closures| !closures.is_null())
+}
+
+/// Copies the part from the ledger into the view of a node without one. The rest, such as the contact with other nodes,
+/// stays as that node sees it.
+pub(super) fn copy_ledger_part(of_voter: &Value, own: &mut Value) {
+    copy(&OF_FLEET, of_voter, own);
+    let Some(nodes) = own.get_mut("nodes").and_then(Value::as_array_mut) else { return };
+    // Both lists are in the order of the names.
+    let mut known = of_voter.get("nodes").and_then(Value::as_array).into_iter().flatten().peekable();
+    let name = |node: &Value| node.get("node").and_then(Value::as_str).unwrap_or_default().to_owned();
+    for node in nodes {
+        let wanted = name(node);
+        while known.next_if(|other| name(other) < wanted).is_some() {}
+        if let Some(other) = known.next_if(|other| name(other) == wanted) {
+            copy(&OF_NODE, other, node);
+        }
+    }
+}
+
+fn copy(members: &[&str], from: &Value, to: &mut Value) {
+    let Some(to) = to.as_object_mut() else { return };
+    for member in members {
+        if let Some(value) = from.get(member) {
+            to.insert((*member).to_owned(), value.clone());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn only_what_the_ledger_states_is_copied() {
+        let node = |name: &str, age: u64, orders: Value| json!({ "node": name, "age_ms": age, "orders": orders });
+        let held = json!({ "hold": { "by": "Nia" } });
+        let voter = json!({
+            "seen_by": "aster", "closures": [], "alarms": [{ "alarm": "fire" }],
+            "nodes": [node("ada", 7, held.clone()), node("bob", 7, json!({})), node("dot", 7, held.clone())],
+        });
+        let none = json!({ "seen_by": "world", "closures": null, "alarms": null,
+            "nodes": [node("ada", 1, json!({})), node("cyd", 1, json!({})), node("dot", 1, json!({}))] });
+        assert!(has_ledger_part(&voter) && !has_ledger_part(&none));
+        let mut own = none;
+        copy_ledger_part(&voter, &mut own);
+        let expected = json!({ "seen_by": "world", "closures": [], "alarms": [{ "alarm": "fire" }],
+            "nodes": [node("ada", 1, held.clone()), node("cyd", 1, json!({})), node("dot", 1, held)] });
+        assert_eq!(own, expected);
+    }
+}
