@@ -6,8 +6,10 @@ use consort_fleet::node::NodeSettings;
 use consort_protocol::event::{EventKind, ScheduleChange};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::Ledger;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 const SEEDS: [u64; 3] = [94, 95, 96];
@@ -114,7 +116,11 @@ fn each_occurrence_is_submitted_once_across_takeovers() {
             fleet.assert_each_task_once(mission);
         }
         let view = serde_json::to_string(&fleet.view("schedules").await).expect("JSON");
-        assert!(view.contains(r#""schedule":"rests""#) && view.contains(r#""by":"Nia, schedule rests""#), "{view}");
+        assert!(view.contains(r#""schedule":"rests""#) && view.contains(r#""by":"Nia""#), "{view}");
+        let people = |ledger: &Ledger| ledger.audit_trail().map(|entry| entry.by.clone()).collect::<Vec<_>>();
+        assert_eq!(fleet.ledger(people), Some(vec!["Nia".to_owned()]), "seed {seed}: the trail names the person alone");
+        let by = |ledger: &Ledger| ledger.missions().map(|entry| entry.submission.by.clone()).collect::<BTreeSet<_>>();
+        assert_eq!(fleet.ledger(by), Some(BTreeSet::from(["Nia, schedule rests".to_owned()])), "seed {seed}");
     });
 }
 

@@ -1,6 +1,8 @@
 //! Schedule of a mission: its times, and the time up to which the ledger has handled it.
 
+use super::person_request::PERSON_BYTES_MAX;
 use super::submission::Submission;
+use crate::bounds::limit_text;
 use crate::ids::{MissionId, RequestId, ScheduleId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -101,12 +103,16 @@ impl Schedule {
 }
 
 impl ScheduleEntry {
-    /// Returns the mission of an occurrence that is submitted at `at_ms`, as request number `number`.
+    /// Returns the mission of an occurrence that is submitted at `at_ms`, as request number `number`. It states the
+    /// schedule beside the person.
     pub(super) fn occurrence(&self, due_ms: u64, at_ms: u64, number: u64) -> Submission {
         let Schedule { id, submission, deadline_after_ms, .. } = &self.schedule;
         let name: String = id.as_str().chars().take(Schedule::ID_CHARS_MAX).collect();
         let request = format!("{name}.{due_ms}.{number}");
+        let mut by = format!("{}, schedule {id}", submission.by);
+        limit_text(&mut by, PERSON_BYTES_MAX);
         Submission {
+            by,
             request: RequestId::new(request).expect("a slug of 40 characters and two numbers form a slug"),
             deadline_ms: deadline_after_ms.map(|after_ms| due_ms.saturating_add(after_ms)),
             not_before_ms: None,

@@ -160,7 +160,6 @@ pub(super) fn prepare_schedule(
     {
         return Err(ScheduleError::OfOccurrence { field: field.0 });
     }
-    let by = format!("{by}, schedule {id}");
     // Times count from 0, which stands for the time of the occurrence.
     let mut submission = prepare(submit, definitions, 0, id.to_string(), by)?;
     let deadline_after_ms = submission.deadline_ms.take();

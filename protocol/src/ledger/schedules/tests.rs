@@ -60,6 +60,17 @@ fn an_occurrence_is_submitted_once() {
 }
 
 #[test]
+fn the_mission_of_an_occurrence_names_the_person_and_the_schedule() {
+    let mut ledger = Ledger::default();
+    apply(&mut ledger, Command::first_wire_version(3));
+    let submission = Submission { by: "Nia".to_owned(), ..rounds().submission };
+    apply(&mut ledger, add(Schedule { submission, ..rounds() }));
+    let CommandOutcome::Submitted { mission, .. } = submit(&mut ledger, 100, 200) else { panic!() };
+    assert_eq!(ledger.mission(&mission).unwrap().submission.by, "Nia, schedule rounds");
+    assert_eq!(ledger.schedule(&id("rounds")).unwrap().schedule.submission.by, "Nia");
+}
+
+#[test]
 fn a_client_that_uses_the_request_id_of_an_occurrence_does_not_prevent_it() {
     let mut ledger = ledger();
     let forged = Submission { request: "rounds.200.0".parse().unwrap(), ..rounds().submission };
