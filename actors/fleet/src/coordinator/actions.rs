@@ -48,6 +48,13 @@ impl AuctionRound {
             *self = AuctionRound { number, branch, since: now, called_at, hopeless_rounds: 0, phase };
         }
     }
+
+    /// Returns the first round for the main branch, called at time 0.
+    #[cfg(test)]
+    pub(super) fn first(phase: RoundPhase) -> AuctionRound {
+        let (since, called_at) = (NodeTime::ZERO, NodeTime::ZERO);
+        AuctionRound { number: 1, branch: Branch::Main, since, called_at, hopeless_rounds: 0, phase }
+    }
 }
 
 /// Phase of an auction round.
@@ -127,14 +134,7 @@ mod tests {
         let now = NodeTime::ZERO + Duration::from_secs(9);
         let auction = AuctionId { mission: "m-1".parse().unwrap(), term: 1, round: 4 };
         let proposing = RoundPhase::Proposing(Box::new(AuctionRecord::empty(auction)));
-        let round = AuctionRound {
-            number: 4,
-            branch: Branch::Main,
-            since: NodeTime::ZERO,
-            called_at: NodeTime::ZERO,
-            hopeless_rounds: 2,
-            phase: proposing.clone(),
-        };
+        let round = AuctionRound { number: 4, hopeless_rounds: 2, ..AuctionRound::first(proposing) };
         let mut same = round.clone();
         same.follow_branch(Branch::Main, now);
         assert_eq!(same, round);

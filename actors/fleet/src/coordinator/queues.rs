@@ -124,8 +124,7 @@ mod tests {
     use super::super::test_ledger::Log;
     use super::*;
     use consort_protocol::auction::{AuctionId, AuctionRecord};
-    use consort_protocol::ledger::{Branch, Command};
-    use consort_protocol::units::NodeTime;
+    use consort_protocol::ledger::Command;
 
     #[test]
     fn a_queue_counts_by_the_priority_of_the_mission() {
@@ -158,14 +157,7 @@ mod tests {
             promised: [(role.clone(), Seconds::ZERO)].into(),
             ..AuctionRecord::empty(auction)
         };
-        let round = AuctionRound {
-            number: 1,
-            branch: Branch::Main,
-            since: NodeTime::ZERO,
-            called_at: NodeTime::ZERO,
-            hopeless_rounds: 0,
-            phase: RoundPhase::Proposing(Box::new(record)),
-        };
+        let round = AuctionRound::first(RoundPhase::Proposing(Box::new(record)));
         let rounds = BTreeMap::from([(proposed.clone(), round)]);
         let counts = |log: &Log| {
             let queue = robot_queues(&log.0, &rounds, &called, None).remove(&arm).unwrap();

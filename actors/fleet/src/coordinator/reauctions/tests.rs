@@ -1,7 +1,7 @@
 use super::super::actions::RoundPhase;
 use super::super::test_ledger::Log;
 use super::*;
-use consort_protocol::ledger::{Branch, MissionChange, OrderRequest};
+use consort_protocol::ledger::{MissionChange, OrderRequest};
 
 /// A session with promises, at a time.
 #[derive(Default)]
@@ -65,14 +65,7 @@ fn a_role_that_could_have_started_for_too_long_is_late_and_comes_first() {
 fn only_late_promises_are_auctioned_beside_other_roles_of_the_mission() {
     let (mut log, first, second) = promises();
     log.end_cart(&second);
-    let round = AuctionRound {
-        number: 1,
-        branch: Branch::Main,
-        since: NodeTime::ZERO,
-        called_at: NodeTime::ZERO,
-        hopeless_rounds: 0,
-        phase: RoundPhase::BackingOff { until: NodeTime::ZERO, since: NodeTime::ZERO },
-    };
+    let round = AuctionRound::first(RoundPhase::BackingOff { until: NodeTime::ZERO, since: NodeTime::ZERO });
     let rounds = [first, second.clone()].map(|mission| (mission, round.clone())).into();
     let mut session = Session { rounds, ..Session::default() };
     assert_eq!([0, 99].map(|seconds| session.due_after(seconds, &log.0)), [None, None]);
