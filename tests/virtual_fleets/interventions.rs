@@ -31,6 +31,11 @@ async fn lost_on_its_way(seed: u64, kind: &str) -> (Fleet, MissionId) {
     (fleet, mission)
 }
 
+/// Returns the number of samples in the drawer of `amber`.
+fn samples_in_drawer(fleet: &Fleet) -> Option<usize> {
+    fleet.world.with(|world| world.robot_report(&slug("amber")).map(|it| it.in_drawer.len()))
+}
+
 #[test]
 fn a_recovery_branch_sends_another_robot_to_the_sample() {
     for_each_seed([601, 602], async |seed| {
@@ -89,14 +94,12 @@ fn only_a_person_resolves_a_mission_that_needs_intervention() {
             fleet.events().into_iter().filter_map(intervention).next_back().unwrap_or_default()
         };
         fleet.wait_until("amber to be refused", SOON, |fleet| why(fleet).contains("carries_item")).await;
-        let in_drawer =
-            |fleet: &Fleet| fleet.world.with(|world| world.robot_report(&slug("amber")).map(|it| it.in_drawer));
-        assert_eq!(in_drawer(&fleet).map(|samples| samples.len()), Some(1), "seed {seed}");
+        assert_eq!(samples_in_drawer(&fleet), Some(1), "seed {seed}");
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
         let cause = format!("{cause}; resolved by Nia");
         assert_eq!(answer["state"], json!({ "failed": { "cause": cause, "class": "robot" } }), "seed {seed}");
         // Otherwise its drawer would be full in the next mission.
-        assert_eq!(in_drawer(&fleet), Some(vec![]), "seed {seed}");
+        assert_eq!(samples_in_drawer(&fleet), Some(0), "seed {seed}");
         fleet.wait_until("amber to be given work", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
         // A repeated request is acknowledged again; a request of another person comes too late.
         let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
@@ -107,5 +110,24 @@ fn only_a_person_resolves_a_mission_that_needs_intervention() {
             error.contains("is failed; only a mission that needs intervention can be resolved"),
             "seed {seed}: {error}"
         );
+    });
+}
+
+/// The mission is resolved while the host of the simulated robots is unreachable, and its coordinator is lost then.
+#[test]
+fn the_robots_of_a_resolved_mission_are_emptied_once_their_host_is_back() {
+    for_each_seed([621, 622], async |seed| {
+        let (mut fleet, mission) = lost_on_its_way(seed, "lab-samples").await;
+        fleet.wait_for_end(&mission).await;
+        fleet.cut_off(&["world"]);
+        let resolve = json!({ "mission": mission, "by": "Nia" });
+        let answer = fleet.request_answered(ApiCall::Resolve, &resolve).await;
+        assert_eq!(answer["state"]["failed"]["class"], "robot", "seed {seed}: {answer}");
+        fleet.kill_coordinator().await;
+        fleet.wait_for_coordinator().await;
+        tokio::time::sleep(Duration::from_secs(20)).await; // virtual time
+        assert_eq!(samples_in_drawer(&fleet), Some(1), "seed {seed}: nobody can reach it");
+        fleet.heal();
+        fleet.wait_until("the drawer to be emptied", SOON, |fleet| samples_in_drawer(fleet) == Some(0)).await;
     });
 }

@@ -168,7 +168,8 @@ impl LeaderSession {
         self.read_clocks();
         self.reconcile();
         self.auction_again();
-        self.people.tick(&mut self.context);
+        let (now, confirmed_ms) = (self.context.now(), self.confirmed_ms());
+        self.people.tick(&mut self.context, now, confirmed_ms);
     }
 
     /// Reads the clocks of the other voters, if that is due.

@@ -1,13 +1,9 @@
 //! The host of simulated people, as a coordinator reaches it.
 
-use super::simulated::goal_id;
 use crate::robot_driver::{PersonCommand, PersonRequestState};
 use consort_bus::{Author, SharedBus};
 use consort_protocol::codec;
-use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{Key, Keys, PeopleCall};
-use consort_protocol::ledger::{HeldItem, Ledger, MissionState};
-use consort_skills::actions::PersonRequest;
 use std::time::Duration;
 use tokio::task::JoinSet;
 use tracing::{debug, warn};
@@ -15,7 +11,7 @@ use tracing::{debug, warn};
 /// Timeout for the host to reply.
 const HOST_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Attempts to send a command that is not repeated later. Raised: fewer commands are lost, and a request of a person takes
+/// Attempts to send a command before a request of a person goes on. Raised: fewer commands are late, and the request takes
 /// longer while the host is unreachable. Default: a guess.
 const ATTEMPTS: usize = 2;
 
@@ -71,15 +67,4 @@ impl PeopleHost {
         }
         sent.join_all().await;
     }
-}
-
-/// Returns the commands to take the items off the robots of a mission that needs intervention; none for another mission.
-/// Each command has the same id whenever it is made, so a copy takes nothing that a robot receives later.
-pub(in crate::coordinator) fn removals(ledger: &Ledger, mission: &MissionId) -> Vec<PersonCommand> {
-    let Some(MissionState::NeedsIntervention { items, .. }) = ledger.mission_state(mission) else { return vec![] };
-    let removal = |HeldItem { role, robot, .. }: &HeldItem| PersonCommand {
-        id: goal_id(&(ledger.cluster(), mission, role, robot)),
-        request: Some(PersonRequest::taking_items(role.clone(), robot.clone())),
-    };
-    items.iter().map(removal).collect()
 }

@@ -14,6 +14,7 @@ mod cancel_orders;
 mod changes;
 mod host;
 mod next_command;
+mod removals;
 mod simulated;
 #[cfg(test)]
 pub(super) mod test_ledger;
@@ -35,8 +36,10 @@ use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ErrorCode, GoalId, PersonResult};
-pub(super) use host::{PeopleHost, removals};
+pub(super) use host::PeopleHost;
 use next_command::{PersonStep, next_step, question_steps};
+use removals::Removals;
+pub(super) use removals::removals;
 use simulated::SimulatedPeople;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -51,6 +54,7 @@ pub(super) struct People {
     proposed: BTreeMap<(MissionId, RoleId), (PersonStep, NodeTime)>,
     changes: PeopleChanges,
     simulated: SimulatedPeople,
+    removals: Removals,
     host: PeopleHost,
     cancel_orders: RecentCancelOrders,
 }
@@ -61,6 +65,7 @@ impl People {
             proposed: BTreeMap::new(),
             changes: context.read_ledger(PeopleChanges::of),
             simulated: SimulatedPeople::default(),
+            removals: Removals::default(),
             host: PeopleHost::new(&context.settings.parts.bus, &context.settings.parts.keys),
             cancel_orders: RecentCancelOrders::default(),
         }
@@ -141,9 +146,12 @@ impl People {
         }
     }
 
-    /// Repeats the open requests to simulated people, and what was withdrawn and not confirmed.
-    pub(super) fn tick(&mut self, context: &mut SessionContext) {
-        for command in self.simulated.repeated() {
+    /// Repeats the open requests to simulated people, what was withdrawn and not confirmed, and the removals of items that
+    /// were not confirmed. `confirmed_ms` is the time of day that a majority of the voters confirms.
+    pub(super) fn tick(&mut self, context: &mut SessionContext, now: NodeTime, confirmed_ms: Option<u64>) {
+        let has_host = self.simulated.has_host();
+        let removals = context.read_ledger(|ledger| self.removals.due(ledger, has_host, now, confirmed_ms));
+        for command in self.simulated.repeated().into_iter().chain(removals) {
             self.send_to_host(context, command);
         }
     }
@@ -171,6 +179,9 @@ impl People {
             PersonRequestState::Requested => {}
             PersonRequestState::Ended(result) => {
                 self.simulated.confirm(id);
+                if result.is_ok() {
+                    self.removals.confirm(id);
+                }
                 self.answer(context, id, result, author, confirmed_ms);
             }
             PersonRequestState::Canceled => {

@@ -94,6 +94,11 @@ impl SimulatedPeople {
         open.chain(self.cancellations.iter().map(|id| PersonCommand { id: *id, request: None })).collect()
     }
 
+    /// Checks whether a host has replied.
+    pub(super) fn has_host(&self) -> bool {
+        self.has_host
+    }
+
     /// A host has replied to a command.
     pub(super) fn host_replied(&mut self) {
         self.has_host = true;

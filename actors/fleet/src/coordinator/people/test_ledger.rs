@@ -40,33 +40,10 @@ pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
     let at = |index| Epoch { term: 1, index };
     ledger.apply(at(1), Command::Submit(Box::new(submission)));
     let mission = ledger.missions().next().unwrap().id.clone();
-    let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
-    let auction = AuctionRecord::empty(auction);
-    let (r1, amber) = (RoleId::new("r1").unwrap(), RobotId::new("amber").unwrap());
-    let holders = BTreeMap::from([(r1.clone(), amber)]);
-    assert_eq!(
-        ledger.apply(at(2), Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction }),
-        CommandOutcome::Awarded { epoch: at(2) }
-    );
+    award(&mut ledger, &mission, 2);
     if lost {
-        let (incarnation, resumes) = (1, false);
-        let accept = Command::Accept {
-            mission: mission.clone(),
-            role: r1.clone(),
-            epoch: at(2),
-            incarnation,
-            from_checkpoint: resumes,
-        };
-        assert_eq!(ledger.apply(at(3), accept), CommandOutcome::Done);
-        let progress_of = |role, epoch, ended: &[u32]| Command::Progress {
-            mission: mission.clone(),
-            role,
-            epoch,
-            branch: Branch::Main,
-            ended: ended.iter().copied().collect(),
-            outcomes: BTreeMap::new(),
-        };
-        assert_eq!(ledger.apply(at(3), progress_of(r1.clone(), at(2), &[0, 1, 2])), CommandOutcome::Done);
+        put_parcel_in(&mut ledger, &mission, 2);
+        let r1 = RoleId::new("r1").unwrap();
         let (cause, place) = ("silent".to_owned(), None);
         let release = Command::Release {
             mission: mission.clone(),
@@ -82,6 +59,27 @@ pub(in crate::coordinator) fn ledger(lost: bool) -> (Ledger, MissionId) {
         assert_eq!(ledger.mission(&mission).unwrap().branch, Branch::Recovery);
     }
     (ledger, mission)
+}
+
+/// Awards `r1` to amber with the entry of the log at `index`.
+pub(super) fn award(ledger: &mut Ledger, mission: &MissionId, index: u64) {
+    let auction = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
+    let holders = BTreeMap::from([(RoleId::new("r1").unwrap(), RobotId::new("amber").unwrap())]);
+    let (epoch, branch) = (Epoch { term: 1, index }, Branch::Main);
+    let awarded = ledger.apply(epoch, Command::Award { mission: mission.clone(), branch, holders, auction });
+    assert_eq!(awarded, CommandOutcome::Awarded { epoch });
+}
+
+/// Records that `r1`, which was awarded at `index`, is confirmed and has the parcel.
+pub(super) fn put_parcel_in(ledger: &mut Ledger, mission: &MissionId, index: u64) {
+    let (epoch, next) = (Epoch { term: 1, index }, Epoch { term: 1, index: index + 1 });
+    let (mission, role, outcomes) = (mission.clone(), RoleId::new("r1").unwrap(), BTreeMap::new());
+    let accept =
+        Command::Accept { mission: mission.clone(), role: role.clone(), epoch, incarnation: 1, from_checkpoint: false };
+    assert_eq!(ledger.apply(next, accept), CommandOutcome::Done);
+    let ended = [0, 1, 2].into();
+    let progress = Command::Progress { mission, role, epoch, branch: Branch::Main, ended, outcomes };
+    assert_eq!(ledger.apply(next, progress), CommandOutcome::Done);
 }
 
 /// Command by which `r1` asks the clerk in its first task, or no longer asks. The question is
