@@ -175,11 +175,15 @@ impl GoalTracker {
     }
 
     /// Returns the command for a request, with the permission at this instant. While the robot may not
-    /// act, it is a heartbeat instead of the start of a goal.
+    /// act, it is a heartbeat instead of the start of a goal. The same holds for a goal that was canceled while its request
+    /// waited: the permission may be that of the next activity.
     pub(super) fn command(&self, request: Option<GoalRequest>, now: NodeTime) -> DriverCommand {
         let permit = self.permit(now);
-        let is_start = |request: &GoalRequest| matches!(request, GoalRequest::Start { .. });
-        let request = request.filter(|request| permit.is_some() || !is_start(request));
+        let may_send = |request: &GoalRequest| match request {
+            GoalRequest::Start { id, .. } => permit.is_some() && !self.canceled.contains(id),
+            GoalRequest::Cancel { .. } => true,
+        };
+        let request = request.filter(may_send);
         DriverCommand { request, permit: permit.unwrap_or_default() }
     }
 

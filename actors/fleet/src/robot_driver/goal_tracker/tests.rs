@@ -56,6 +56,20 @@ fn no_goal_starts_without_a_permission() {
     assert_eq!(tracker.command(None, at(1_500)), heartbeat);
 }
 
+/// A role ended while the client waited for the reply to an earlier request, and the robot acts without a role now.
+#[test]
+fn a_canceled_goal_does_not_start_under_a_later_permission() {
+    let mut tracker = GoalTracker::new(100);
+    tracker.apply_state(state(1, &[]), at(500));
+    tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
+    let start = tracker.pending.first().cloned();
+    tracker.cancel_all();
+    tracker.allow_until(Some(at(1_500)));
+    assert_eq!(tracker.command(start, at(600)).request, None);
+    let cancel = GoalRequest::Cancel { id: GoalId(100) };
+    assert_eq!(tracker.command(Some(cancel.clone()), at(600)).request, Some(cancel));
+}
+
 #[test]
 fn the_feedback_is_that_of_the_goal_in_progress() {
     let values = BTreeMap::from([("soaked".to_owned(), Scalar::Number(0.5))]);
