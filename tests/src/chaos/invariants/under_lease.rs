@@ -3,13 +3,14 @@
 //! There are two parts. A robot begins tasks, sends signals and passes waits only while it is
 //! active in the role. And when a robot begins a role, the simulated robot of the previous holder
 //! is at rest. This is checked in the world, where messages in flight no longer matter. A robot without a role may drive
-//! to an assembly place, or to a charger; such a drive belongs to no role.
+//! to an assembly place, to a charger, or away from a charger; such a drive belongs to no role.
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::knowledge::Charging;
 use consort_protocol::ledger::Ledger;
 use consort_protocol::mission::RoleKind;
 use consort_skills::actions::{Goal, NavigateToPose};
@@ -22,7 +23,7 @@ use std::time::Duration;
 const ASSEMBLES_FOR: Duration = Duration::from_secs(60);
 
 /// Time after the end of a role in which goals of the role may still reach the body. A robot without a role waits longer
-/// before it drives to a charger: until its claim is old enough.
+/// before it drives to a charger: until its claim is old enough. It makes room at a charger at once; its record says so.
 const ON_THE_WAY: Duration = Duration::from_millis(1_500);
 
 type Part = (MissionId, RoleId);
@@ -70,11 +71,12 @@ impl UnderLease {
         Ok(())
     }
 
-    /// Records a goal in the world.
-    fn pursues(&mut self, at: Duration, robot: &NodeId, id: u64, goal: &Goal) {
+    /// Records a goal in the world. `leaves` means that the robot leaves a charger or parks, by its own record.
+    fn pursues(&mut self, at: Duration, robot: &NodeId, id: u64, goal: &Goal, leaves: bool) {
         let is_drive = goal.is::<NavigateToPose>();
         let assembles = is_drive && self.may_assemble(at);
-        let has_ended = self.ended.get(robot.as_str()).is_some_and(|ended| at > *ended + ON_THE_WAY);
+        let ended = self.ended.get(robot.as_str());
+        let has_ended = ended.is_some_and(|ended| leaves && is_drive || at > *ended + ON_THE_WAY);
         let is_active = |part: &Part| self.active.contains(&(robot.clone(), part.clone()));
         let last = self.last.get(robot.as_str()).cloned();
         let part = last.filter(|part| !has_ended && (!assembles || is_active(part)));
@@ -166,9 +168,13 @@ impl Invariant for UnderLease {
         }
     }
 
-    fn observe_world(&mut self, at: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), InvariantViolation> {
+    fn observe_world(&mut self, at: Duration, entry: &LoggedEvent, fleet: &Fleet) -> Result<(), InvariantViolation> {
         match &entry.event {
-            InWorld::GoalStarted { robot, id, goal } => self.pursues(at, &NodeId::from(robot.clone()), id.0, goal),
+            InWorld::GoalStarted { robot, id, goal } => {
+                let node = NodeId::from(robot.clone());
+                let charging = fleet.knowledge_of(robot.as_str(), &node).and_then(|record| record.charging);
+                self.pursues(at, &node, id.0, goal, matches!(charging, Some(Charging::Leaving { .. })));
+            }
             InWorld::GoalEnded { robot, id, .. } => {
                 self.at_work.remove(&(robot.to_string(), id.0));
             }
@@ -230,7 +236,7 @@ mod tests {
             if !is_active {
                 state.active.clear();
             }
-            state.pursues(secs(100), &garnet, 7, goal);
+            state.pursues(secs(100), &garnet, 7, goal, false);
             state.begins(&hazel, part.clone())
         };
         assert!(begins(None, false, &drive).is_err(), "there is no alarm");
@@ -251,7 +257,7 @@ mod tests {
         let begins = |alarm_at: Option<Duration>, goal: &Goal| {
             let mut state = UnderLease { alarm_at, ..UnderLease::default() };
             assert_eq!(state.begins(&garnet, part.clone()), Ok(()));
-            state.pursues(secs(90), &garnet, 7, goal);
+            state.pursues(secs(90), &garnet, 7, goal, false);
             state.ends(secs(100), &garnet, &part);
             state.begins(&hazel, part.clone())
         };
@@ -272,11 +278,33 @@ mod tests {
             if ends {
                 state.ends(Duration::from_secs(100), &garnet, &part);
             }
-            state.pursues(Duration::from_millis(goal_at_ms), &garnet, 7, &dock);
+            state.pursues(Duration::from_millis(goal_at_ms), &garnet, 7, &dock, false);
             state.begins(&hazel, part.clone())
         };
         assert_eq!(begins(true, 101_600), Ok(()));
         assert!(begins(true, 101_500).is_err(), "the goal was on its way");
         assert!(begins(false, 101_600).is_err(), "it has not ended its role");
+    }
+
+    /// A robot was paused in its role at a charger for which another robot waited meanwhile. It received the end of the role
+    /// and made room at once, and the next robot began the role during this drive.
+    #[test]
+    fn a_robot_that_has_ended_a_role_makes_room_at_a_charger() {
+        let (indigo, hazel) = (NodeId::new("indigo").unwrap(), NodeId::new("hazel").unwrap());
+        let part: Part = ("rounds-1".parse().unwrap(), RoleId::new("r1").unwrap());
+        let drive = Goal::from(NavigateToPose::to(Pose::new(0.0, 0.0, 0.0), None));
+        let begins = |ends: bool, goal: &Goal, leaves: bool| {
+            let mut state = UnderLease::default();
+            assert_eq!(state.begins(&indigo, part.clone()), Ok(()));
+            if ends {
+                state.ends(Duration::from_millis(47_607), &indigo, &part);
+            }
+            state.pursues(Duration::from_millis(47_720), &indigo, 7, goal, leaves);
+            state.begins(&hazel, part.clone())
+        };
+        assert_eq!(begins(true, &drive, true), Ok(()));
+        assert!(begins(true, &drive, false).is_err(), "a drive of its role was on its way");
+        assert!(begins(false, &drive, true).is_err(), "it has not ended its role");
+        assert!(begins(true, &Dock { charger: None }.into(), true).is_err(), "it does not drive");
     }
 }
