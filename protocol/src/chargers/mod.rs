@@ -263,15 +263,15 @@ impl ChargerLeases {
     /// Returns the robot that gets a free charger: the robot that is connected to it, else the first of the queue, unless
     /// another robot stands there.
     fn next_user(&self, charger: &PlaceId, robots: &[ChargerUser], served: &BTreeSet<RobotId>) -> Option<RobotId> {
+        let is_passed_over = |robot: &RobotId| self.passed_over.contains_key(&(charger.clone(), robot.clone()));
         if let Some(user) = robots.iter().find(|user| user.is_alive && user.is_connected_to(charger)) {
-            return (!served.contains(&user.robot)).then(|| user.robot.clone());
+            return (!served.contains(&user.robot) && !is_passed_over(&user.robot)).then(|| user.robot.clone());
         }
         let users: BTreeMap<&RobotId, &ChargerUser> = robots.iter().map(|user| (&user.robot, user)).collect();
         let may_have = |robot: &&RobotId| {
             let wishes = users.get(*robot).is_some_and(|user| user.wishes().any(|wish| wish == charger));
-            let is_passed_over = self.passed_over.contains_key(&(charger.clone(), (*robot).clone()));
             let is_blocked = robots.iter().any(|user| user.robot != **robot && user.place == *charger);
-            wishes && !is_passed_over && !is_blocked && !served.contains(*robot)
+            wishes && !is_passed_over(robot) && !is_blocked && !served.contains(*robot)
         };
         self.queue.robots().find(may_have).cloned()
     }

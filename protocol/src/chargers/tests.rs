@@ -134,6 +134,18 @@ fn a_robot_that_did_not_come_is_passed_over_for_a_minute() {
 }
 
 #[test]
+fn a_connected_robot_that_did_not_answer_is_passed_over_for_a_minute() {
+    let mut leases = ChargerLeases::default();
+    let robots = [connected("ada", None), waiting("bob", 0.1, &["P"])];
+    leases.due(&leased("ada"), &robots, at(0));
+    assert_eq!(leases.due(&leased("ada"), &robots, at(10_000)), [free("ada", EndOfLease::NoAnswer)]);
+    let mut due = |ms| leases.due(&BTreeMap::new(), &robots, at(ms));
+    assert_eq!(due(10_100), [], "no other robot can use it");
+    assert_eq!(due(69_999), []);
+    assert_eq!(due(70_000), [lease("P", "ada")]);
+}
+
+#[test]
 fn the_lease_of_a_robot_that_is_gone_ends_after_5_s() {
     let gone = || ChargerUser { is_alive: false, charging: None, ..bound("ada", Some(5)) };
     let mut leases = ChargerLeases::default();

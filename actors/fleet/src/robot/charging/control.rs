@@ -190,7 +190,8 @@ impl ChargeControl {
             Activity::Leaving if self.trip.is_none() => &idle,
             activity => activity,
         };
-        let offer = self.leases.take_offer();
+        // A robot on its way does not turn back; the coordinator repeats its notice.
+        let offer = self.leases.take_offer().filter(|_| self.trip.is_none());
         let mut next = thresholds.next(present, situation, offer.as_ref(), all, soonest_first);
         if let Activity::Claimed(claim) = &mut next {
             let drive = drive_times.get(&claim.published.charger).copied();

@@ -157,8 +157,9 @@ impl ChargeThresholds {
         battery >= if lacked_charge { self.until } else { least }
     }
 
-    /// Returns the next activity of a free robot. `offer` is a lease that it has just received, `all` are the chargers of
-    /// the fleet, and `nearest_first` returns those that the robot can use, in the order of preference.
+    /// Returns the next activity of a free robot. `offer` is a lease that it has just received, unless it is on its way,
+    /// `all` are the chargers of the fleet, and `nearest_first` returns those that the robot can use, in the order of
+    /// preference.
     pub(super) fn next(
         &self,
         activity: &Activity,
@@ -180,7 +181,16 @@ impl ChargeThresholds {
                 is_there && situation.battery < self.until && situation.keeps(activity) && !situation.yields(claim)
             }
         };
-        if goes_on { activity.clone() } else { self.begin(situation, offer, all, nearest_first) }
+        match (goes_on, activity) {
+            // The coordinator leases it no other charger meanwhile.
+            (true, Activity::Claimed(claim)) if claim.published.lease.is_none() && offer.is_some() => {
+                let leased = situation.leased_claim(offer, &nearest_first());
+                let claim_of = |published| Claim { published, since: situation.now, purpose: claim.purpose };
+                Activity::Claimed(leased.map_or_else(|| claim.clone(), claim_of))
+            }
+            (true, _) => activity.clone(),
+            (false, _) => self.begin(situation, offer, all, nearest_first),
+        }
     }
 
     fn begin(
@@ -196,8 +206,7 @@ impl ChargeThresholds {
             !situation.is_taken(charger) && (purpose == Purpose::Need || !situation.is_awaited(charger))
         };
         let claim = purpose.and_then(|purpose| {
-            let leased = offer.map(|offer| situation.claim_of(&offer.charger, Some(offer.lease)));
-            let leased = leased.filter(|claim| chargers.contains(&claim.charger) && situation.may_take(claim));
+            let leased = situation.leased_claim(offer, &chargers);
             let unleased = || {
                 let charger = chargers.iter().find(|charger| may_claim(charger, purpose))?;
                 Some(situation.claim_of(charger, None))
@@ -240,6 +249,12 @@ impl Situation<'_> {
 
     fn claim_of(&self, charger: &PlaceId, lease: Option<u64>) -> ChargerClaim {
         ChargerClaim { charger: charger.clone(), battery: self.battery, lease, drive_s: None }
+    }
+
+    /// Returns the claim to the offered charger, if the robot can use the charger and the claim would prevail.
+    fn leased_claim(&self, offer: Option<&LeaseOffer>, chargers: &[PlaceId]) -> Option<ChargerClaim> {
+        let claim = offer.map(|offer| self.claim_of(&offer.charger, Some(offer.lease)))?;
+        (chargers.contains(&claim.charger) && self.may_take(&claim)).then_some(claim)
     }
 
     /// Checks whether a new claim with a lease would prevail, and no other robot stands at the charger.

@@ -230,6 +230,19 @@ fn a_robot_drives_and_docks_once_its_claim_is_old_enough() {
 }
 
 #[test]
+fn a_robot_on_its_way_to_a_charger_does_not_turn_back_for_another_lease() {
+    let mut control = control(places(&["A", "B"]));
+    let (estimator, context, own, at_c) = (estimator(), context("C"), robot("m"), place("C"));
+    let situation =
+        Situation { robot: &own, place: &at_c, battery: share(0.2), lacked_charge: false, others: &[], now: at(0) };
+    control.decide(&situation, &estimator, &context);
+    assert_eq!(published_by(&control), Some(Charging::Bound(claim("B", 0.2))));
+    control.next_task(&[], &estimator, &context, at(2_000)).expect("the drive");
+    control.receive_lease(place("A"), 8);
+    assert!(!control.decide(&Situation { now: at(2_100), ..situation }, &estimator, &context));
+}
+
+#[test]
 fn a_robot_avoids_a_charger_for_a_minute_after_a_failure() {
     let usable = places(&["A"]);
     let mut control = control(usable);

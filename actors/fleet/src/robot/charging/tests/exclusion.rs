@@ -69,7 +69,8 @@ impl Simulated {
         let others: Vec<OtherRobot> = records.into_iter().filter(|other| other.robot != self.id).collect();
         let (robot, place, battery) = (&self.id, &self.place, self.battery);
         let situation = Situation { robot, place, battery, lacked_charge: false, others: &others, now };
-        let (offer, all) = (self.leases.take_offer(), chargers.iter().cloned().collect());
+        let offer = self.leases.take_offer().filter(|_| self.driven == 0);
+        let all = chargers.iter().cloned().collect();
         let next = thresholds().next(&self.activity, &situation, offer.as_ref(), &all, || nearest_first);
         self.leases.follow(&next);
         if next != self.activity {

@@ -221,6 +221,28 @@ fn a_waiting_robot_claims_the_charger_that_it_is_offered() {
 }
 
 #[test]
+fn a_robot_that_waits_for_its_lease_claims_the_charger_that_it_is_offered() {
+    let (own, hall) = (robot("m"), place("Hall"));
+    let offer = LeaseOffer { charger: place("Q"), lease: 7 };
+    let next = |claim: &Claim, others: &[OtherRobot]| {
+        let battery = share(0.2);
+        let situation = Situation { robot: &own, place: &hall, battery, lacked_charge: false, others, now: at(5_000) };
+        let (activity, all) = (Activity::Claimed(claim.clone()), places(&["P", "Q"]));
+        thresholds().next(&activity, &situation, Some(&offer), &all, || vec![place("P"), place("Q")])
+    };
+    let with_lease = |charger, since, lease| {
+        let mut claim = own_claim(charger, 0.2, since, Purpose::Need);
+        claim.published.lease = lease;
+        claim
+    };
+    let unleased = with_lease("P", at(4_000), None);
+    assert_eq!(next(&unleased, &[]), Activity::Claimed(with_lease("Q", at(5_000), Some(7))));
+    assert_eq!(next(&unleased, &[other("a", "Q", None)]), Activity::Claimed(unleased), "another robot stands there");
+    let leased = with_lease("P", at(4_000), Some(6));
+    assert_eq!(next(&leased, &[]), Activity::Claimed(leased));
+}
+
+#[test]
 fn a_delayed_notice_of_an_earlier_lease_has_no_effect() {
     let offer = |lease| LeaseOffer { charger: place("P"), lease };
     let mut leases = ReceivedLeases::default();
