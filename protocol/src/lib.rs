@@ -51,6 +51,7 @@ pub mod codec;
 pub mod ensemble;
 pub mod event;
 pub mod expression;
+pub mod fnv;
 pub mod ids;
 pub mod keys;
 pub mod knowledge;

@@ -2,6 +2,7 @@
 
 use super::log_store::StoreIdentity;
 use super::runtime::SeededRuntime;
+use consort_protocol::fnv::fnv1a;
 use consort_protocol::ids::{ClusterId, NodeId};
 pub use consort_protocol::lease::Epoch;
 use openraft::RaftTypeConfig;
@@ -76,8 +77,7 @@ impl RaftId {
     /// node a stranger to its fleet.
     pub fn of(node: &NodeId, store: StoreIdentity) -> RaftId {
         let bytes = node.as_str().bytes().chain([0]).chain(store.0.to_be_bytes());
-        let folded = bytes
-            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3));
+        let folded = fnv1a(bytes);
         let mixed = (folded ^ (folded >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         RaftId(mixed ^ (mixed >> 31))

@@ -1,6 +1,7 @@
 //! Digests: versions of records, and the classes of owners for which two nodes compare them.
 
 use super::record::RecordStamp;
+use crate::fnv::fnv1a;
 use crate::ids::NodeId;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -51,10 +52,9 @@ pub(super) fn class(owner: &NodeId, classes: u8) -> usize {
     (mix(hash(owner)) % u64::from(classes.max(1))) as usize
 }
 
-/// Hashes a name with FNV-1a: identical on every machine.
+/// Hashes a name.
 pub(super) fn hash(owner: &NodeId) -> u64 {
-    let step = |hash: u64, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
-    owner.as_str().bytes().fold(0xcbf2_9ce4_8422_2325, step)
+    fnv1a(owner.as_str().bytes())
 }
 
 /// Mixes the bits of a number (the finaliser of SplitMix64: Steele, Lea, Flood 2014).

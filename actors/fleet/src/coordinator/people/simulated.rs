@@ -2,6 +2,7 @@
 
 use crate::robot_driver::PersonCommand;
 use consort_protocol::codec;
+use consort_protocol::fnv::fnv1a;
 use consort_protocol::ids::{ClusterId, RoleId};
 use consort_protocol::lease::RoleHolder;
 use consort_protocol::ledger::{AnswerContent, Ledger, MissionEntry, PersonRequestEntry, PersonRequestId};
@@ -41,11 +42,9 @@ struct SentRequest {
     left_to_others: bool,
 }
 
-/// Returns the id for the host: FNV-1a (Fowler, Noll, Vo) over the content, so that every coordinator uses the same id.
+/// Returns the id for the host: a hash of the content, so that every coordinator uses the same id.
 pub(super) fn goal_id(content: &impl Serialize) -> GoalId {
-    let content = codec::encode_record(content).expect("an id fits a record");
-    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
-    GoalId(content.iter().fold(0xcbf2_9ce4_8422_2325, step))
+    GoalId(fnv1a(codec::encode_record(content).expect("an id fits a record")))
 }
 
 impl SentRequest {
