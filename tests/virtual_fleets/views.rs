@@ -73,7 +73,9 @@ fn every_view_has_a_single_reply_with_the_current_state() {
         assert_eq!(voters, BTreeSet::from(["aster", "basil", "clove", "fern", "lab-arm"]), "seed {seed}");
 
         let freeze = json!({ "robots": "stop", "places": [], "closes": [] });
-        assert_eq!(views["fleet"]["declared"]["alarms"]["freeze"], freeze, "seed {seed}");
+        let declared = &views["fleet"]["declared"];
+        assert_eq!(declared["alarms"]["freeze"], freeze, "seed {seed}");
+        assert_eq!(declared["hash"].as_str().map(str::len), Some(16), "seed {seed}: {declared}");
         let nodes = views["fleet"]["nodes"].as_array().expect("a list");
         let alive: Vec<&str> =
             nodes.iter().filter(|node| node["alive"] == true).filter_map(|node| node["node"].as_str()).collect();

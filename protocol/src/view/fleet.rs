@@ -1,7 +1,9 @@
 //! Views of nodes, robots and ensembles.
 
 use super::{readable, readable_if_known, readable_or_default};
+use crate::codec;
 use crate::ensemble::{ExchangedValue, Membership};
+use crate::fnv::fnv1a;
 use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType, ZoneId};
 use crate::knowledge::RobotKnowledge;
 use crate::ledger::{Alarm, AlarmPlan, Closure, RobotOrders, SpeedLimit};
@@ -41,12 +43,12 @@ pub struct FleetView {
     /// Chargers that are leased, or for which robots wait, in the order of their names.
     #[serde(default, deserialize_with = "readable")]
     pub chargers: Vec<ChargerView>,
-    /// Names that people may use in orders, by the fleet file of the replying node.
+    /// Names that people may use in orders, by the fleet file of the replying node. The coordinator resolves them by its own.
     #[serde(default, deserialize_with = "readable_or_default")]
     pub declared: DeclarationsView,
 }
 
-/// What a fleet file declares for orders of people.
+/// What a fleet file declares for orders of people. Nodes may have different files.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DeclarationsView {
     /// Alarms, with their plans.
@@ -55,6 +57,20 @@ pub struct DeclarationsView {
     /// Zones, with their places.
     #[serde(default)]
     pub zones: BTreeMap<ZoneId, BTreeSet<PlaceId>>,
+    /// Hash of the alarms and zones, as 16 hexadecimal digits: it is the same at all nodes whose files declare the same.
+    #[serde(default)]
+    pub hash: String,
+}
+
+impl DeclarationsView {
+    /// Returns the view of these declarations.
+    ///
+    /// # Panics
+    /// Never: a fleet file is smaller than a record.
+    pub fn of(alarms: BTreeMap<AlarmId, AlarmPlan>, zones: BTreeMap<ZoneId, BTreeSet<PlaceId>>) -> DeclarationsView {
+        let content = codec::encode_record(&(&alarms, &zones)).expect("declarations fit a record");
+        DeclarationsView { hash: format!("{:016x}", fnv1a(content)), alarms, zones }
+    }
 }
 
 /// Charging of a fleet by the robots themselves.
@@ -314,4 +330,19 @@ pub struct EnsembleMember {
     /// Its membership.
     #[serde(flatten)]
     pub membership: Membership,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_declarations_have_the_same_hash() {
+        let hash = |place: &str| {
+            let zones = BTreeMap::from([("icu".parse().unwrap(), BTreeSet::from([place.parse().unwrap()]))]);
+            DeclarationsView::of(BTreeMap::new(), zones).hash
+        };
+        assert_eq!((hash("IC Room 5").len(), hash("IC Room 5")), (16, hash("IC Room 5")));
+        assert_ne!(hash("IC Room 6"), hash("IC Room 5"));
+    }
 }

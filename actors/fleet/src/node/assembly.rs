@@ -367,10 +367,7 @@ impl Assembly {
             exchanges: self.exchanges.clone(),
             map: self.fleet.map.clone(),
             charging: self.fleet.charging.as_deref().map(Into::into),
-            declared: DeclarationsView {
-                alarms: (*self.fleet.alarms).clone(),
-                zones: self.fleet.domain.zones().clone(),
-            },
+            declared: DeclarationsView::of((*self.fleet.alarms).clone(), self.fleet.domain.zones().clone()),
             beacon_interval: self.times.beacon_interval,
         };
         Ok(views.serve(&mut self.tasks).await?)

@@ -104,6 +104,10 @@ pub struct FleetModel {
     declared_alarms: TrackedMap<String, AlarmPlan>,
     /// Zones of the fleet file, with their places.
     zones: TrackedMap<String, BTreeSet<PlaceId>>,
+    /// Hash of these declarations.
+    declared_hash: Option<String>,
+    /// Number of consecutive views with other declarations.
+    other_declarations: u32,
     missions: TrackedMap<String, MissionModel>,
     schedules: TrackedMap<String, ScheduleModel>,
     auctions: TrackedMap<String, AuctionModel>,

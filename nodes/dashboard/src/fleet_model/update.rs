@@ -15,8 +15,8 @@ use consort_protocol::mission::{TaskBody, TaskNode};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::view::{
-    AuctionsView, CoordinatorView, EnsembleView, FleetView, HealthView, MissionView, MissionsView, NodeView,
-    Provenance, SchedulesView, WithProvenance,
+    AuctionsView, CoordinatorView, DeclarationsView, EnsembleView, FleetView, HealthView, MissionView, MissionsView,
+    NodeView, Provenance, SchedulesView, WithProvenance,
 };
 use consort_skills::actions::Telemetry;
 use consort_world::world::WorldReport;
@@ -24,6 +24,9 @@ use serde::Deserialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use tracing::debug;
+
+/// Number of consecutive views with other declarations than the known ones after which the latest count. Raised: a changed fleet file is shown later, and files of two nodes alternate less often. A guess: some seconds.
+const OTHER_DECLARATIONS: u32 = 5;
 
 impl FleetModel {
     /// Applies a view, as returned by any node. A view that cannot be read changes nothing.
@@ -208,9 +211,20 @@ impl FleetModel {
             let alarms = alarms.into_iter().take(bounds::ALARMS);
             self.alarms.replace(alarms.map(|alarm| (alarm.alarm.to_string(), alarm)).collect());
         }
-        let declared = view.declared.alarms.into_iter().take(bounds::ALARMS);
+        self.take_declarations(view.declared);
+    }
+
+    /// Adopts what a fleet file declares. While nodes with different files reply in turn, the first declarations stay.
+    fn take_declarations(&mut self, DeclarationsView { alarms, zones, hash }: DeclarationsView) {
+        let is_other = self.declared_hash.as_ref().is_some_and(|known| *known != hash);
+        self.other_declarations = if is_other { self.other_declarations + 1 } else { 0 };
+        if is_other && self.other_declarations < OTHER_DECLARATIONS {
+            return;
+        }
+        (self.declared_hash, self.other_declarations) = (Some(hash), 0);
+        let declared = alarms.into_iter().take(bounds::ALARMS);
         self.declared_alarms.replace(declared.map(|(name, plan)| (name.to_string(), plan)).collect());
-        let zones = view.declared.zones.into_iter().take(bounds::ZONES);
+        let zones = zones.into_iter().take(bounds::ZONES);
         self.zones.replace(zones.map(|(name, places)| (name.to_string(), places)).collect());
     }
 

@@ -455,6 +455,24 @@ fn alarms_and_speed_limits_are_those_of_the_latest_view() {
 }
 
 #[test]
+fn declarations_do_not_alternate_while_nodes_with_different_files_reply() {
+    let mut model = model();
+    let mut zones_after = |hash: &str, zone: &str| {
+        let mut view = fleet(json!([]));
+        view["declared"] = json!({ "alarms": {}, "zones": { zone: ["IC Room 5"] }, "hash": hash });
+        model.apply_view(&Key::ViewFleet, &view, NOW);
+        model.zones().keys().cloned().collect::<Vec<_>>()
+    };
+    for _ in 0..10 {
+        assert_eq!(zones_after("1", "icu"), ["icu"]);
+        assert_eq!(zones_after("2", "ward"), ["icu"]);
+    }
+    zones_after("1", "icu");
+    let later = [(); 6].map(|()| zones_after("2", "ward").concat());
+    assert_eq!(later, ["icu", "icu", "icu", "icu", "ward", "ward"], "all nodes have the other file now");
+}
+
+#[test]
 fn consecutive_patches_equal_the_whole_model() {
     let mut model = model();
     let (mut drawn, mut seen) = (Value::Null, Value::Null);
