@@ -4,11 +4,11 @@ use crate::ids::{AlarmId, MissionId, PlaceId, RequestId, RobotId, RoleId, Schedu
 use crate::ledger::{MissedOccurrences, PersonRequestId};
 use crate::mission::IhtnFields;
 use crate::scalar::Scalar;
+use crate::schema::inline_schema;
 use crate::units::MetresPerSecond;
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use schemars::{JsonSchema, json_schema};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
-use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Submits a mission.
@@ -81,19 +81,10 @@ pub enum StartTime {
     In(f64),
 }
 
-impl JsonSchema for StartTime {
-    fn inline_schema() -> bool {
-        true
-    }
-
-    fn schema_name() -> Cow<'static, str> {
-        "StartTime".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "anyOf": [{ "type": "string", "format": "date-time" }, { "type": "number", "minimum": 0 }] })
-    }
-}
+inline_schema!(
+    StartTime,
+    json_schema!({ "anyOf": [{ "type": "string", "format": "date-time" }, { "type": "number", "minimum": 0 }] })
+);
 
 /// The mission of a request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -105,19 +96,7 @@ pub enum MissionSource {
     File(Map<String, Value>),
 }
 
-impl JsonSchema for MissionSource {
-    fn inline_schema() -> bool {
-        true
-    }
-
-    fn schema_name() -> Cow<'static, str> {
-        "MissionSource".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": ["string", "object"] })
-    }
-}
+inline_schema!(MissionSource, json_schema!({ "type": ["string", "object"] }));
 
 /// Changes a mission on behalf of a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -141,19 +120,7 @@ pub enum MissionSelection {
     Where(SelectionCondition),
 }
 
-impl JsonSchema for MissionSelection {
-    fn inline_schema() -> bool {
-        true
-    }
-
-    fn schema_name() -> Cow<'static, str> {
-        "MissionSelection".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": ["array", "object"], "items": { "type": "string" } })
-    }
-}
+inline_schema!(MissionSelection, json_schema!({ "type": ["array", "object"], "items": { "type": "string" } }));
 
 /// Answers a request to a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -485,19 +452,7 @@ pub enum AllRobots {
     All,
 }
 
-impl JsonSchema for RobotSelection {
-    fn inline_schema() -> bool {
-        true
-    }
-
-    fn schema_name() -> Cow<'static, str> {
-        "RobotSelection".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "type": ["array", "object", "string"], "items": { "type": "string" } })
-    }
-}
+inline_schema!(RobotSelection, json_schema!({ "type": ["array", "object", "string"], "items": { "type": "string" } }));
 
 /// Maximum number of minutes for which a person puts a request off: a day.
 pub const LATER_MINUTES_MAX: u32 = 24 * 60;
