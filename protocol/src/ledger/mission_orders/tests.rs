@@ -1,26 +1,11 @@
 use super::*;
 use crate::ids::MissionId;
 use crate::ledger::history::HISTORY_SINCE;
-use crate::ledger::test_values::rounds;
+use crate::ledger::test_values::{Log, rounds};
 use crate::ledger::{AuditEntry, MissionState, Priority};
 use std::collections::BTreeMap;
 
-/// A ledger and the index of its next entry.
-struct Log(Ledger, u64);
-
 impl Log {
-    fn new() -> Log {
-        let mut log = Log(Ledger::default(), 1);
-        log.apply(Command::first_wire_version(HISTORY_SINCE));
-        log
-    }
-
-    fn apply(&mut self, command: Command) -> CommandOutcome {
-        let at = Epoch { term: 1, index: self.1 };
-        self.1 += 1;
-        self.0.apply(at, command)
-    }
-
     fn submit(&mut self, request: &str) -> MissionId {
         match self.apply(Command::Submit(Box::new(rounds(request)))) {
             CommandOutcome::Submitted { mission, .. } => mission,

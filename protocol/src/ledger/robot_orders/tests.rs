@@ -3,7 +3,7 @@ use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::{MissionId, PlaceId, RoleId};
 use crate::ledger::alarm::ALARMS_BYTES_MAX;
 use crate::ledger::order_book::ORDER_REQUESTS_BYTES_MAX;
-use crate::ledger::test_values::rounds;
+use crate::ledger::test_values::{Log, rounds};
 use crate::ledger::{AlarmPlan, AlarmResponse, Branch, Command, OrderChange, RobotOrder, Zone};
 use crate::message::OrdersNotice;
 use crate::units::MetresPerSecond;
@@ -13,22 +13,7 @@ fn robot(name: &str) -> RobotId {
     name.parse().unwrap()
 }
 
-/// A ledger and the index of its next entry.
-struct Log(Ledger, u64);
-
 impl Log {
-    fn new() -> Log {
-        let mut log = Log(Ledger::default(), 1);
-        log.apply(Command::first_wire_version(HISTORY_SINCE));
-        log
-    }
-
-    fn apply(&mut self, command: Command) -> CommandOutcome {
-        let at = Epoch { term: 1, index: self.1 };
-        self.1 += 1;
-        self.0.apply(at, command)
-    }
-
     fn order(&mut self, robots: &[&str], change: OrderChange, at_ms: u64) -> CommandOutcome {
         let order = OrderRequest { change, by: "Nia".to_owned(), at_ms, request: None };
         self.request(robots, order)
