@@ -81,16 +81,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     fn records(count: usize, name: impl Fn(usize) -> String) -> Vec<Record> {
-        let knowledge = Knowledge {
-            may_vote: false,
-            stationary: false,
-            mains_powered: false,
-            replica: Some(u64::MAX),
-            cluster: None,
-            leaving: false,
-            supported_versions: VersionRange::OWN,
-            robot: None,
-        };
+        let knowledge = Knowledge { may_vote: false, replica: Some(u64::MAX), ..Knowledge::of(None) };
         let record = |n| Record {
             owner: NodeId::new(name(n)).unwrap(),
             stamp: RecordStamp { incarnation: u64::MAX, version: u64::MAX },

@@ -61,16 +61,7 @@ pub struct GossipHarness {
 impl GossipHarness {
     /// Creates the gossip of a node that has just started.
     pub fn new(fleet: FleetId, node: NodeId) -> GossipHarness {
-        let knowledge = Knowledge {
-            may_vote: true,
-            stationary: false,
-            mains_powered: false,
-            replica: None,
-            cluster: None,
-            leaving: false,
-            supported_versions: VersionRange::OWN,
-            robot: None,
-        };
+        let knowledge = Knowledge::of(None);
         let (mut state, rng) = (GossipState::default(), ChaCha8Rng::seed_from_u64(1));
         let settings = Settings::new(fleet, node, 1);
         let start = GossiperStart { settings, knowledge, signer: None, rng };

@@ -283,7 +283,6 @@ fn next(stamp: RecordStamp) -> Option<RecordStamp> {
 mod tests {
     use super::*;
     use crate::shared::MemberStatus;
-    use consort_protocol::versions::VersionRange;
 
     const T0: NodeTime = NodeTime::ZERO;
 
@@ -292,16 +291,7 @@ mod tests {
     }
 
     fn knowledge(replica: u64) -> Knowledge {
-        Knowledge {
-            may_vote: true,
-            stationary: true,
-            mains_powered: true,
-            replica: Some(replica),
-            cluster: None,
-            leaving: false,
-            supported_versions: VersionRange::OWN,
-            robot: None,
-        }
+        Knowledge { stationary: true, mains_powered: true, replica: Some(replica), ..Knowledge::of(None) }
     }
 
     fn record(owner: &str, incarnation: u64, version: u64) -> Record {

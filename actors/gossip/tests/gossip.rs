@@ -11,7 +11,6 @@ use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Knowledge, RecordStamp};
 use consort_protocol::message::RecordUpdate;
-use consort_protocol::versions::VersionRange;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SupervisionEvent};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -44,16 +43,7 @@ fn fleet_id() -> FleetId {
 }
 
 fn knowledge(replica: u64) -> Knowledge {
-    Knowledge {
-        may_vote: true,
-        stationary: false,
-        mains_powered: false,
-        replica: Some(replica),
-        cluster: None,
-        leaving: false,
-        supported_versions: VersionRange::OWN,
-        robot: None,
-    }
+    Knowledge { replica: Some(replica), ..Knowledge::of(None) }
 }
 
 struct Node {

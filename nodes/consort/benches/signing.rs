@@ -61,16 +61,7 @@ fn measure() -> Value {
         estimator: "1".to_owned(),
         charging: None,
     };
-    let knowledge = Knowledge {
-        may_vote: true,
-        stationary: false,
-        mains_powered: false,
-        replica: Some(1),
-        cluster: None,
-        leaving: false,
-        supported_versions: VersionRange::OWN,
-        robot: Some(worker),
-    };
+    let knowledge = Knowledge { replica: Some(1), ..Knowledge::of(Some(worker)) };
     let stamp = RecordStamp { incarnation: 1_800_000_000_000, version: 9 };
     let statement = RecordUpdate::Record(Record { owner: node.clone(), stamp, knowledge, proof: None });
     // Entries as in an append message: each with its position in the log.

@@ -17,7 +17,6 @@ use consort_protocol::ledger::{Command, Ledger, Submission};
 use consort_protocol::mission::{Mission, Role};
 use consort_protocol::plan::Division;
 use consort_protocol::units::{Energy, NodeTime, Seconds};
-use consort_protocol::versions::VersionRange;
 use consort_skills::environment::SpeedLimits;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -86,16 +85,7 @@ impl<'a> Memberships<'a> {
         let mut base = KnowledgeBase::default();
         let mut add = |owner: NodeId, robot: Option<RobotKnowledge>| {
             let is_station = robot.is_none();
-            let knowledge = Knowledge {
-                may_vote: true,
-                stationary: is_station,
-                mains_powered: is_station,
-                replica: None,
-                cluster: None,
-                leaving: false,
-                supported_versions: VersionRange::OWN,
-                robot,
-            };
+            let knowledge = Knowledge { stationary: is_station, mains_powered: is_station, ..Knowledge::of(robot) };
             let record = Record { owner, stamp: RecordStamp::default(), knowledge, proof: None };
             base.merge(record, NodeTime::ZERO);
         };

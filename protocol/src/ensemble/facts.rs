@@ -4,7 +4,6 @@ use crate::ids::{NodeId, PlaceId, TaskType};
 use crate::knowledge::{Attributes, Availability, Knowledge, RobotKnowledge};
 use crate::pose::Pose;
 use crate::units::{BatteryShare, SharePerSecond};
-use crate::versions::VersionRange;
 use cel::{SerializationError, Value};
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -108,14 +107,5 @@ pub(super) fn example_robot() -> RobotKnowledge {
 
 /// Returns the knowledge of the node of [`example_robot`].
 pub(super) fn example_knowledge() -> Knowledge {
-    Knowledge {
-        may_vote: true,
-        stationary: false,
-        mains_powered: false,
-        replica: None,
-        cluster: None,
-        leaving: false,
-        supported_versions: VersionRange::OWN,
-        robot: Some(example_robot()),
-    }
+    Knowledge::of(Some(example_robot()))
 }

@@ -41,6 +41,20 @@ impl Availability {
 }
 
 impl Knowledge {
+    /// Returns the knowledge of a node that may vote, moves and runs on its battery, and belongs to no cluster yet.
+    pub fn of(robot: Option<RobotKnowledge>) -> Knowledge {
+        Knowledge {
+            may_vote: true,
+            stationary: false,
+            mains_powered: false,
+            replica: None,
+            cluster: None,
+            leaving: false,
+            supported_versions: VersionRange::OWN,
+            robot,
+        }
+    }
+
     /// Checks whether the node is a robot that can take a role now.
     pub fn is_free(&self) -> bool {
         self.robot.as_ref().is_some_and(|worker| worker.availability == Availability::Free)

@@ -1,7 +1,6 @@
 use super::*;
 use crate::ids::NodeId;
 use crate::units::NodeTime;
-use crate::versions::VersionRange;
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -11,13 +10,8 @@ fn record(owner: u8, incarnation: u64, version: u64) -> Record {
         stamp: RecordStamp { incarnation, version },
         knowledge: Knowledge {
             may_vote: version.is_multiple_of(2),
-            stationary: false,
-            mains_powered: false,
             replica: Some(incarnation * 1000 + version),
-            cluster: None,
-            leaving: false,
-            supported_versions: VersionRange::OWN,
-            robot: None,
+            ..Knowledge::of(None)
         },
         proof: None,
     }

@@ -6,7 +6,6 @@ use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, NodeId, TaskType};
 use consort_protocol::knowledge::{Knowledge, KnowledgeBase, Record, RecordStamp};
 use consort_protocol::units::NodeTime;
-use consort_protocol::versions::VersionRange;
 use consort_skills::bt::xml::{read_xml, write_xml};
 use consort_skills::bt::{NodeSpec, TreeSpec};
 use consort_skills::library::SkillLibrary;
@@ -83,16 +82,7 @@ pub(super) fn condition(bytes: &[u8]) -> bool {
 }
 
 fn station() -> Knowledge {
-    Knowledge {
-        may_vote: true,
-        stationary: true,
-        mains_powered: true,
-        replica: Some(1),
-        cluster: None,
-        leaving: false,
-        supported_versions: VersionRange::OWN,
-        robot: None,
-    }
+    Knowledge { stationary: true, mains_powered: true, replica: Some(1), ..Knowledge::of(None) }
 }
 
 /// The problems of a feature contain its file.

@@ -207,7 +207,6 @@ mod tests {
     use consort_protocol::auction::{AuctionId, NotAskedReason, Timelines};
     use consort_protocol::knowledge::{Knowledge, Record, RecordStamp};
     use consort_protocol::pose::Pose;
-    use consort_protocol::versions::VersionRange;
     use consort_skills::descriptor::DescriptorRegistry;
     use consort_skills::environment::{Edge, Environment, Passages, TopologicalMap};
     use serde_json::json;
@@ -254,16 +253,7 @@ mod tests {
 
     /// Returns the expected reply of a robot whose record has this age.
     fn expected(worker: RobotKnowledge, age: Duration) -> Candidates {
-        let knowledge = Knowledge {
-            may_vote: false,
-            stationary: false,
-            mains_powered: false,
-            replica: None,
-            cluster: None,
-            leaving: false,
-            supported_versions: VersionRange::OWN,
-            robot: Some(worker),
-        };
+        let knowledge = Knowledge { may_vote: false, ..Knowledge::of(Some(worker)) };
         let owner: NodeId = "ada".parse().unwrap();
         let record = Record { owner: owner.clone(), stamp: RecordStamp::default(), knowledge, proof: None };
         let mut base = KnowledgeBase::default();

@@ -2,7 +2,6 @@ use super::*;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::knowledge::{Digest, DigestScope};
 use consort_protocol::message::RecordUpdate;
-use consort_protocol::versions::VersionRange;
 use std::time::Duration;
 
 fn node(name: &str) -> NodeId {
@@ -14,16 +13,7 @@ fn at(ms: u64) -> NodeTime {
 }
 
 fn knowledge(replica: Option<u64>) -> Knowledge {
-    Knowledge {
-        may_vote: false,
-        stationary: false,
-        mains_powered: false,
-        replica,
-        cluster: None,
-        leaving: false,
-        supported_versions: VersionRange::OWN,
-        robot: None,
-    }
+    Knowledge { may_vote: false, replica, ..Knowledge::of(None) }
 }
 
 /// Returns the gossip of Ada, for which Bob and Cyd are alive.

@@ -2,7 +2,6 @@ use super::*;
 use crate::auction::AuctionId;
 use crate::ids::RobotId;
 use crate::knowledge::{Knowledge, Record, RecordStamp};
-use crate::versions::VersionRange;
 use Operation::{Publish, Query, Reply};
 use serde::Serialize;
 
@@ -89,16 +88,7 @@ fn message(key: &str, operation: Operation, name: &str) -> Option<Vec<u8>> {
     let (mission, role) = ("lab-1".parse().unwrap(), "r1".parse().unwrap());
     Some(match (key.split('/').nth(1)?, operation) {
         ("knowledge", Publish) => {
-            let knowledge = Knowledge {
-                may_vote: true,
-                stationary: false,
-                mains_powered: false,
-                replica: None,
-                cluster: None,
-                leaving: false,
-                supported_versions: VersionRange::OWN,
-                robot: None,
-            };
+            let knowledge = Knowledge::of(None);
             let record = Record { owner: node, stamp: RecordStamp::default(), knowledge, proof: None };
             codec::encode_for_version(2, RecordUpdate::Record(record)).unwrap()
         }
