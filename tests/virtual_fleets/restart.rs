@@ -148,11 +148,13 @@ fn a_restarted_robot_is_not_free_until_its_role_is_settled() {
     });
 }
 
-/// Kills `robot` after `nth` observations since the request and restarts it. Returns false if the
-/// mission had ended before.
-async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration) -> bool {
-    let robots = vec![RobotSpec::carrier("gorse", "PC Room 8").with_speed(1.5)];
-    let room = "PC Room 8";
+/// Room of the missions that crashes interrupt.
+const NEAR_ROOM: &str = "PC Room 8";
+
+/// Starts a mission of a fast robot. Returns it after `nth` observations since the request; `None` if it had ended before.
+async fn under_way_for(seed: u64, nth: usize) -> Option<(Fleet, MissionId)> {
+    let room = NEAR_ROOM;
+    let robots = vec![RobotSpec::carrier("gorse", room).with_speed(1.5)];
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[room]).await;
     fleet.wait_for_coordinator().await;
     let before = fleet.event_log.len();
@@ -161,9 +163,14 @@ async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration)
     fleet
         .wait_until(&format!("{nth} things"), SOON, |fleet| fleet.event_log.len() >= before + nth || over(fleet))
         .await;
-    if over(&fleet) {
-        return false;
-    }
+    let is_over = over(&fleet);
+    (!is_over).then_some((fleet, mission))
+}
+
+/// Kills `robot` after `nth` observations since the request and restarts it. Returns false if the
+/// mission had ended before.
+async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration) -> bool {
+    let Some((mut fleet, mission)) = under_way_for(seed, nth).await else { return false };
     fleet.kill(robot).await;
     tokio::time::sleep(away).await;
     fleet.restart(robot).await;
@@ -173,7 +180,7 @@ async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration)
     let again = tasks.values().filter(|(began, _)| *began > 1).count();
     assert!(again <= 1 && tasks.values().all(|(began, _)| *began <= 2), "{tasks:?}\n{context}");
     assert!(tasks.values().all(|(_, ended)| *ended == 1), "{tasks:?}\n{context}");
-    fleet.assert_sample_delivered(room);
+    fleet.assert_sample_delivered(NEAR_ROOM);
     fleet.assert_exclusive_roles();
     true
 }
@@ -234,19 +241,7 @@ fn a_goal_that_ended_during_a_restart_is_not_repeated() {
 /// Kills the world host after `nth` observations since the request and restarts it. Returns false
 /// if the mission had ended before.
 async fn world_interrupted(seed: u64, nth: usize, away: Duration) -> bool {
-    let room = "PC Room 8";
-    let robots = vec![RobotSpec::carrier("gorse", room).with_speed(1.5)];
-    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[room]).await;
-    fleet.wait_for_coordinator().await;
-    let before = fleet.event_log.len();
-    let mission = fleet.submit("a", room).await;
-    let over = |fleet: &Fleet| fleet.mission_state(&mission).is_some_and(|state| state.is_final());
-    fleet
-        .wait_until(&format!("{nth} things"), SOON, |fleet| fleet.event_log.len() >= before + nth || over(fleet))
-        .await;
-    if over(&fleet) {
-        return false;
-    }
+    let Some((mut fleet, mission)) = under_way_for(seed, nth).await else { return false };
     fleet.kill("world").await;
     tokio::time::sleep(away).await;
     fleet.start_world().await;
@@ -255,7 +250,7 @@ async fn world_interrupted(seed: u64, nth: usize, away: Duration) -> bool {
     let tasks = fleet.task_counts(&mission);
     assert!(tasks.values().all(|(_, ended)| (1..=2).contains(ended)), "{tasks:?}\n{context}");
     assert!(!fleet.has_event(released), "{context}");
-    fleet.assert_sample_delivered(room);
+    fleet.assert_sample_delivered(NEAR_ROOM);
     fleet.assert_exclusive_roles();
     true
 }
