@@ -45,6 +45,7 @@ pub(super) fn router(
         route.layer(axum::middleware::from_fn_with_state((admission.clone(), scope), admit))
     };
     let order = |call: ApiCall| guarded(required_scope(call), post(forward_order).layer(Extension(call)));
+    let action = |call: ApiCall| guarded(required_scope(call), post(forward_action).layer(Extension(call)));
     pages
         .route("/ws", guarded(AccessScope::Read, get(open_websocket)))
         .route("/api/fleet", guarded(AccessScope::Read, get(model)))
@@ -56,8 +57,8 @@ pub(super) fn router(
         .route("/api/missions/cancel", order(ApiCall::CancelMissions))
         .route("/api/priority", order(ApiCall::Priority))
         .route("/api/reassign", order(ApiCall::Reassign))
-        .route("/api/missions/{id}/cancel", guarded(required_scope(ApiCall::Cancel), post(cancel)))
-        .route("/api/missions/{id}/resolve", guarded(required_scope(ApiCall::Resolve), post(resolve)))
+        .route("/api/missions/{id}/cancel", action(ApiCall::Cancel))
+        .route("/api/missions/{id}/resolve", action(ApiCall::Resolve))
         .route("/api/schedules/{id}", guarded(required_scope(ApiCall::Schedule), post(change_schedule)))
         .route("/api/hold", order(ApiCall::Hold))
         .route("/api/release", order(ApiCall::Release))
@@ -167,26 +168,6 @@ async fn submit(
     Ok(reply_of(forwarder.submit(request, client.as_ref(), now_ms).await))
 }
 
-async fn cancel(
-    State(shared): State<DashboardState>,
-    Extension(client): Extension<Option<AuthenticatedClient>>,
-    Path(id): Path<String>,
-    headers: HeaderMap,
-    body: Bytes,
-) -> Result<Response, Rejection> {
-    forward_action(&shared, client.as_ref(), ApiCall::Cancel, id, &headers, &body).await
-}
-
-async fn resolve(
-    State(shared): State<DashboardState>,
-    Extension(client): Extension<Option<AuthenticatedClient>>,
-    Path(id): Path<String>,
-    headers: HeaderMap,
-    body: Bytes,
-) -> Result<Response, Rejection> {
-    forward_action(&shared, client.as_ref(), ApiCall::Resolve, id, &headers, &body).await
-}
-
 /// Reply with the requests to people, the missions, and where else to see them.
 #[derive(Serialize)]
 struct PeopleReply<'a> {
@@ -278,19 +259,19 @@ struct ResponsiblePerson {
 
 /// Forwards a person's action on a mission.
 async fn forward_action(
-    shared: &DashboardState,
-    client: Option<&AuthenticatedClient>,
-    call: ApiCall,
-    id: String,
-    headers: &HeaderMap,
-    body: &[u8],
+    State(shared): State<DashboardState>,
+    Extension(call): Extension<ApiCall>,
+    Extension(client): Extension<Option<AuthenticatedClient>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    body: Bytes,
 ) -> Result<Response, Rejection> {
-    let forwarder = forwarder(shared)?;
+    let forwarder = forwarder(&shared)?;
     let mission = MissionId::new(id).map_err(|mistake| rejection(StatusCode::BAD_REQUEST, &mistake.to_string()))?;
     let ResponsiblePerson { by } =
-        if body.is_empty() { ResponsiblePerson::default() } else { parse_body(headers, body)? };
+        if body.is_empty() { ResponsiblePerson::default() } else { parse_body(&headers, &body)? };
     let by = by.filter(|by| !by.trim().is_empty());
-    Ok(reply_of(forwarder.act_on_mission(call, &mission, by, client).await))
+    Ok(reply_of(forwarder.act_on_mission(call, &mission, by, client.as_ref()).await))
 }
 
 async fn replay(State(shared): State<DashboardState>) -> Response {
