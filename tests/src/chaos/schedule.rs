@@ -378,6 +378,10 @@ pub enum SkillFault {
 impl ChaosAction {
     /// Returns the duration in milliseconds; `None` for an instantaneous action.
     pub(crate) fn for_ms(&self) -> Option<u64> {
+        self.clone().for_ms_mut().copied()
+    }
+
+    fn for_ms_mut(&mut self) -> Option<&mut u64> {
         match self {
             ChaosAction::Crash { for_ms, .. }
             | ChaosAction::Blackout { for_ms, .. }
@@ -391,7 +395,7 @@ impl ChaosAction {
             | ChaosAction::Weather { for_ms, .. }
             | ChaosAction::SlowDisk { for_ms, .. }
             | ChaosAction::Disk { for_ms, .. }
-            | ChaosAction::Hostile { for_ms, .. } => Some(*for_ms),
+            | ChaosAction::Hostile { for_ms, .. } => Some(for_ms),
             ChaosAction::Submit { .. }
             | ChaosAction::Cancel { .. }
             | ChaosAction::ChangeSchedule { .. }
@@ -473,34 +477,8 @@ impl ChaosAction {
     #[must_use]
     pub(crate) fn with_duration_ms(&self, ms: u64) -> ChaosAction {
         let mut act = self.clone();
-        match &mut act {
-            ChaosAction::Crash { for_ms, .. }
-            | ChaosAction::Blackout { for_ms, .. }
-            | ChaosAction::Pause { for_ms, .. }
-            | ChaosAction::Suspend { for_ms, .. }
-            | ChaosAction::Block { for_ms, .. }
-            | ChaosAction::Leave { for_ms, .. }
-            | ChaosAction::WrongDate { for_ms, .. }
-            | ChaosAction::Partition { for_ms, .. }
-            | ChaosAction::Cut { for_ms, .. }
-            | ChaosAction::Weather { for_ms, .. }
-            | ChaosAction::SlowDisk { for_ms, .. }
-            | ChaosAction::Disk { for_ms, .. }
-            | ChaosAction::Hostile { for_ms, .. } => *for_ms = ms,
-            ChaosAction::Submit { .. }
-            | ChaosAction::Cancel { .. }
-            | ChaosAction::ChangeSchedule { .. }
-            | ChaosAction::Order { .. }
-            | ChaosAction::Closure { .. }
-            | ChaosAction::Alarm { .. }
-            | ChaosAction::SpeedLimit { .. }
-            | ChaosAction::ChangeMission { .. }
-            | ChaosAction::CancelMissions { .. }
-            | ChaosAction::Remove { .. }
-            | ChaosAction::Upgrade { .. }
-            | ChaosAction::Drift { .. }
-            | ChaosAction::Battery { .. }
-            | ChaosAction::Skill { .. } => {}
+        if let Some(for_ms) = act.for_ms_mut() {
+            *for_ms = ms;
         }
         act
     }
