@@ -9,15 +9,11 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, WorldTime};
 use consort_skills::actions::{
     ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, NavigateToPose, PersonRequest, PersonResult,
-    RobotBackend, Telemetry,
+    PlaceTracker, RobotBackend, Telemetry,
 };
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{info, warn};
-
-/// Greatest distance of a pose from a place at which it counts as that place: Nav2's default goal
-/// tolerance.
-const AT_PLACE_M: f64 = 0.25;
 
 /// Interval at which events of the process are handled during a goal or a start.
 const CHECK_INTERVAL_S: f64 = 0.05;
@@ -28,10 +24,6 @@ const IDLE_INTERVAL_S: f64 = 0.25;
 /// Time for which the last report of a driver that restarts is served, longer than a goal waits for
 /// it. Then the robot is out of service.
 const REPORT_GRACE: Duration = Duration::from_secs(6);
-
-/// Time for which a connection counts as closed after the robot was blocked on it: as in the
-/// simulated world.
-const CLOSURE_S: f64 = 300.0;
 
 /// A robot before its driver has reported.
 #[derive(Debug, Clone)]
@@ -49,13 +41,10 @@ pub struct RobotStart {
 /// The backend. It passes time and events to the session, and performs the session's actions.
 pub struct ProcessDriver {
     robot: RobotId,
-    place: PlaceId,
-    places: BTreeMap<PlaceId, Pose>,
+    places: PlaceTracker,
     session: DriverSession,
     process: DriverProcess,
     now: WorldTime,
-    /// Connections on which the robot was blocked, each with the end of its closure.
-    closed: Vec<((PlaceId, PlaceId), f64)>,
     rejected: Vec<BackendEvent>,
 }
 
@@ -69,10 +58,8 @@ impl ProcessDriver {
             session: DriverSession::new(robot.clone(), contract, pose, charge),
             process: DriverProcess::start(robot.clone(), endpoint),
             robot,
-            place,
-            places,
+            places: PlaceTracker::new(place, places),
             now: WorldTime::ZERO,
-            closed: vec![],
             rejected: vec![],
         }
     }
@@ -104,15 +91,8 @@ impl ProcessDriver {
     fn update_place(&mut self) {
         let reported = self.session.reported();
         let pose = reported.pose;
-        let named = reported.place.clone().filter(|place| self.places.contains_key(place));
-        let near = || {
-            let distances = self.places.iter().map(|(place, at)| (at.distance(pose).get(), place));
-            let nearest = distances.min_by(|(a, first), (b, second)| a.total_cmp(b).then_with(|| first.cmp(second)));
-            nearest.filter(|(distance, _)| *distance <= AT_PLACE_M).map(|(_, place)| place.clone())
-        };
-        if let Some(place) = named.or_else(near) {
-            self.place = place;
-        }
+        let named = reported.place.clone().filter(|place| self.places.is_on_map(place));
+        self.places.set(pose, named);
     }
 
     /// Records the connection on which a drive was blocked.
@@ -120,12 +100,7 @@ impl ProcessDriver {
         let GoalStatus::Aborted(ActionError { code: ErrorCode::Blocked, .. }) = status else { return };
         let goal = self.session.goal(id).and_then(|goal| goal.read());
         let Some(Ok(NavigateToPose { place: Some(to), .. })) = goal else { return };
-        if to == self.place {
-            return;
-        }
-        let connection = (self.place.clone(), to);
-        self.closed.retain(|(known, _)| *known != connection);
-        self.closed.push((connection, self.now.as_secs() + CLOSURE_S));
+        self.places.add_closure(to, self.now);
     }
 }
 
@@ -192,10 +167,9 @@ impl RobotBackend for ProcessDriver {
             self.perform(actions);
         }
         self.update_place();
-        let actions = self.session.tick(&self.place, now);
+        let actions = self.session.tick(self.places.place(), now);
         self.perform(actions);
-        let until_now = self.now.as_secs();
-        self.closed.retain(|(_, until)| *until > until_now);
+        self.places.end_closures(self.now);
         let mut events = std::mem::take(&mut self.rejected);
         for outcome in self.session.take_ended() {
             self.add_closure(outcome.id, &outcome.status);
@@ -235,10 +209,10 @@ impl RobotBackend for ProcessDriver {
         is_served.then(|| Telemetry {
             time: self.now,
             pose: reported.pose,
-            place: self.place.clone(),
+            place: self.places.place().clone(),
             battery: reported.charge,
             able: reported.able,
-            closed: self.closed.iter().map(|(connection, _)| connection.clone()).collect(),
+            closed: self.places.closed(),
             readings: reported.readings.clone(),
         })
     }

@@ -14,10 +14,12 @@ mod backend;
 mod error;
 mod goal;
 mod nav2;
+mod place_tracker;
 mod robot;
 
 pub use backend::{BackendEvent, PersonRequest, PersonResult, RobotBackend};
 pub use error::{ActionError, ErrorCode};
 pub use goal::{ActionParameters, Feedback, Goal, GoalId, GoalProgress, GoalResult, GoalStatus, JsonObject};
 pub use nav2::{Dock, FollowWaypoints, NavigateToPose, Spin, Undock, Wait, Waypoint};
+pub use place_tracker::PlaceTracker;
 pub use robot::{READINGS_MAX, RobotActions, Telemetry};

@@ -12,24 +12,16 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use consort_skills::actions::{
     ActionError, BackendEvent, ErrorCode, Feedback, FollowWaypoints, Goal, GoalId, GoalProgress, GoalStatus,
-    NavigateToPose, PersonRequest, PersonResult, RobotBackend, Telemetry, Wait, Waypoint,
+    NavigateToPose, PersonRequest, PersonResult, PlaceTracker, RobotBackend, Telemetry, Wait, Waypoint,
 };
 use std::collections::{BTreeMap, VecDeque};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender};
-
-/// Greatest distance of a pose from a place at which it counts as that place: Nav2's default goal
-/// tolerance.
-const AT_PLACE_M: f64 = 0.25;
 
 /// Number of ended goals with a known status.
 const ENDED_GOALS_KEPT: usize = 32;
 
 /// Interval at which the driver server checks for events of Nav2 during a drive.
 const CHECK_INTERVAL_S: f64 = 0.05;
-
-/// Time for which a connection counts as closed after the robot was blocked on it: as in the
-/// simulated world.
-const CLOSURE_S: f64 = 300.0;
 
 /// A command for Nav2.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,14 +66,11 @@ fn waypoint_progress(goal: &Goal, following: usize) -> GoalProgress {
 /// See the [module](self).
 pub struct Nav2Driver {
     robot: RobotId,
-    places: BTreeMap<PlaceId, Pose>,
+    places: PlaceTracker,
     commands: UnboundedSender<Nav2Command>,
     nav2_events: UnboundedReceiver<Nav2Event>,
     now: WorldTime,
     pose: Pose,
-    place: PlaceId,
-    /// Connections on which the robot was blocked, each with the end of its closure.
-    closed: Vec<((PlaceId, PlaceId), f64)>,
     current: Option<CurrentGoal>,
     ended: VecDeque<(GoalId, Goal, GoalStatus)>,
     pending_events: Vec<BackendEvent>,
@@ -127,13 +116,11 @@ impl Nav2Driver {
         };
         Ok(Nav2Driver {
             robot,
-            places,
+            places: PlaceTracker::new(place, places),
             commands,
             nav2_events,
             now: WorldTime::ZERO,
             pose,
-            place,
-            closed: vec![],
             current: None,
             ended: VecDeque::new(),
             pending_events: vec![],
@@ -258,21 +245,13 @@ impl Nav2Driver {
     /// Sets the pose of the robot, and its place if the pose is at a place.
     fn set_pose(&mut self, pose: Pose, place: Option<PlaceId>) {
         self.pose = pose;
-        let near = || {
-            let distances = self.places.iter().map(|(place, at)| (at.distance(pose).get(), place));
-            let nearest = distances.min_by(|(a, first), (b, second)| a.total_cmp(b).then_with(|| first.cmp(second)));
-            nearest.filter(|(distance, _)| *distance <= AT_PLACE_M).map(|(_, place)| place.clone())
-        };
-        if let Some(place) = place.or_else(near) {
-            self.place = place;
-        }
+        self.places.set(pose, place);
     }
 
     fn add_closure(&mut self, to: Option<PlaceId>) {
-        let Some(to) = to.filter(|to| *to != self.place) else { return };
-        let connection = (self.place.clone(), to);
-        self.closed.retain(|(known, _)| *known != connection);
-        self.closed.push((connection, self.now.as_secs() + CLOSURE_S));
+        if let Some(to) = to {
+            self.places.add_closure(to, self.now);
+        }
     }
 }
 
@@ -349,7 +328,7 @@ impl RobotBackend for Nav2Driver {
             self.handle_event(event);
         }
         let now = self.now.as_secs();
-        self.closed.retain(|(_, until)| *until > now);
+        self.places.end_closures(self.now);
         let over = |activity: &Activity| matches!(activity, Activity::Waiting(until) if *until <= now);
         if let Some(CurrentGoal { id, goal, .. }) = self.current.take_if(|current| over(&current.activity)) {
             self.finish_goal(id, goal, GoalStatus::succeeded());
@@ -409,10 +388,10 @@ impl RobotBackend for Nav2Driver {
         (*robot == self.robot).then(|| Telemetry {
             time: self.now,
             pose: self.pose,
-            place: self.place.clone(),
+            place: self.places.place().clone(),
             battery: BatteryShare::FULL,
             able: true,
-            closed: self.closed.iter().map(|(connection, _)| connection.clone()).collect(),
+            closed: self.places.closed(),
             readings: BTreeMap::new(),
         })
     }
