@@ -36,6 +36,24 @@ pub struct CommonConfig<'a> {
     pub may_vote: bool,
 }
 
+/// Returns the [`CommonConfig`] of a node file, which has its fields.
+macro_rules! common_config {
+    ($file:ident, archive: $archive:expr, is_powered: $is_powered:expr) => {
+        CommonConfig {
+            data_dir: &mut $file.data_dir,
+            dashboard: &mut $file.dashboard,
+            telemetry: &mut $file.telemetry,
+            fleet: &mut $file.fleet,
+            bus: &mut $file.bus,
+            archive: $archive,
+            is_powered: $is_powered,
+            may_vote: $file.may_vote,
+        }
+    };
+}
+
+pub(super) use common_config;
+
 impl CommonConfig<'_> {
     /// Resolves paths relative to `folder`, the folder of the file.
     pub(super) fn resolve_paths(self, folder: &Path) {

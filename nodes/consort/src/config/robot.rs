@@ -1,7 +1,7 @@
 //! The robot file: a node that controls a robot.
 
 use super::fleet::unknown_skill;
-use super::node::validate_common;
+use super::node::{common_config, validate_common};
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
 use consort_driver::{DriverEndpoint, DriverSetting};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
@@ -153,15 +153,6 @@ impl NodeFile for RobotConfig {
     }
 
     fn common_mut(&mut self) -> CommonConfig<'_> {
-        CommonConfig {
-            data_dir: &mut self.data_dir,
-            dashboard: &mut self.dashboard,
-            telemetry: &mut self.telemetry,
-            fleet: &mut self.fleet,
-            bus: &mut self.bus,
-            archive: None,
-            is_powered: self.mains_powered,
-            may_vote: self.may_vote,
-        }
+        common_config!(self, archive: None, is_powered: self.mains_powered)
     }
 }

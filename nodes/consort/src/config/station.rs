@@ -1,6 +1,6 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
-use super::node::validate_common;
+use super::node::{common_config, validate_common};
 use super::{ArchiveConfig, BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
 use consort_protocol::ids::NodeId;
 use consort_protocol::mission::Domain;
@@ -84,15 +84,6 @@ impl NodeFile for StationConfig {
     }
 
     fn common_mut(&mut self) -> CommonConfig<'_> {
-        CommonConfig {
-            data_dir: &mut self.data_dir,
-            dashboard: &mut self.dashboard,
-            telemetry: &mut self.telemetry,
-            fleet: &mut self.fleet,
-            bus: &mut self.bus,
-            archive: self.archive,
-            is_powered: true,
-            may_vote: self.may_vote,
-        }
+        common_config!(self, archive: self.archive, is_powered: true)
     }
 }

@@ -1,6 +1,6 @@
 //! The world file: a node with a simulated world.
 
-use super::node::validate_common;
+use super::node::{common_config, validate_common};
 use super::read::join_normalized;
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig};
 use crate::map_loader::is_shipped;
@@ -126,15 +126,6 @@ impl NodeFile for WorldConfig {
     }
 
     fn common_mut(&mut self) -> CommonConfig<'_> {
-        CommonConfig {
-            data_dir: &mut self.data_dir,
-            dashboard: &mut self.dashboard,
-            telemetry: &mut self.telemetry,
-            fleet: &mut self.fleet,
-            bus: &mut self.bus,
-            archive: None,
-            is_powered: true,
-            may_vote: self.may_vote,
-        }
+        common_config!(self, archive: None, is_powered: true)
     }
 }
