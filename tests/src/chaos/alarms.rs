@@ -71,24 +71,19 @@ pub(super) fn all_clear() -> (ApiCall, Value) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::chaos_fleet::ChaosFleet;
     use super::super::fault_kind::FaultKind;
-    use super::super::generate::generate;
-    use super::super::schedule::Schedule;
+    use super::super::generate::{assert_valid, drawn};
     use super::*;
     use consort_protocol::api::AlarmRequest;
     use consort_protocol::ids::AlarmId;
-    use consort_skills::workload::Workload;
 
     #[test]
     fn some_later_runs_have_each_alarm() {
-        let composition = ChaosFleet::of(7);
         let alarms = |seed, kinds: &[FaultKind]| -> Vec<(String, AlarmAction)> {
-            let of = |step: &ScheduledAction| match &step.action {
+            drawn(seed, kinds, |step| match &step.action {
                 ChaosAction::Alarm { alarm, change } => Some((alarm.clone(), *change)),
                 _ => None,
-            };
-            generate(seed, &composition, 2.0, kinds).steps.iter().filter_map(of).collect()
+            })
         };
         assert!((1..FIRST_SEED).all(|seed| alarms(seed, &FaultKind::FAULTS).is_empty()));
         assert!((FIRST_SEED..FIRST_SEED + 60).all(|seed| alarms(seed, &[FaultKind::Poison]).is_empty()));
@@ -104,14 +99,7 @@ mod tests {
 
     #[test]
     fn later_schedules_are_valid_and_read_back_unchanged() {
-        let composition = ChaosFleet::of(7);
-        for seed in FIRST_SEED..FIRST_SEED + 60 {
-            let schedule = generate(seed, &composition, 2.0, &FaultKind::FAULTS);
-            schedule.check(&composition, &Workload::default()).unwrap_or_else(|problem| panic!("{problem}"));
-            assert!(schedule.steps.is_sorted_by_key(|step| step.at_ms), "seed {seed}");
-            let text = serde_json::to_string(&schedule).expect("plain data");
-            assert_eq!(serde_json::from_str::<Schedule>(&text).expect("what was written"), schedule);
-        }
+        assert_valid(FIRST_SEED..FIRST_SEED + 60);
     }
 
     #[test]

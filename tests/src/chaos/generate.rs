@@ -415,6 +415,25 @@ impl Draw<'_> {
 /// Largest error of a clock rate, in thousandths.
 const DRIFT_MAX: i32 = 50;
 
+/// Returns what `of` selects of the steps of a run with seven nodes.
+#[cfg(test)]
+pub(super) fn drawn<T>(seed: u64, kinds: &[FaultKind], of: impl Fn(&ScheduledAction) -> Option<T>) -> Vec<T> {
+    generate(seed, &ChaosFleet::of(7), 2.0, kinds).steps.iter().filter_map(of).collect()
+}
+
+/// Asserts that the schedules of these seeds are valid, and read back unchanged.
+#[cfg(test)]
+pub(super) fn assert_valid(seeds: Range<u64>) {
+    let (composition, workload) = (ChaosFleet::of(7), consort_skills::workload::Workload::default());
+    for seed in seeds {
+        let schedule = generate(seed, &composition, 2.0, &FaultKind::FAULTS);
+        schedule.check(&composition, &workload).unwrap_or_else(|problem| panic!("{problem}"));
+        assert!(schedule.steps.is_sorted_by_key(|step| step.at_ms), "seed {seed}");
+        let text = serde_json::to_string(&schedule).expect("plain data");
+        assert_eq!(serde_json::from_str::<Schedule>(&text).expect("what was written"), schedule);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -105,17 +105,15 @@ pub(super) fn request(robot: &str, change: OrderAction) -> (ApiCall, Value) {
 #[cfg(test)]
 mod tests {
     use super::super::chaos_fleet::ARM;
-    use super::super::generate::generate;
+    use super::super::generate::{assert_valid, drawn};
     use super::*;
     use consort_protocol::api::{HoldRequest, MaintenanceRequest, ReleaseRequest};
-    use consort_skills::workload::Workload;
 
     fn orders(seed: u64, kinds: &[FaultKind]) -> Vec<(String, OrderAction)> {
-        let of = |step: &ScheduledAction| match &step.action {
+        drawn(seed, kinds, |step| match &step.action {
             ChaosAction::Order { robot, change } => Some((robot.clone(), *change)),
             _ => None,
-        };
-        generate(seed, &ChaosFleet::of(7), 2.0, kinds).steps.iter().filter_map(of).collect()
+        })
     }
 
     #[test]
@@ -139,13 +137,7 @@ mod tests {
 
     #[test]
     fn schedules_with_orders_are_valid_and_read_back_unchanged() {
-        let composition = ChaosFleet::of(7);
-        for seed in FIRST_SEED..FIRST_SEED + 30 {
-            let schedule = generate(seed, &composition, 2.0, &FaultKind::FAULTS);
-            schedule.check(&composition, &Workload::default()).unwrap_or_else(|problem| panic!("{problem}"));
-            let text = serde_json::to_string(&schedule).expect("plain data");
-            assert_eq!(serde_json::from_str::<super::super::Schedule>(&text).expect("what was written"), schedule);
-        }
+        assert_valid(FIRST_SEED..FIRST_SEED + 30);
     }
 
     #[test]

@@ -62,17 +62,15 @@ pub(super) fn request(change: ScheduleAction, missed: MissedOccurrences) -> Valu
 
 #[cfg(test)]
 mod tests {
-    use super::super::chaos_fleet::ChaosFleet;
-    use super::super::generate::generate;
+    use super::super::generate::drawn;
     use super::*;
     use consort_protocol::api::ScheduleRequest;
 
     fn changes(seed: u64, kinds: &[FaultKind]) -> Vec<(u64, ScheduleAction)> {
-        let of = |step: &ScheduledAction| match step.action {
+        drawn(seed, kinds, |step| match step.action {
             ChaosAction::ChangeSchedule { change, .. } => Some((step.at_ms, change)),
             _ => None,
-        };
-        generate(seed, &ChaosFleet::of(7), 2.0, kinds).steps.iter().filter_map(of).collect()
+        })
     }
 
     #[test]
