@@ -10,7 +10,7 @@ use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
 use consort_skills::domain_file::DomainFile;
-use consort_skills::environment::{Environment, SpeedLimits};
+use consort_skills::environment::Environment;
 use consort_skills::extensions::Extensions;
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::collections::BTreeMap;
@@ -41,15 +41,11 @@ fn estimates(criterion: &mut Criterion) {
         let estimator = estimator.expect("nothing is missing");
         let mut task = TaskSpec::of("water".parse().expect("a slug"), vec!["r1".parse().expect("a slug")]);
         task.parameters.insert("litres".to_owned(), "2.5".to_owned());
+        let speed = MetresPerSecond::new(0.5).expect("a speed");
+        let discharge = SharePerSecond::new(0.001).expect("a rate");
         let context = EstimateContext {
-            place: "Dock".parse().expect("a place"),
-            pose: None,
-            speed: MetresPerSecond::new(0.5).expect("a speed"),
-            discharge: SharePerSecond::new(0.001).expect("a rate"),
-            closed: vec![],
-            limits: SpeedLimits::default(),
             attributes: serde_json::from_value(serde_json::json!({ "litres_per_s": 0.5 })).expect("attributes"),
-            readings: None,
+            ..EstimateContext::at("Dock".parse().expect("a place"), speed, discharge)
         };
         group.bench_function(name, |bencher| {
             bencher.iter(|| estimator.estimate(black_box(&task), black_box(&context)).expect("an estimate"));

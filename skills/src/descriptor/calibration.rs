@@ -230,8 +230,7 @@ fn upper_normal_quantile(share: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::domain_file::DomainFile;
-    use crate::environment::{Edge, Routes, SpeedLimits, TopologicalMap};
-    use consort_protocol::knowledge::Attributes;
+    use crate::environment::{Edge, Routes, TopologicalMap};
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 
@@ -293,16 +292,8 @@ mod tests {
         let vans = DomainFile::check(serde_json::from_value(vans).unwrap(), &BTreeMap::new(), &[]).unwrap();
         let descriptors = vans.extend_descriptors(DescriptorRegistry::standard());
         let estimator = learned().correct(descriptors).resolve(environment).unwrap();
-        let context = EstimateContext {
-            place: place("A"),
-            pose: None,
-            speed: MetresPerSecond::new(0.5).unwrap(),
-            discharge: SharePerSecond::new(0.001).unwrap(),
-            closed: vec![],
-            limits: SpeedLimits::default(),
-            attributes: Attributes::default(),
-            readings: None,
-        };
+        let (speed, discharge) = (MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap());
+        let context = EstimateContext::at(place("A"), speed, discharge);
         let task = |name: &str| {
             let parameters = [("to".to_owned(), "B".to_owned())].into();
             TaskSpec { parameters, ..TaskSpec::of(skill(name), vec!["r1".parse().unwrap()]) }

@@ -31,6 +31,22 @@ pub struct EstimateContext {
     pub readings: Option<BTreeMap<String, Scalar>>,
 }
 
+impl EstimateContext {
+    /// Returns a robot at a place of an open map, without attributes.
+    pub fn at(place: PlaceId, speed: MetresPerSecond, discharge: SharePerSecond) -> EstimateContext {
+        EstimateContext {
+            place,
+            pose: None,
+            speed,
+            discharge,
+            closed: vec![],
+            limits: SpeedLimits::default(),
+            attributes: Attributes::default(),
+            readings: None,
+        }
+    }
+}
+
 /// Estimated cost of a task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {

@@ -1,9 +1,8 @@
 //! Pricing on a small map; `tests/published_bids.rs` repeats the published evaluation.
 
 use super::*;
-use crate::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
+use crate::environment::{Edge, Environment, Routes, TopologicalMap};
 use consort_protocol::ids::{PlaceId, RoleId, TaskId, TaskType};
-use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
@@ -50,16 +49,7 @@ fn estimator() -> Estimator {
 }
 
 fn robot(at: &str) -> EstimateContext {
-    EstimateContext {
-        pose: None,
-        place: place(at),
-        speed: MetresPerSecond::new(0.5).unwrap(),
-        discharge: SharePerSecond::new(0.001).unwrap(),
-        closed: vec![],
-        limits: SpeedLimits::default(),
-        attributes: Attributes::default(),
-        readings: None,
-    }
+    EstimateContext::at(place(at), MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap())
 }
 
 #[test]

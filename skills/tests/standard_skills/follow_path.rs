@@ -1,11 +1,9 @@
 //! Following a path, and the small skills for chargers and tables.
 
 use super::*;
-use consort_protocol::knowledge::Attributes;
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::actions::{Dock, FollowWaypoints, Undock, Waypoint};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
-use consort_skills::environment::SpeedLimits;
 
 fn follow(waypoints: &str) -> TaskSpec {
     task("follow_path", &[("waypoints", waypoints)])
@@ -53,16 +51,8 @@ fn a_halted_path_is_canceled_and_starts_again() {
 #[test]
 fn a_path_is_priced_by_its_length_from_where_the_robot_is() {
     let estimator = DescriptorRegistry::standard().resolve(environment()).unwrap();
-    let robot = EstimateContext {
-        pose: None,
-        place: place("A"),
-        speed: MetresPerSecond::new(0.5).unwrap(),
-        discharge: SharePerSecond::new(0.001).unwrap(),
-        closed: vec![],
-        limits: SpeedLimits::default(),
-        attributes: Attributes::default(),
-        readings: None,
-    };
+    let (speed, discharge) = (MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap());
+    let robot = EstimateContext::at(place("A"), speed, discharge);
     let estimate = estimator.estimate(&follow("0,5;3,5;3,1"), &robot).unwrap();
     assert_eq!((estimate.time.get(), estimate.ends_at.as_str()), (24.0, "A"), "5 + 3 + 4 m");
     let away = EstimateContext { pose: Some(Pose::new(0.0, 4.0, 0.0)), ..robot.clone() };

@@ -5,12 +5,11 @@ mod requirements;
 use super::*;
 use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use crate::descriptor::EstimateContext;
-use crate::environment::{Edge, Environment, Routes, SpeedLimits, TopologicalMap};
+use crate::environment::{Edge, Environment, Routes, TopologicalMap};
 use crate::library::SkillStatus;
 use crate::skill::SkillContext;
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
-use consort_protocol::knowledge::Attributes;
 use consort_protocol::mission::{NumberRange, TaskSpec, ValueKind};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
@@ -61,16 +60,7 @@ fn check(text: &str) -> Result<DomainFile, Vec<String>> {
 
 /// A robot at the place A.
 fn robot() -> EstimateContext {
-    EstimateContext {
-        place: "A".parse().unwrap(),
-        pose: None,
-        speed: MetresPerSecond::new(0.5).unwrap(),
-        discharge: SharePerSecond::new(0.001).unwrap(),
-        closed: vec![],
-        limits: SpeedLimits::default(),
-        attributes: Attributes::default(),
-        readings: None,
-    }
+    EstimateContext::at("A".parse().unwrap(), MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap())
 }
 
 /// A robot that completes every goal at once, with its telemetry.

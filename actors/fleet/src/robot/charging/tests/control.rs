@@ -9,11 +9,11 @@ use crate::robot::test_values::at;
 use consort_protocol::auction::{BidLimits, RefusalReason};
 use consort_protocol::charging_curve::{ChargingCurve, CurveStep};
 use consort_protocol::ids::PlaceId;
-use consort_protocol::knowledge::{Attributes, Availability, ChargerClaim, Charging, RobotKnowledge};
+use consort_protocol::knowledge::{Availability, ChargerClaim, Charging, RobotKnowledge};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond, WattHours, Watts};
 use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
-use consort_skills::environment::{Edge, Environment, Passages, Routes, SpeedLimits, TopologicalMap};
+use consort_skills::environment::{Edge, Environment, Passages, Routes, TopologicalMap};
 use std::collections::{BTreeMap, BTreeSet};
 
 fn settings(chargers: Vec<Charger>) -> ChargingSettings {
@@ -55,16 +55,7 @@ fn estimator() -> Estimator {
 
 /// Returns a robot of 0.5 m/s that loses 0.1 % a second: a metre costs 0.2 %.
 fn context(at_place: &str) -> EstimateContext {
-    EstimateContext {
-        place: place(at_place),
-        pose: None,
-        speed: MetresPerSecond::new(0.5).unwrap(),
-        discharge: SharePerSecond::new(0.001).unwrap(),
-        closed: vec![],
-        limits: SpeedLimits::default(),
-        attributes: Attributes::default(),
-        readings: None,
-    }
+    EstimateContext::at(place(at_place), MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap())
 }
 
 #[test]
