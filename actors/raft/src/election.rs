@@ -12,14 +12,16 @@
 //! - *Pre-vote* (Ongaro's dissertation, 9.6): a node without leader contact for a time drawn anew
 //!   from `election_min..election_max` asks the other voters whether they have leader contact, and
 //!   whether its log is as long as theirs. It campaigns only if a majority grants the pre-vote.
+//! - *Lost leader*: a node whose leader's process is gone asks at once, in its turn, and grants
+//!   pre-votes and votes without waiting for `election_min` (`leader_loss`).
 //! - *Slow disks*: a voter that is writing its vote to disk, or has just done so, neither campaigns
 //!   nor grants a pre-vote, for `SYNCS_TO_LEAD` times the duration of that write. Otherwise a
 //!   candidate that waits for votes would be overtaken by the next candidate, in the next term,
 //!   again and again.
 //! - *Vote rejection*: a voter grants no vote within `election_min` of the last contact from its
 //!   leader (openraft's leader lease, set to that time), unless that leader has resigned
-//!   (`leadership_transfer`). So a leader that a majority acknowledged more recently is
-//!   the only leader.
+//!   (`leadership_transfer`) or is lost (`leader_loss`). So a leader that a majority acknowledged
+//!   more recently, and that is not lost to a majority, is the only leader.
 //! - *Check-quorum* (as in etcd): a leader that no majority acknowledges suspends its appends, so
 //!   that the followers that still receive them become free to elect another leader. It resumes
 //!   them now and then, in case the majority was only temporarily unreachable.
@@ -30,6 +32,7 @@
 //!   [`LeaderContact::answer_heartbeat`].
 
 use super::leader_contact::LeaderContact;
+use super::leader_loss;
 use super::messages::PreVoteRequest;
 use super::network::RaftClient;
 use super::settings::{APPEND_TIMEOUT, RaftSettings};
@@ -72,7 +75,14 @@ pub(super) async fn run_elections<S: StateMachine>(
             sleep(rng.random_range(heartbeat / 8..heartbeat / 4)).await;
         }
         let timeout = rng.random_range(settings.election_min..settings.election_max);
-        sleep_until(contact.last_contact() + timeout).await;
+        tokio::select! {
+            biased;
+            lost = contact.wait_leader_lost() => {
+                let now = metrics.borrow().membership_config.clone();
+                sleep(leader_loss::turn(now.membership().voter_ids(), lost, client.me, heartbeat)).await;
+            }
+            () = sleep_until(contact.last_contact() + timeout) => {}
+        }
         let started = Instant::now();
         while contact.last_contact().elapsed() >= timeout && can_campaign(&metrics.borrow(), client.me) {
             // The pre-vote takes time: in the meantime a leader may have made contact, or a

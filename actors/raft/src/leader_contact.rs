@@ -2,9 +2,10 @@
 
 use super::messages::HeartbeatReply;
 use super::settings::APPEND_TIMEOUT;
-use super::types::Vote;
+use super::types::{RaftId, Vote, leader_id_of};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tokio::sync::watch;
 use tokio::time::Instant;
 
 /// Number of sequential disk syncs from a granted vote until the voters have contact with the new
@@ -14,11 +15,17 @@ const SYNCS_TO_LEAD: u32 = 4;
 
 /// Record of contact with leaders and candidates at this node.
 #[derive(Debug)]
-pub(super) struct LeaderContact(Mutex<ContactState>);
+pub(super) struct LeaderContact {
+    state: Mutex<ContactState>,
+    /// Leader that this node has lost, until the next contact with a leader.
+    lost: watch::Sender<Option<RaftId>>,
+}
 
 #[derive(Debug, Clone, Copy)]
 struct ContactState {
     last_contact: Instant,
+    /// Leader of the last contact; `None` before the first since the start.
+    leader: Option<RaftId>,
     vote_granted_at: Option<Instant>,
     /// Time of the last contact from a leader to which this node is still bound: it grants no other
     /// vote for a while.
@@ -43,8 +50,9 @@ impl LeaderContact {
     /// a heartbeat.
     pub(super) fn new() -> Self {
         let now = Instant::now();
-        LeaderContact(Mutex::new(ContactState {
+        let state = Mutex::new(ContactState {
             last_contact: now,
+            leader: None,
             vote_granted_at: None,
             // The leader that this node was bound to before the restart is unknown.
             bound_at: Some(now),
@@ -55,17 +63,26 @@ impl LeaderContact {
             pending_appends: 0,
             append_progress: now,
             resigned_at: None,
-        }))
+        });
+        LeaderContact { state, lost: watch::Sender::new(None) }
     }
 
     fn lock(&self) -> MutexGuard<'_, ContactState> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Records contact from the leader elected by `vote`. Returns `false` if `known` or a granted
     /// vote supersedes that leader.
     pub(super) fn record_leader(&self, vote: &Vote, known: &Vote) -> bool {
-        self.lock().record_leader(vote, known)
+        self.record_contact(&mut self.lock(), vote, known)
+    }
+
+    fn record_contact(&self, state: &mut ContactState, vote: &Vote, known: &Vote) -> bool {
+        let is_current = state.record_leader(vote, known);
+        if is_current {
+            self.lost.send_if_modified(|lost| lost.take().is_some());
+        }
+        is_current
     }
 
     /// Answers a heartbeat request of a leader. An acknowledgement binds this node as an append
@@ -74,7 +91,7 @@ impl LeaderContact {
         let mut state = self.lock();
         let busy = state.pending_appends > 0;
         let stuck = busy && state.append_progress.elapsed() >= APPEND_TIMEOUT;
-        let follows = state.pending_votes == 0 && !stuck && state.record_leader(vote, known);
+        let follows = state.pending_votes == 0 && !stuck && self.record_contact(&mut state, vote, known);
         HeartbeatReply { follows, busy }
     }
 
@@ -123,9 +140,35 @@ impl LeaderContact {
 
     /// Records that the leader has resigned: this node stops waiting for its contact.
     pub(super) fn record_leader_resigned(&self) {
+        self.lock().end_contact();
+    }
+
+    /// Records that `leader` is lost: this node is no longer bound to it, and stops waiting for its
+    /// contact. Returns `false` if the last contact is from another leader, or not before
+    /// `asked_at`. A node that has had no contact since its start may be bound to another leader.
+    pub(super) fn record_leader_lost(&self, leader: RaftId, asked_at: Instant) -> bool {
         let mut state = self.lock();
-        state.bound_at = None;
-        state.last_contact = state.last_contact.checked_sub(Duration::from_secs(60)).unwrap_or(state.last_contact);
+        let is_lost = state.leader == Some(leader) && state.last_contact < asked_at;
+        if is_lost {
+            state.end_contact();
+            self.lost.send_replace(Some(leader));
+        }
+        is_lost
+    }
+
+    /// Checks whether this node has lost `leader`, and has had no contact with a leader since.
+    pub(super) fn has_lost(&self, leader: RaftId) -> bool {
+        *self.lost.borrow() == Some(leader)
+    }
+
+    /// Waits until this node has lost its leader, and returns the leader.
+    pub(super) async fn wait_leader_lost(&self) -> RaftId {
+        let mut changes = self.lost.subscribe();
+        let lost = changes.wait_for(Option::is_some).await.ok().and_then(|lost| *lost);
+        match lost {
+            Some(leader) => leader,
+            None => std::future::pending().await, // never: `self` has the sender
+        }
     }
 
     /// Records that a candidate received this node's vote: the candidate needs a few round trips to
@@ -171,8 +214,15 @@ impl ContactState {
         if is_current {
             self.last_contact = Instant::now();
             self.bound_at = Some(self.last_contact);
+            self.leader = leader_id_of(vote).map(|leader_id| leader_id.leader);
         }
         is_current
+    }
+
+    /// Ends the bond to the leader, and the wait for its contact.
+    fn end_contact(&mut self) {
+        self.bound_at = None;
+        self.last_contact = self.last_contact.checked_sub(Duration::from_secs(60)).unwrap_or(self.last_contact);
     }
 }
 
@@ -184,5 +234,36 @@ impl Drop for PendingAppend<'_> {
         let mut state = self.0.lock();
         state.pending_appends -= 1;
         state.append_progress = Instant::now();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ELECTION_MIN: Duration = Duration::from_millis(300);
+
+    #[tokio::test(start_paused = true)]
+    async fn a_lost_leader_binds_no_vote_until_it_makes_contact_again() {
+        let [leader, other] = [RaftId(1), RaftId(2)];
+        let vote = Vote::new_committed(5, leader);
+        let contact = LeaderContact::new();
+        let wait = Duration::from_millis(1);
+        tokio::time::sleep(wait).await;
+        assert!(!contact.record_leader_lost(leader, Instant::now()), "the former leader is unknown after a start");
+        assert!(contact.record_leader(&vote, &vote));
+        assert!(!contact.record_leader_lost(leader, Instant::now()), "a message has arrived since");
+        tokio::time::sleep(wait).await;
+        assert!(!contact.record_leader_lost(other, Instant::now()));
+        assert!(!contact.try_begin_vote(ELECTION_MIN));
+
+        assert!(contact.record_leader_lost(leader, Instant::now()));
+        assert!(contact.has_lost(leader) && !contact.has_lost(other));
+        assert_eq!(contact.wait_leader_lost().await, leader);
+        assert!(contact.no_leader_for(ELECTION_MIN, wait));
+
+        assert!(contact.record_leader(&vote, &vote));
+        assert!(!contact.has_lost(leader) && !contact.no_leader_for(ELECTION_MIN, wait));
+        assert!(!contact.try_begin_vote(ELECTION_MIN));
     }
 }

@@ -28,7 +28,7 @@
 
 use super::messages::TransferRequest;
 use super::network::RaftClient;
-use super::types::{Raft, RaftId, StateMachine};
+use super::types::{Raft, RaftId, StateMachine, Vote};
 use openraft::raft::AppendEntriesRequest;
 use openraft::{CommittedLeaderId, LogId};
 use std::collections::BTreeSet;
@@ -43,10 +43,15 @@ pub(super) async fn release_vote<S: StateMachine>(raft: &Raft<S>, request: &Tran
         // vote of this term.
         return vote.leader_id().term > request.leader_vote.leader_id().term;
     }
-    let unknown_entry =
-        LogId::new(CommittedLeaderId::new(request.leader_vote.leader_id().term, RaftId::default()), u64::MAX / 2);
+    vote_for(raft, request.target_vote(), request.leader_vote.leader_id().term).await
+}
+
+/// Makes this node's openraft vote for a candidate, although it follows the leader of `term`.
+/// Returns whether openraft has handled it; it keeps a vote that is later.
+pub(super) async fn vote_for<S: StateMachine>(raft: &Raft<S>, candidate: Vote, term: u64) -> bool {
+    let unknown_entry = LogId::new(CommittedLeaderId::new(term, RaftId::default()), u64::MAX / 2);
     let append = AppendEntriesRequest {
-        vote: request.target_vote(),
+        vote: candidate,
         prev_log_id: Some(unknown_entry),
         entries: vec![],
         leader_commit: None,

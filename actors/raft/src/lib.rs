@@ -22,7 +22,7 @@
 //!   [`LeaderId`] orders actions outside the ledger, and the [`Epoch`] of an applied entry orders
 //!   the grants made by that entry.
 //! - A leader that leaves by [`Replica::transfer_leadership`] has a successor within a few round
-//!   trips.
+//!   trips. So has a leader whose process dies, if its node announces its presence.
 //!
 //! The reasons for Raft instead of a lock, a lease or gossip are in Ongaro and Ousterhout, *In
 //! search of an understandable consensus algorithm*, 2014. The time of a campaign is decided by
@@ -35,6 +35,7 @@ mod errors;
 pub mod fuzz_api;
 mod group_commit;
 mod leader_contact;
+mod leader_loss;
 mod leadership_transfer;
 mod leadership_view;
 mod ledger;

@@ -106,6 +106,17 @@ pub(super) struct PeerClient {
     target: RaftId,
 }
 
+/// Reply of a leader whose presence is in doubt.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum LeaderReply {
+    /// The leader has replied, if only by a rejection.
+    Received,
+    /// No node serves its requests.
+    NoService,
+    /// There was no reply in time.
+    Missing,
+}
+
 /// There is no usable reply.
 #[derive(Debug, thiserror::Error)]
 enum RequestError {
@@ -133,6 +144,17 @@ impl PeerClient {
     pub(super) async fn pre_vote(&self, request: &PreVoteRequest, limit: Duration) -> bool {
         let Ok(request) = self.encode(request) else { return false };
         matches!(self.send(RaftCall::PreVote, request, limit).await, Ok(RaftReply::Done(true)))
+    }
+
+    /// Queries a leader whether it is alive, by a pre-vote request with an empty log, which changes
+    /// nothing.
+    pub(super) async fn query_as_leader(&self, limit: Duration) -> LeaderReply {
+        let Ok(request) = self.encode(&PreVoteRequest { last_log_id: None }) else { return LeaderReply::Missing };
+        match self.send::<bool>(RaftCall::PreVote, request, limit).await {
+            Ok(_) | Err(RequestError::Rejected(_) | RequestError::Undecodable(_)) => LeaderReply::Received,
+            Err(RequestError::NoService(_)) => LeaderReply::NoService,
+            Err(RequestError::TimedOut(_) | RequestError::Bus(_) | RequestError::Suspended) => LeaderReply::Missing,
+        }
     }
 
     /// Sends a leadership transfer and returns whether `target` accepted it; a missing reply counts

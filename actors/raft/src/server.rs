@@ -7,7 +7,7 @@ use super::leadership_view::LeadershipView;
 use super::messages::{HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_request};
 use super::staleness::AnnouncedCommits;
 use super::storage::ReceivedChunks;
-use super::types::{Raft, RaftId, StateMachine, TypeConfig, Vote, epoch_of};
+use super::types::{LogId, Raft, RaftId, StateMachine, TypeConfig, Vote, epoch_of, leader_id_of};
 use consort_bus::{BootInstant, BusError, Encoding, Query, Stream};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
@@ -123,6 +123,7 @@ impl<S: StateMachine> RaftServer<S> {
             let last = self.raft.data_metrics().borrow().last_log;
             return encode_reply(&RaftReply::Done(VoteResponse { vote, vote_granted: false, last_log_id: last }));
         }
+        self.leave_lost_leader(&request).await;
         let reply = self.raft.vote(request).await;
         self.leader_contact.end_vote(reply.as_ref().ok().map(|reply| reply.vote));
         let reply = reply.map_err(Box::new)?;
@@ -130,6 +131,23 @@ impl<S: StateMachine> RaftServer<S> {
             self.leader_contact.record_vote_granted();
         }
         encode_reply(&RaftReply::Done(reply))
+    }
+
+    /// Makes openraft follow a leader no longer that this node has lost, in favor of a candidate with a
+    /// sufficient log: openraft would reject each candidate until `election_min` after the leader's
+    /// last message.
+    async fn leave_lost_leader(&self, request: &VoteRequest<RaftId>) {
+        let vote = self.raft.server_metrics().borrow().vote;
+        let has_lost_leader = leader_id_of(&vote).is_some_and(|now| self.leader_contact.has_lost(now.leader));
+        if vote.is_committed() && has_lost_leader && self.has_log_of_voter(request.last_log_id) {
+            // If openraft has stopped, so has the vote.
+            let _ = leadership_transfer::vote_for(&self.raft, request.vote, vote.leader_id().term).await;
+        }
+    }
+
+    /// Checks whether a log with this last entry is as long as the log of this node.
+    fn has_log_of_voter(&self, last: Option<LogId>) -> bool {
+        last >= self.raft.data_metrics().borrow().last_log
     }
 
     async fn append(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
@@ -240,7 +258,7 @@ impl<S: StateMachine> RaftServer<S> {
         let request: PreVoteRequest = self.decode(query)?;
         let no_leader =
             self.leader_contact.no_leader_for(self.election_min, self.heartbeat) && !self.leadership.borrow().is_leader;
-        let log_is_current = request.last_log_id >= self.raft.data_metrics().borrow().last_log;
+        let log_is_current = self.has_log_of_voter(request.last_log_id);
         encode_reply(&RaftReply::Done(no_leader && log_is_current))
     }
 }

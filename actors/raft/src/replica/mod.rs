@@ -72,6 +72,7 @@ struct ReplicaTasks {
     #[expect(dead_code, reason = "held until the replica is dropped")]
     monitor: Task,
     elections: Task,
+    leader_watch: Task,
     heartbeats: Task,
     log_limit: Task,
 }
@@ -203,8 +204,10 @@ impl<S: StateMachine> Replica<S> {
     /// Returns the age of the newest message that a majority has acknowledged in this term, counted
     /// from the time it was *sent*; `None` for a node that is not elected, or not acknowledged yet.
     ///
-    /// No other leader can have been elected before this age exceeds `election_min`, since each
-    /// voter of that majority rejects candidates for that long after *receiving* the message. A
+    /// Unless a majority has lost this leader (its presence token and its service), no other leader
+    /// can have been elected before this age exceeds `election_min`, since each voter of that
+    /// majority rejects candidates for that long after *receiving* the message. In no case was
+    /// another leader elected before the message was sent. A
     /// suspension of the machine counts. Heartbeats outside openraft count like its appends, and
     /// keep the age small while disks are slow. While idle, the age is between one round trip and a
     /// heartbeat interval plus one round trip.
@@ -259,8 +262,9 @@ impl<S: StateMachine> Replica<S> {
     /// Stops the replica. No write to the log store is in progress when it returns.
     pub async fn shutdown(&self) {
         // A request to openraft after its end would log an error.
-        let ReplicaTasks { group_commit, server, elections, heartbeats, log_limit, .. } = &self.inner.tasks;
-        for task in [group_commit, server, elections, heartbeats, log_limit] {
+        let ReplicaTasks { group_commit, server, elections, leader_watch, heartbeats, log_limit, .. } =
+            &self.inner.tasks;
+        for task in [group_commit, server, elections, leader_watch, heartbeats, log_limit] {
             task.0.abort();
         }
         // The only possible error: the task of openraft has ended already.

@@ -6,6 +6,7 @@ use crate::election;
 use crate::errors::StartError;
 use crate::group_commit::GroupCommitter;
 use crate::leader_contact::LeaderContact;
+use crate::leader_loss;
 use crate::leadership_view::{LeadershipMonitor, LeadershipView, MetricsFeed, ResignedTerm};
 use crate::log_store::{LogStore, with_repair_advice};
 use crate::network::RaftClient;
@@ -113,6 +114,8 @@ impl<S: StateMachine> Replica<S> {
             election::run_elections(raft.clone(), client.clone(), Arc::clone(&leader_contact), settings.clone(), seed);
         let election_task = Task::spawn(elections);
         let heartbeat_task = Task::spawn(election::send_heartbeats(raft.clone(), client.clone(), settings.heartbeat));
+        let leader_watch =
+            Task::spawn(leader_loss::watch_leader(client.clone(), Arc::clone(&leader_contact), settings.heartbeat));
         let rejected = Arc::<AtomicU64>::default();
         let announced_commits = Arc::<AnnouncedCommits>::default();
         let server = RaftServer {
@@ -141,6 +144,7 @@ impl<S: StateMachine> Replica<S> {
             server: server_task,
             monitor: monitor_task,
             elections: election_task,
+            leader_watch,
             heartbeats: heartbeat_task,
             log_limit,
         };

@@ -6,5 +6,6 @@ mod group_commit;
 mod leadership_transfer;
 mod ledger;
 mod log_limit;
+mod lost_leaders;
 mod slow_links;
 mod support;

@@ -1,8 +1,9 @@
 //! Fleet of replicas on the virtual bus.
 
-use consort_bus::SharedBus;
 use consort_bus::virtual_bus::{LinkModel, VirtualNetwork};
+use consort_bus::{Bus as _, PresenceToken, SharedBus};
 use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::keys::{Key, Keys};
 use consort_raft::{Epoch, LeadershipView, LogStore, MemoryLogStore, RaftId, RaftSettings, Replica, StateMachine};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -79,7 +80,16 @@ pub(crate) struct Fleet {
 pub(crate) type BusLayer = Box<dyn Fn(SharedBus) -> SharedBus>;
 
 pub(crate) fn default_settings(node: NodeId) -> RaftSettings {
-    RaftSettings::new(FleetId::new("ward").expect("a slug"), node)
+    RaftSettings::new(fleet_id(), node)
+}
+
+fn fleet_id() -> FleetId {
+    FleetId::new("ward").expect("a slug")
+}
+
+/// Returns the keys of the fleet.
+pub(crate) fn keys() -> Keys {
+    Keys::new(&fleet_id())
 }
 
 pub(crate) fn with_short_logs(node: NodeId) -> RaftSettings {
@@ -136,6 +146,21 @@ impl Fleet {
         let id = replica.id();
         self.replicas.insert(node(name), replica);
         id
+    }
+
+    /// Announces the presence of a node until the token is dropped.
+    pub(crate) async fn announce(&self, name: &NodeId) -> PresenceToken {
+        let key = keys().write(&Key::AliveNode(name.clone()));
+        self.network.bus(name.clone()).announce(&key).await.expect("a token")
+    }
+
+    /// Announces the presence of all nodes.
+    pub(crate) async fn announce_all(&self) -> BTreeMap<NodeId, PresenceToken> {
+        let mut tokens = BTreeMap::new();
+        for name in self.replicas.keys() {
+            tokens.insert(name.clone(), self.announce(name).await);
+        }
+        tokens
     }
 
     /// Stops a node as a power failure does.
