@@ -8,8 +8,9 @@ use crate::support::{fleet, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::ledger::MissionState;
-use consort_tests::{Fleet, RobotSpec, for_each_seed};
+use consort_tests::{Fleet, RobotSpec, StationFleet, for_each_seed};
 use std::time::Duration;
+use tokio::time::Instant;
 
 const SEEDS: [u64; 3] = [11, 12, 13];
 const ROOM: &str = "IC Room 6";
@@ -38,6 +39,24 @@ async fn assert_carried_out_once(fleet: &mut Fleet, mission: &MissionId) {
         .await;
     let number = fleet.ledger(|ledger| ledger.missions().count());
     assert_eq!(number, Some(1), "seed {seed}: missions in the ledger");
+}
+
+/// The voters see that its presence has ended; they do not wait for an election timeout, which is at least 300 ms.
+#[test]
+fn a_killed_coordinator_is_replaced_within_a_tenth_of_a_second() {
+    for_each_seed(1..11, async |seed| {
+        let mut fleet = StationFleet::founded(seed, &["aster", "basil", "clove", "daisy", "elder"]).await;
+        for _ in 0..2 {
+            let coordinator = fleet.wait_for_coordinator().await;
+            let killed_at = Instant::now();
+            fleet.kill(&coordinator).await;
+            fleet.wait_for_coordinator().await;
+            let took = killed_at.elapsed();
+            assert!(took < Duration::from_millis(100), "seed {seed}: {took:?}");
+            // Its voters follow it, and watch its presence.
+            fleet.advance(Duration::from_secs(1)).await;
+        }
+    });
 }
 
 #[test]
