@@ -1,5 +1,6 @@
 //! Exchange of knowledge between the members of an ensemble.
 
+use crate::support::received_of;
 use consort_bus::Bus as _;
 use consort_protocol::codec;
 use consort_protocol::ensemble::EnsembleSpec;
@@ -92,8 +93,7 @@ async fn wait_for_values(fleet: &Fleet, from: &str, robots: &[&str]) -> Value {
 
 /// Returns the number of messages of the exchange that a node has received.
 fn received(fleet: &Fleet, node: &str) -> u64 {
-    let traffic = fleet.network.traffic(&slug(node));
-    traffic.iter().find(|(kind, _)| *kind == KeyKind::Ensemble).map_or(0, |(_, traffic)| traffic.messages_received)
+    received_of(fleet, node, KeyKind::Ensemble)
 }
 
 async fn drive(fleet: &mut Fleet, condition: &str, to: &str) -> MissionId {

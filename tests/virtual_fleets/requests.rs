@@ -1,10 +1,10 @@
 //! Requests of clients and their replies.
 
-use crate::support::{fleet, task_began};
+use crate::support::{fleet, received_of, task_began};
 use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
-use consort_protocol::keys::ApiCall;
+use consort_protocol::keys::{ApiCall, KeyKind};
 use consort_protocol::lease::EndReason;
 use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use serde_json::{Value, json};
@@ -44,6 +44,21 @@ fn a_repeated_request_gets_the_same_reply_after_a_takeover() {
         let again = json!({ "mission": "lab-samples-1", "again": true, "outcome": "completed" });
         assert_eq!(fleet.submit_with_reply("my-7", ROOM).await, again, "seed {seed}: after the end");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}");
+    });
+}
+
+/// A request to a large fleet would wake each robot.
+#[test]
+fn a_request_reaches_the_voters_only() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, ROOM).await;
+        let has_beacon = |fleet: &Fleet| received_of(fleet, "gorse", KeyKind::Beacon) > 0;
+        fleet.wait_until("a beacon", SOON, has_beacon).await;
+        let before = ["basil", "gorse"].map(|node| received_of(&fleet, node, KeyKind::People));
+        fleet.submit("a", ROOM).await;
+        let after = ["basil", "gorse"].map(|node| received_of(&fleet, node, KeyKind::People));
+        assert!(after[0] > before[0], "seed {seed}: basil votes");
+        assert_eq!(after[1], before[1], "seed {seed}: gorse does not vote");
     });
 }
 

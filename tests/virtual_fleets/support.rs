@@ -4,7 +4,7 @@ use consort_bus::clock::Clock;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId};
-use consort_protocol::keys::ApiCall;
+use consort_protocol::keys::{ApiCall, KeyKind};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
 use consort_protocol::view::PersonRequestView;
@@ -20,6 +20,12 @@ pub(crate) async fn fleet(seed: u64, room: &'static str) -> Fleet {
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[room]).await;
     assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: the first coordinator");
     fleet
+}
+
+/// Returns the number of messages of a kind that a node has received.
+pub(crate) fn received_of(fleet: &Fleet, node: &str, kind: KeyKind) -> u64 {
+    let traffic = fleet.network.traffic(&slug(node));
+    traffic.iter().find(|(of, _)| *of == kind).map_or(0, |(_, traffic)| traffic.messages_received)
 }
 
 /// Returns two slow carriers, far from the rooms.

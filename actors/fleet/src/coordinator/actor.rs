@@ -2,7 +2,7 @@
 
 use super::leader_session::LeaderSession;
 use super::message::CoordinatorMessage;
-use super::no_leader::{no_leader_reply, retry_reply};
+use super::no_leader::{may_reply, no_leader_reply, retry_reply};
 use super::settings::{CoordinatorSettings, NodeParts};
 use consort_bus::tasks::Tasks;
 use consort_bus::{BusError, Query, Sample, reply};
@@ -34,6 +34,8 @@ pub(crate) struct CoordinatorState {
     yielded_at: Option<Instant>,
     /// Voter change that was in progress at the end of the last session.
     voter_change: Tasks,
+    /// Service of requests, while a reply may be up to this node.
+    requests: Option<Tasks>,
     tasks: Tasks,
 }
 
@@ -53,19 +55,20 @@ impl Actor for Coordinator {
         tasks.on_change(replica.leadership(), &myself, |changed| CoordinatorMessage::Leadership(Some(changed)));
         tasks.on_change(replica.applied(), &myself, CoordinatorMessage::Ledger);
         myself.cast(CoordinatorMessage::Leadership(None))?;
-        let requests = bus.serve(&keys.any_api()).await?;
-        tasks.forward_queries(requests, &myself, CoordinatorMessage::Api);
         let beacons = bus.subscribe(&keys.write(&Key::Beacon)).await?;
         tasks.forward_samples(beacons, &myself, CoordinatorMessage::Beacon);
         tasks.send_every(settings.tick_interval, &myself, || CoordinatorMessage::Tick);
-        Ok(CoordinatorState {
+        let mut state = CoordinatorState {
             settings,
             session: None,
             last_beacon: None,
             yielded_at: None,
             voter_change: Tasks::default(),
+            requests: None,
             tasks,
-        })
+        };
+        state.serve_requests(&myself).await?;
+        Ok(state)
     }
 
     async fn handle(
@@ -79,7 +82,10 @@ impl Actor for Coordinator {
                 drop(changed); // later changes are a message of their own
                 state.follow_leadership(&myself).await?;
             }
-            (CoordinatorMessage::Beacon(sample), _) => state.follow_beacon(&sample),
+            (CoordinatorMessage::Beacon(sample), _) => {
+                state.follow_beacon(&sample);
+                state.serve_requests(&myself).await?;
+            }
             // Any node replies to read-only requests: see `views`.
             (CoordinatorMessage::Api(query), _) if is_read_only(&state.settings.parts.keys, &query) => {}
             (CoordinatorMessage::Api(query), None) => state.leave_to_coordinator(&myself, query),
@@ -139,6 +145,21 @@ impl CoordinatorState {
         }
     }
 
+    /// Serves requests, if and only if a reply may be up to this node.
+    async fn serve_requests(&mut self, myself: &ActorRef<CoordinatorMessage>) -> Result<(), BusError> {
+        let NodeParts { node, replica, keys, bus, .. } = &self.settings.parts;
+        let may_reply = may_reply(node, &replica.leadership().borrow(), self.last_beacon.is_some());
+        if !may_reply {
+            self.requests = None;
+        } else if self.requests.is_none() {
+            let requests = bus.serve(&keys.any_api()).await?;
+            let mut tasks = Tasks::default();
+            tasks.forward_queries(requests, myself, CoordinatorMessage::Api);
+            self.requests = Some(tasks);
+        }
+        Ok(())
+    }
+
     /// Leaves a request to the active coordinator, and checks it again after a short delay if this
     /// node cannot reply now.
     fn leave_to_coordinator(&mut self, myself: &ActorRef<CoordinatorMessage>, query: Query) {
@@ -160,6 +181,7 @@ impl CoordinatorState {
     }
 
     async fn follow_leadership(&mut self, myself: &ActorRef<CoordinatorMessage>) -> Result<(), BusError> {
+        self.serve_requests(myself).await?;
         let NodeParts { node, replica, events, .. } = &self.settings.parts;
         let leadership = replica.leadership().borrow().clone();
         let term = leadership.is_leader.then_some(leadership.term);

@@ -1,12 +1,12 @@
 //! Replies to clients while there is no leader: at once, and from a single node.
 //!
-//! Every node that may vote receives requests. While it receives beacons of a live coordinator, it
-//! leaves requests to that coordinator. Otherwise the first live voter by name replies that the
-//! client should retry; the other nodes send no reply. Before the ledger is founded, the first live
-//! node that may vote replies instead. A node that has ever received a beacon concludes that the
-//! ledger is founded and that the reply is up to the voters. Nodes with different information may
-//! for a moment both reply, or neither: two replies do no harm, and without a reply the query times
-//! out.
+//! Every voter receives requests. While it receives beacons of a live coordinator, it leaves
+//! requests to that coordinator. Otherwise the first live voter by name replies that the client
+//! should retry; the other nodes send no reply. Before the ledger is founded, every node that may
+//! vote receives requests, and the first live one replies instead. A node that has ever received a
+//! beacon concludes that the ledger is founded and that the reply is up to the voters. Nodes with
+//! different information may for a moment both reply, or neither: two replies do no harm, and
+//! without a reply the query times out.
 
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::ErrorReply;
@@ -21,6 +21,14 @@ pub(super) const RETRY_AFTER_MS: u64 = 300;
 /// Timeout of a coordinator without beacons: a little more than 2 beacon intervals. The ledger's
 /// voters detect the failure sooner.
 const BEACON_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Checks whether a reply to a request may be up to this node: as the coordinator, or by
+/// [`no_leader_reply`]. The other nodes need not receive requests, which would wake every robot of a
+/// large fleet. `has_beacon` is true if the node has ever received the beacon of another coordinator.
+pub(super) fn may_reply(node: &NodeId, leadership: &LeadershipView, has_beacon: bool) -> bool {
+    let votes = leadership.voters.values().any(|voter| voter == node);
+    leadership.is_leader || votes || (leadership.voters.is_empty() && !has_beacon)
+}
 
 /// Returns this node's reply to a request, or `None` if the reply is up to another node.
 /// `last_beacon` contains the last other coordinator and the age of its beacon.
@@ -69,4 +77,26 @@ pub(super) fn retry_reply(quorum: String) -> ErrorReply {
 /// Returns an error with a retry delay.
 pub(super) fn busy_reply(error: &str, after: Duration) -> ErrorReply {
     ErrorReply::retry_after(error, u64::try_from(after.as_millis()).unwrap_or(u64::MAX).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_raft::RaftId;
+
+    #[test]
+    fn only_voters_reply_once_there_is_a_ledger() {
+        let [ada, bob] = ["ada", "bob"].map(|name| NodeId::new(name).unwrap());
+        let unknown = LeadershipView::default();
+        let voters = [(RaftId(1), ada.clone())].into();
+        let known = LeadershipView { voters, ..LeadershipView::default() };
+        assert!(may_reply(&bob, &unknown, false), "no ledger yet");
+        assert!(!may_reply(&bob, &unknown, true), "a ledger of others");
+        for has_beacon in [false, true] {
+            assert!(may_reply(&ada, &known, has_beacon));
+            assert!(!may_reply(&bob, &known, has_beacon));
+            let leaving = LeadershipView { is_leader: true, ..known.clone() };
+            assert!(may_reply(&bob, &leaving, has_beacon), "a leader that is no longer a voter");
+        }
+    }
 }
