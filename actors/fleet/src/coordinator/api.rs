@@ -3,6 +3,7 @@
 
 use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
+use super::open_replies::{OpenReplies, OpenReply};
 use super::people::{PeopleHost, removals};
 use super::submission::{self, Definitions, ScheduleError, SubmitError};
 use crate::events::EventPublisher;
@@ -30,7 +31,7 @@ use consort_skills::missions::NamedMissions;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// Timeout for the ledger to commit a request.
@@ -39,8 +40,7 @@ const COMMIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Minutes for which a request is put off by default.
 const LATER_MINUTES: u32 = 10;
 
-/// Handler of a single request, with the state it needs.
-#[derive(Clone)]
+/// Handler of a single request, with the state it needs. It is dropped after the reply.
 pub(super) struct ApiHandler {
     pub(super) fleet: FleetId,
     pub(super) node: NodeId,
@@ -65,6 +65,9 @@ pub(super) struct ApiHandler {
     pub(super) requester: Option<Requester>,
     /// Maximum number of active missions; 0 for no limit.
     pub(super) missions_max: usize,
+    pub(super) open_replies: OpenReplies,
+    /// The reply to a submission, before it is sent.
+    pub(super) open_reply: OnceLock<OpenReply>,
 }
 
 /// Error reply.
@@ -111,7 +114,7 @@ fn json(reply: impl Serialize) -> Value {
 
 impl ApiHandler {
     /// Executes a request and returns the reply.
-    pub(super) async fn handle(self, call: ApiCall, payload: &[u8]) -> Value {
+    pub(super) async fn handle(&self, call: ApiCall, payload: &[u8]) -> Value {
         let reply = match call {
             ApiCall::Submit => self.submit(payload).await.map(json),
             ApiCall::Cancel => self.cancel(payload).await.map(json),
@@ -156,6 +159,10 @@ impl ApiHandler {
         let submission = submission::prepare(request_fields, self.definitions(), self.time_ms()?, default_id, by)?;
         if let Some(overload) = self.replica.read(|ledger| self.overload(ledger, &submission.request)) {
             return Err(overload);
+        }
+        if let Some(reply) = self.open_replies.begin(&submission.request) {
+            // A handler has a single reply.
+            let _ = self.open_reply.set(reply);
         }
         match self.propose(Command::Submit(Box::new(submission))).await {
             Ok(CommandOutcome::Submitted { mission, again }) => {

@@ -39,11 +39,18 @@ pub(super) fn call_for_roles(
     })
 }
 
-/// Sends a call for bids. The session gets the bids as a message.
+/// Sends a call for bids, after the reply to the request for the mission. The session gets the bids as
+/// a message.
 pub(super) fn send_call(mut bids: CollectedBids, context: &mut SessionContext) {
     let (bus, keys) = (context.settings.parts.bus.clone(), context.settings.parts.keys.clone());
     let window = context.settings.auctions.bid_window;
+    let mission = &bids.call.auction.mission;
+    let request = context.read_ledger(|ledger| Some(ledger.mission(mission)?.submission.request.clone()));
+    let open_replies = context.open_replies.clone();
     context.send_result(async move {
+        if let Some(request) = request {
+            open_replies.wait_sent(&request).await;
+        }
         let latest = collect_bids(bus, keys, &bids, window).await;
         bids.responses.extend(latest);
         bids.responses.sort_by(|a, b| a.robot.cmp(&b.robot));

@@ -38,6 +38,7 @@ mod mission_requests;
 #[cfg(test)]
 pub(crate) mod model_session;
 mod no_leader;
+mod open_replies;
 mod order_requests;
 mod people;
 mod promises;

@@ -9,7 +9,7 @@ use super::settings::NodeParts;
 use consort_bus::{Query, RequestAuthority, Requester, reply};
 use consort_protocol::api::ErrorReply;
 use consort_protocol::keys::{ApiCall, Key};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use tracing::info;
 
 /// Requests of clients, counted and limited.
@@ -63,6 +63,7 @@ impl Requests {
         context.tasks.spawn(async move {
             let reply = handler.handle(call, &query.payload).await;
             reply::json(&query, &query.key, &reply).await;
+            drop(handler); // its reply is no longer open
         });
     }
 
@@ -90,6 +91,8 @@ impl Requests {
             request_number: self.count,
             requester,
             missions_max: context.settings.request_limits.missions_max,
+            open_replies: context.open_replies.clone(),
+            open_reply: OnceLock::new(),
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::last_known_place::{last_known_place, last_known_places};
 use super::lease_monitor::SharedLeaseMonitor;
 use super::message::{AwardedRole, CoordinatorMessage};
+use super::open_replies::OpenReplies;
 use super::settings::CoordinatorSettings;
 use bytes::Bytes;
 use consort_bus::tasks::Tasks;
@@ -39,6 +40,7 @@ pub(super) struct SessionContext {
     /// Start of the session.
     pub(super) since: NodeTime,
     pub(super) lease_monitor: SharedLeaseMonitor,
+    pub(super) open_replies: OpenReplies,
     pub(super) tasks: Tasks,
 }
 
@@ -51,7 +53,7 @@ impl SessionContext {
     ) -> SessionContext {
         let since = settings.parts.clock.now();
         let lease_monitor = SharedLeaseMonitor::new(settings.lease_terms);
-        SessionContext { settings, mailbox, term, since, lease_monitor, tasks }
+        SessionContext { settings, mailbox, term, since, lease_monitor, open_replies: OpenReplies::default(), tasks }
     }
 
     /// Returns the time of the node's clock.
