@@ -35,4 +35,6 @@ fn bench_prints_the_published_columns_and_rejects_invalid_sizes() {
         let ran = run(&["bench", "swarm", "--drones", drones]);
         assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{drones}: {}", ran.err);
     }
+    let ran = run(&["bench", "takeover", "--kills", "0"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "no takeovers: {}", ran.err);
 }

@@ -5,10 +5,12 @@ mod relays;
 mod scale;
 mod scale_plot;
 mod swarm;
+mod takeover;
 
 use clap::{Args as ClapArgs, Subcommand};
 use consort_nodes::exit::Failure;
 use consort_skills::extensions::Extensions;
+use consort_tests::host_network::run_inside;
 
 /// Measures the simulator and fleets on this machine.
 #[derive(Debug, ClapArgs)]
@@ -17,7 +19,8 @@ Examples:
   consort-lab bench swarm --drones 80,200
   consort-lab bench scale --robots 50,200 --json
   consort-lab bench commit --missions 100,1000
-  consort-lab bench relays --robots 100")]
+  consort-lab bench relays --robots 100
+  consort-lab bench takeover --kills 100")]
 pub(crate) struct Args {
     /// The benchmark
     #[command(subcommand)]
@@ -30,6 +33,7 @@ enum Benchmark {
     Scale(scale::Args),
     Commit(commit::Args),
     Relays(relays::Args),
+    Takeover(takeover::Args),
     #[command(hide = true)]
     RelayHost(relays::HostArgs),
 }
@@ -44,6 +48,15 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
         Benchmark::Scale(args) => scale::run(args, extensions),
         Benchmark::Commit(args) => commit::run(args),
         Benchmark::Relays(args) => relays::run(&args),
+        Benchmark::Takeover(args) => takeover::run(&args),
         Benchmark::RelayHost(args) => relays::run_host(args),
     }
+}
+
+/// Runs this program again with these arguments, in its own namespaces.
+fn run_in_namespaces(arguments: &[&str], tools: &[&str]) -> Result<(), Failure> {
+    let status = run_inside(arguments, tools, &std::process::id().to_string())
+        .map_err(|reason| Failure::Usage(format!("there can be no namespaces here: {reason}")))?;
+    let failed = || Failure::Unsuccessful("a run failed".to_owned());
+    status.success().then_some(()).ok_or_else(failed)
 }

@@ -23,7 +23,7 @@ use toml::Table;
 const FLEET: &str = "soak";
 
 /// The voters of the ledger.
-pub(super) const STATIONS: [&str; 3] = ["s1", "s2", "s3"];
+pub(in super::super) const STATIONS: [&str; 3] = ["s1", "s2", "s3"];
 
 /// The robots that drive.
 pub(super) const CARRIERS: [&str; 2] = ["ada", "bob"];
@@ -32,13 +32,14 @@ pub(super) const CARRIERS: [&str; 2] = ["ada", "bob"];
 pub(super) const ROBOTS: [&str; 3] = [CARRIERS[0], CARRIERS[1], "lab-arm"];
 
 /// Host of the simulated world. No fault kills it: the state of its world is only in its memory.
-pub(super) const WORLD: &str = "world";
+pub(in super::super) const WORLD: &str = "world";
 
 /// Simulated seconds per second: missions end within a fraction of a minute.
 const WORLD_SPEED: f64 = 8.0;
 
 /// Rooms with a nurse and samples.
-pub(super) const ROOMS: [&str; 6] = ["IC Room 6", "PC Room 1", "IC Room 2", "PC Room 5", "IC Room 4", "PC Room 2"];
+pub(in super::super) const ROOMS: [&str; 6] =
+    ["IC Room 6", "PC Room 1", "IC Room 2", "PC Room 5", "IC Room 4", "PC Room 2"];
 
 /// Samples of each nurse. A world has at most 10,000 in all.
 const SAMPLES: usize = 1_500;
@@ -56,9 +57,9 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(200);
 const SIGABRT: i32 = 6;
 
 /// Fleet with a process for each node.
-pub(super) struct ProcessFleet {
-    pub(super) network: HostNetwork,
-    pub(super) keys: Keys,
+pub(in super::super) struct ProcessFleet {
+    pub(in super::super) network: HostNetwork,
+    pub(in super::super) keys: Keys,
     processes: BTreeMap<String, Child>,
     /// Processes that ended after a panic in Zenoh, and were started again.
     pub(super) failures_of_zenoh: u32,
@@ -77,7 +78,7 @@ impl ProcessFleet {
     ///
     /// # Errors
     /// [`Failure`]: a process cannot be started, or the fleet is not complete in time.
-    pub(super) async fn start(
+    pub(in super::super) async fn start(
         folder: &Path,
         domains: &'static [LoadedDomain],
         participants: &UserParticipants,
@@ -177,7 +178,7 @@ impl ProcessFleet {
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if it cannot be started.
-    pub(super) fn start_node(&mut self, name: &str) -> Result<(), Failure> {
+    pub(in super::super) fn start_node(&mut self, name: &str) -> Result<(), Failure> {
         let kind = match name {
             WORLD => "world",
             name if STATIONS.contains(&name) => "station",
@@ -203,7 +204,7 @@ impl ProcessFleet {
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if none is reached in time.
-    pub(super) async fn client(&self, hosts: &[&str]) -> Result<SharedBus, Failure> {
+    pub(in super::super) async fn client(&self, hosts: &[&str]) -> Result<SharedBus, Failure> {
         let connect: Vec<String> = hosts.iter().map(|host| address(&self.network, host)).collect();
         let settings = ZenohSettings { mode: Mode::Client, connect, ..ZenohSettings::default() };
         let deadline = Instant::now() + START_LIMIT;
@@ -217,7 +218,7 @@ impl ProcessFleet {
     }
 
     /// Ends the process of a node with SIGKILL.
-    pub(super) fn kill(&mut self, name: &str) {
+    pub(in super::super) fn kill(&mut self, name: &str) {
         if let Some(mut child) = self.processes.remove(name) {
             // It may have ended by itself; the verdict depends on the log then.
             let _ = child.kill();
@@ -236,7 +237,7 @@ impl ProcessFleet {
     ///
     /// # Errors
     /// A description of the first process that has ended for another reason.
-    pub(super) fn restart_ended(&mut self) -> Result<(), String> {
+    pub(in super::super) fn restart_ended(&mut self) -> Result<(), String> {
         let ended = |(name, child): (&String, &mut Child)| Some((name.clone(), child.try_wait().ok().flatten()?));
         let ended: Vec<(String, ExitStatus)> = self.processes.iter_mut().filter_map(ended).collect();
         for (name, status) in ended {
@@ -262,7 +263,7 @@ impl ProcessFleet {
     }
 
     /// Ends all processes.
-    pub(super) fn stop(&mut self) {
+    pub(in super::super) fn stop(&mut self) {
         for name in self.processes.keys().cloned().collect::<Vec<_>>() {
             self.kill(&name);
         }

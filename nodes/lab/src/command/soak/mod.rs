@@ -1,7 +1,7 @@
 //! `consort-lab soak`: a fleet of real processes under random faults, with clients at work.
 
 mod faults;
-mod fleet;
+pub(super) mod fleet;
 mod occurrences;
 mod orders;
 mod verdict;

@@ -11,11 +11,12 @@ mod process;
 
 pub(super) use host::{HostArgs, run as run_host};
 
+use super::run_in_namespaces;
 use clap::{Args as ClapArgs, ValueEnum};
 use consort_bus::zenoh_bus::Mode;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
-use consort_tests::host_network::{HostNetwork, is_inside, run_inside};
+use consort_tests::host_network::{HostNetwork, is_inside};
 use host::Report;
 use process::HostProcess;
 use serde::Serialize;
@@ -146,10 +147,7 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
         let robots = args.robots.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
         let mut arguments = vec!["bench", "relays", "--robots", &robots, "--mode", args.mode.name()];
         arguments.extend(args.json.then_some("--json"));
-        let status = run_inside(&arguments, &TOOLS, &std::process::id().to_string())
-            .map_err(|reason| Failure::Usage(format!("there can be no namespaces here: {reason}")))?;
-        let failed = || Failure::Unsuccessful("a run failed".to_owned());
-        return status.success().then_some(()).ok_or_else(failed);
+        return run_in_namespaces(&arguments, &TOOLS);
     }
     if !args.json {
         output::line(HEADER)?;
