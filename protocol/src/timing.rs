@@ -13,6 +13,9 @@
 //! | dead after | 10 s | 20 s | time that a voter must be gone before the autopilot replaces it |
 //! | link lease | 2 s | 5 s | time for which Zenoh treats a silent neighbor as linked |
 //!
+//! A leader whose process has ended is replaced within fractions of a heartbeat, without the election
+//! timeout, since its presence token vanishes with its sockets.
+//!
 //! **`lan`** is for wired machines with round trips of some milliseconds. Three heartbeats fit into
 //! the shortest election timeout, so two heartbeats may be lost or late. The check-quorum timeout
 //! leaves a leader 180 ms in which its machine may be busy with other work. Shorter election

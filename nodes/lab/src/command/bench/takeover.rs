@@ -231,7 +231,7 @@ async fn query<T: DeserializeOwned>(
     let payload = if payload.is_null() { vec![] } else { payload.to_string().into_bytes() };
     let mut replies = bus.query(key, payload.into(), QUERY_LIMIT).await.ok()?;
     while let Some(reply) = replies.recv().await {
-        let value = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        let value: Option<T> = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
         if let Some(value) = value.filter(&is_expected) {
             return Some(value);
         }
