@@ -89,9 +89,7 @@ pub(super) async fn watch_leader(client: RaftClient, contact: Arc<LeaderContact>
             }
         };
         loop {
-            let is_followed =
-                |view: &LeadershipView| followed_leader(view, client.me).is_some_and(|(id, _)| id == leader);
-            let other_leader = async { leadership.wait_for(|view| !is_followed(view)).await.is_ok() };
+            let other_leader = async { leadership.wait_for(|view| !is_followed(view, leader)).await.is_ok() };
             tokio::select! {
                 biased;
                 changed = other_leader => match changed {
@@ -116,7 +114,11 @@ fn followed_leader(view: &LeadershipView, me: RaftId) -> Option<(RaftId, NodeId)
     view.leader.clone().filter(|_| leader != me).map(|name| (leader, name))
 }
 
-/// Queries a leader whose token has vanished, and records its loss.
+fn is_followed(view: &LeadershipView, leader: RaftId) -> bool {
+    view.leader_id.is_some_and(|leader_id| leader_id.leader == leader)
+}
+
+/// Queries a leader whose token has vanished, and records its loss, as long as this node follows it.
 async fn query_leader(
     client: &RaftClient,
     contact: &LeaderContact,
@@ -126,6 +128,9 @@ async fn query_leader(
 ) {
     let mut token_is_back = false;
     for _ in 0..QUERIES_MAX {
+        if !is_followed(&client.leadership.borrow(), leader) {
+            return;
+        }
         // A message that was under way may have ended the loss.
         if !contact.has_lost(leader) {
             let asked_at = Instant::now();

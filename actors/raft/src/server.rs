@@ -139,14 +139,14 @@ impl<S: StateMachine> RaftServer<S> {
     async fn leave_lost_leader(&self, request: &VoteRequest<RaftId>) {
         let vote = self.raft.server_metrics().borrow().vote;
         let has_lost_leader = leader_id_of(&vote).is_some_and(|now| self.leader_contact.has_lost(now.leader));
-        if vote.is_committed() && has_lost_leader && self.has_log_of_voter(request.last_log_id) {
+        if vote.is_committed() && has_lost_leader && self.has_current_log(request.last_log_id) {
             // If openraft has stopped, so has the vote.
             let _ = leadership_transfer::vote_for(&self.raft, request.vote, vote.leader_id().term).await;
         }
     }
 
     /// Checks whether a log with this last entry is as long as the log of this node.
-    fn has_log_of_voter(&self, last: Option<LogId>) -> bool {
+    fn has_current_log(&self, last: Option<LogId>) -> bool {
         last >= self.raft.data_metrics().borrow().last_log
     }
 
@@ -258,7 +258,7 @@ impl<S: StateMachine> RaftServer<S> {
         let request: PreVoteRequest = self.decode(query)?;
         let no_leader =
             self.leader_contact.no_leader_for(self.election_min, self.heartbeat) && !self.leadership.borrow().is_leader;
-        let log_is_current = self.has_log_of_voter(request.last_log_id);
+        let log_is_current = self.has_current_log(request.last_log_id);
         encode_reply(&RaftReply::Done(no_leader && log_is_current))
     }
 }
