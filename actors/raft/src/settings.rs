@@ -32,8 +32,8 @@ pub struct RaftSettings {
     /// [`consort_protocol::timing`].
     pub heartbeat: Duration,
     /// Shortest time without leader contact after which a node campaigns, and the time for which a
-    /// voter rejects every candidate after the last contact from its leader. At least three
-    /// heartbeats, so that two may be lost.
+    /// voter rejects every candidate after the last contact from its leader, unless it has lost that
+    /// leader's presence and service. At least three heartbeats, so that two may be lost.
     pub election_min: Duration,
     /// Longest time without leader contact after which a node campaigns. The timeout is drawn anew
     /// for each wait. A wider range makes split votes rarer.
