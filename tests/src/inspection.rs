@@ -143,7 +143,7 @@ impl Fleet {
     /// Returns the record of a robot in the knowledge base of a node.
     pub fn knowledge_of(&self, node: &str, robot: &NodeId) -> Option<RobotKnowledge> {
         let knowledge = &self.nodes.get(node)?.knowledge;
-        knowledge.read(|base| base.get(robot)?.record.knowledge.robot.clone())
+        knowledge.read(|base| base.get(robot)?.knowledge().robot.clone())
     }
 
     /// Returns the position of a simulated robot in metres.

@@ -49,6 +49,7 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
         dead_after: Timing::Lan.parameters().dead_after,
         snapshot_every: consort_raft::SNAPSHOT_EVERY,
         log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
+        scoped_knowledge: false,
         map: Some(Arc::new(shipped("hospital").expect("it is shipped").to_view())),
     }
 }

@@ -9,7 +9,7 @@ use consort_protocol::ids::{NodeId, RobotId};
 pub(crate) fn charger_users(knowledge: &SharedKnowledge, own: &NodeId) -> Vec<ChargerUser> {
     let known: Vec<(NodeId, ChargerUser)> = knowledge.read(|base| {
         let user = base.iter().filter_map(|(node, known)| {
-            let robot = known.record.knowledge.robot.as_ref()?;
+            let robot = known.knowledge().robot.as_ref()?;
             let (place, battery, charging) = (robot.place.clone(), robot.battery, robot.charging.clone());
             let user = ChargerUser { robot: RobotId::from(node.clone()), place, battery, charging, is_alive: true };
             Some((node.clone(), user))

@@ -24,11 +24,11 @@ use consort_bus::wire_version::WireVersion;
 use consort_bus::{Delivery, Encoding, Presence, PresenceToken, Query, Sample, SharedBus};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::knowledge::Knowledge;
+use consort_protocol::knowledge::{Knowledge, Motion};
 use ractor::{Actor, ActorProcessingErr, ActorRef, async_trait};
 use rand_chacha::ChaCha8Rng;
 use std::time::Duration;
-use tokio::task::JoinSet;
+use tokio::task::{AbortHandle, JoinSet};
 
 /// Initial state of a node's gossip.
 pub struct GossipStart {
@@ -57,6 +57,12 @@ pub(super) struct Gossip;
 pub(super) enum Message {
     /// The node's own knowledge changes.
     ChangeKnowledge(Change),
+    /// The node's robot moves, or its charge changes.
+    MoveRobot(Motion),
+    /// The node receives the motion of robots from now on, or no longer.
+    ReceiveMotion(bool),
+    /// A node published the motion of its robot.
+    MotionReceived(Forwarded<Sample>),
     /// A node published its record.
     RecordReceived(Forwarded<Sample>),
     /// A packet of failure detection.
@@ -88,6 +94,8 @@ pub(super) struct State {
     alarm: Alarm,
     /// Aborted when the actor ends for any reason.
     tasks: JoinSet<()>,
+    /// Task that receives the motion of robots.
+    motion: Option<AbortHandle>,
     _token: PresenceToken,
 }
 
@@ -120,9 +128,9 @@ impl Actor for Gossip {
         let to = myself.clone();
         let (alarm, running) = Alarm::new(clock, move || to.cast(Message::TimerFired).is_ok());
         tasks.spawn(running);
-        tasks.spawn(forward_version_changes(wire_version.clone(), myself));
+        tasks.spawn(forward_version_changes(wire_version.clone(), myself.clone()));
 
-        let (now, reply_timeout) = (clock.now(), settings.reply_timeout);
+        let (now, reply_timeout, receives_motion) = (clock.now(), settings.reply_timeout, settings.receives_motion);
         let inbox = Inbox {
             node: settings.node.clone(),
             keys: keys.clone(),
@@ -132,8 +140,21 @@ impl Actor for Gossip {
         };
         let start = GossiperStart { settings, knowledge, signer, rng };
         let (gossiper, actions) = Gossiper::new(start, &mut shared.lock(), now);
-        let mut state =
-            State { keys, bus, clock, reply_timeout, gossiper, shared, inbox, outbox, alarm, tasks, _token: token };
+        let mut state = State {
+            keys,
+            bus,
+            clock,
+            reply_timeout,
+            gossiper,
+            shared,
+            inbox,
+            outbox,
+            alarm,
+            tasks,
+            motion: None,
+            _token: token,
+        };
+        state.receive_motion(receives_motion, &myself);
         state.perform(actions, None, None);
         Ok(state)
     }
@@ -148,6 +169,12 @@ impl Actor for Gossip {
         let inbox = &state.inbox;
         let event = match message {
             Message::ChangeKnowledge(change) => Ok(Event::KnowledgeChanged(change)),
+            Message::MoveRobot(motion) => Ok(Event::MotionChanged(motion)),
+            Message::ReceiveMotion(receives) => {
+                state.receive_motion(receives, &myself);
+                return Ok(());
+            }
+            Message::MotionReceived(sample) => inbox.read_motion(&sample),
             Message::RecordReceived(sample) => inbox.read_update(&sample),
             Message::Packet(sample) => inbox.read_packet(sample.into_inner()),
             Message::Presence(presence) => inbox.read_presence(presence.into_inner()),
@@ -192,6 +219,7 @@ impl State {
         for action in actions {
             match action {
                 Action::Publish(update) => self.outbox.publish(update),
+                Action::PublishMotion(update) => self.outbox.publish_motion(&update),
                 Action::Send(to, bytes) => self.outbox.send(to, bytes),
                 Action::SendReply(exchange) => {
                     if let Some(query) = requester.take() {
@@ -210,6 +238,25 @@ impl State {
             self.shared.notify_change();
         }
         self.alarm.set(self.gossiper.next_due());
+    }
+
+    /// Subscribes to the motion of robots, or ends the subscription.
+    fn receive_motion(&mut self, receives: bool, myself: &ActorRef<Message>) {
+        if receives == self.motion.is_some() {
+            return;
+        }
+        self.shared.lock().receives_motion = receives;
+        if let Some(task) = self.motion.take() {
+            return task.abort();
+        }
+        let (bus, key, to) = (self.bus.clone(), self.keys.any_motion(), myself.clone());
+        self.motion = Some(self.tasks.spawn(async move {
+            if let Ok(samples) = bus.subscribe(&key).await {
+                forward_samples(samples, to.clone(), Message::MotionReceived).await;
+            }
+            // The bus is closed.
+            drop(to.cast(Message::Closed("motion")));
+        }));
     }
 
     fn send_request(&mut self, round: u64, peer: &NodeId, payload: Bytes, myself: ActorRef<Message>) {

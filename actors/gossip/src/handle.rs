@@ -2,7 +2,7 @@
 
 use super::actor::{Gossip, GossipStart, Message};
 use super::shared::SharedKnowledge;
-use consort_protocol::knowledge::Knowledge;
+use consort_protocol::knowledge::{Knowledge, Motion};
 use ractor::concurrency::JoinHandle;
 use ractor::{Actor, ActorCell, ActorRef, SpawnErr};
 
@@ -50,6 +50,22 @@ impl GossipHandle {
     /// [`GossipStopped`].
     pub fn update_with(&self, change: impl FnOnce(&mut Knowledge) + Send + 'static) -> Result<(), GossipStopped> {
         self.actor.cast(Message::ChangeKnowledge(Box::new(change))).map_err(|_| GossipStopped)
+    }
+
+    /// Publishes the motion of the node's robot to the nodes that receive motion, without a change of the record.
+    ///
+    /// # Errors
+    /// [`GossipStopped`].
+    pub fn move_robot(&self, motion: Motion) -> Result<(), GossipStopped> {
+        self.actor.cast(Message::MoveRobot(motion)).map_err(|_| GossipStopped)
+    }
+
+    /// Sets whether the node receives the motion of robots and the heartbeats of a large fleet.
+    ///
+    /// # Errors
+    /// [`GossipStopped`].
+    pub fn receive_motion(&self, receives: bool) -> Result<(), GossipStopped> {
+        self.actor.cast(Message::ReceiveMotion(receives)).map_err(|_| GossipStopped)
     }
 
     /// Returns the knowledge received from all nodes.

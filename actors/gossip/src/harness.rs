@@ -19,6 +19,8 @@ use std::time::Duration;
 pub enum GossipInput {
     /// A publication by a node of its own record.
     Published(NodeId),
+    /// A publication by a node of the motion of its robot.
+    Motion(NodeId),
     /// A packet of failure detection.
     Packet,
     /// A peer's request to compare digests.
@@ -85,6 +87,7 @@ impl GossipHarness {
                     _ => Event::Published(owner, statement),
                 }
             }
+            GossipInput::Motion(owner) => Event::MotionPublished(owner, codec::decode(bytes)?),
             GossipInput::Packet => Event::Packet(Bytes::copy_from_slice(bytes)),
             GossipInput::Request => Event::RequestReceived(exchange()?),
             GossipInput::Reply(round) => Event::ReplyReceived(round, Some(exchange()?)),
@@ -110,6 +113,7 @@ impl GossipHarness {
         let actions = self.gossiper.handle(event, &mut self.state, self.now)?;
         let encoded = |action| match action {
             Action::Publish(statement) => codec::encode_for_version(VersionRange::OWN.newest, statement),
+            Action::PublishMotion(update) => codec::encode(&update),
             Action::Send(_, bytes) => Ok(bytes.to_vec()),
             Action::SendRequest(_, _, exchange) | Action::SendReply(exchange) => {
                 codec::encode_for_version(VersionRange::OWN.newest, exchange)

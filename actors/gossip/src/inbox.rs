@@ -10,6 +10,7 @@ use consort_bus::{Presence, Sample};
 use consort_protocol::codec::{self, CodecError, VersionedMessage};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
+use consort_protocol::knowledge::MotionUpdate;
 use consort_protocol::message::{Exchange, RecordUpdate};
 use std::fmt::Display;
 
@@ -25,7 +26,7 @@ pub(super) enum MessageError {
     /// A node sends a packet in the name of another node.
     #[error("packet of {sender} by {author}")]
     ForeignPacket { sender: NodeId, author: Author },
-    /// The key of a record update names no node.
+    /// The key of a record update or of a motion names no node.
     #[error("knowledge on key {0:?}")]
     UnexpectedKey(String),
     /// The key of a presence token names no node.
@@ -86,6 +87,15 @@ impl Inbox {
                 Err(MessageError::ForeignRecord { owner: record.owner.clone(), key: sample.key.clone() })
             }
             (Some(Key::Knowledge(node)), _) => Ok(Event::Published(node, update)),
+            _ => Err(MessageError::UnexpectedKey(sample.key.clone())),
+        }
+    }
+
+    /// Decodes the published motion of a robot.
+    pub(super) fn read_motion(&self, sample: &Sample) -> Result<Event, MessageError> {
+        let update: MotionUpdate = codec::decode(&sample.payload)?;
+        match self.keys.read(&sample.key) {
+            Some(Key::Motion(node)) => Ok(Event::MotionPublished(node, update)),
             _ => Err(MessageError::UnexpectedKey(sample.key.clone())),
         }
     }

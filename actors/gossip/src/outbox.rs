@@ -7,6 +7,7 @@ use consort_bus::{Query, SharedBus};
 use consort_protocol::codec::{self, VersionedMessage};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
+use consort_protocol::knowledge::MotionUpdate;
 use consort_protocol::message::{Exchange, RecordUpdate};
 
 /// Capacity of an outbox, in messages.
@@ -46,6 +47,13 @@ impl Outbox {
     pub(super) fn publish(&self, update: RecordUpdate) {
         let key = self.keys.write(&Key::Knowledge(self.node.clone()));
         self.count(self.messages.publish(key, self.encode(update)));
+    }
+
+    /// Publishes the motion of the own robot.
+    pub(super) fn publish_motion(&self, update: &MotionUpdate) {
+        let key = self.keys.write(&Key::Motion(self.node.clone()));
+        let bytes = codec::encode(update).expect("the size of a place is limited");
+        self.count(self.messages.publish(key, bytes.into()));
     }
 
     /// Sends a packet of failure detection.

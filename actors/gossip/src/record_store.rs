@@ -8,7 +8,7 @@ use super::exchange::{RECORD_MAX, encoded_size};
 use super::shared::GossipState;
 use consort_bus::record_signer::SharedRecordSigner;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Digest, DigestScope, Knowledge, Proof, Record, RecordStamp};
+use consort_protocol::knowledge::{Digest, DigestScope, Knowledge, Motion, MotionUpdate, Proof, Record, RecordStamp};
 use consort_protocol::message::RecordUpdate;
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
@@ -60,6 +60,10 @@ pub(super) struct RecordStore {
     /// First version with the present content.
     since: u64,
     renewed: NodeTime,
+    /// Motion of the own robot since the latest change of the record.
+    motion: Option<Motion>,
+    /// Number of the last motion update.
+    motion_number: u64,
     /// Time since which the owner of a record has not been alive.
     absent: BTreeMap<NodeId, NodeTime>,
     removed: BTreeMap<NodeId, (RecordStamp, NodeTime)>,
@@ -89,6 +93,8 @@ impl RecordStore {
             own,
             signer,
             renewed: now,
+            motion: None,
+            motion_number: 0,
             absent,
             removed: BTreeMap::new(),
             missing_from: BTreeSet::new(),
@@ -104,6 +110,20 @@ impl RecordStore {
         RecordUpdate::Refresh { stamp: self.own.stamp, since: self.since, proof: self.own.proof }
     }
 
+    /// Returns a confirmation of the own record, with the motion of the robot.
+    pub(super) fn motion_update(&mut self) -> MotionUpdate {
+        self.motion_number += 1;
+        MotionUpdate { stamp: self.own.stamp, number: self.motion_number, motion: self.motion.clone() }
+    }
+
+    /// Changes the motion of the own robot, which the record does not contain. Returns the update to publish.
+    pub(super) fn move_robot(&mut self, motion: Motion, state: &mut GossipState) -> MotionUpdate {
+        self.motion = Some(motion);
+        let update = self.motion_update();
+        state.base.receive_motion(&self.own.owner, &update);
+        update
+    }
+
     /// Changes the own knowledge. Returns true if it changed and has a new version to publish.
     pub(super) fn update(
         &mut self,
@@ -116,11 +136,17 @@ impl RecordStore {
         if record.knowledge == self.own.knowledge {
             return Ok(false);
         }
+        // The new version has the latest motion, even if something else has changed.
+        let is_robot_unchanged = record.knowledge.robot == self.own.knowledge.robot;
+        if let (true, Some(motion), Some(robot)) = (is_robot_unchanged, &self.motion, &mut record.knowledge.robot) {
+            motion.apply_to(robot);
+        }
         let bytes = encoded_size(&record);
         if bytes > RECORD_MAX {
             return Err(RecordTooLarge { bytes });
         }
         self.own = record;
+        self.motion = None;
         self.renew(state, now);
         self.since = self.own.stamp.version;
         Ok(true)
@@ -150,6 +176,10 @@ impl RecordStore {
         self.own.proof = self.signer.as_ref().map(|signer| signer.sign(&self.own));
         self.renewed = now;
         state.base.merge(self.own.clone(), now);
+        if self.motion.is_some() {
+            let update = self.motion_update();
+            state.base.receive_motion(&self.own.owner, &update);
+        }
     }
 
     /// If records have proofs, removes all stored records without a proof: owners publish them

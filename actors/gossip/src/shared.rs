@@ -77,6 +77,8 @@ pub(super) struct GossipState {
     pub(super) base: KnowledgeBase,
     pub(super) status: BTreeMap<NodeId, MemberStatus>,
     pub(super) counters: GossipCounters,
+    /// The node receives the motion of robots.
+    pub(super) receives_motion: bool,
 }
 
 impl GossipState {
@@ -104,6 +106,12 @@ impl SharedKnowledge {
     /// return.
     pub fn read<T>(&self, look: impl FnOnce(&KnowledgeBase) -> T) -> T {
         look(&self.lock().base)
+    }
+
+    /// Checks whether the node receives the motion of robots and the heartbeats of a large fleet. Otherwise
+    /// the places, poses and charges of other robots, and the ages of records, are those of the latest changes of records.
+    pub fn receives_motion(&self) -> bool {
+        self.lock().receives_motion
     }
 
     /// Subscribes to a counter that increases on every change of knowledge or status. A

@@ -64,6 +64,12 @@ pub struct LeadershipView {
 }
 
 impl LeadershipView {
+    /// Checks whether a node is a voter or a learner, or will be a voter.
+    pub fn is_member(&self, id: RaftId) -> bool {
+        let is_pending = self.pending_voters.as_ref().is_some_and(|pending| pending.contains(&id));
+        is_pending || self.name_of(id).is_some()
+    }
+
     /// Returns the name of a voter or learner.
     pub(super) fn name_of(&self, id: RaftId) -> Option<&NodeId> {
         self.voters.get(&id).or_else(|| self.learners.get(&id))

@@ -175,6 +175,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         dead_after: config.times().dead_after,
         snapshot_every: consort_raft::SNAPSHOT_EVERY,
         log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
+        scoped_knowledge: config.is_large(),
         map: None,
     })
 }

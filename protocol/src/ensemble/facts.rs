@@ -89,7 +89,7 @@ pub(super) fn node_facts(name: &NodeId, knowledge: &Knowledge) -> Result<Value, 
 }
 
 /// Returns the knowledge of an example robot, for the check of conditions.
-pub(super) fn example_robot() -> RobotKnowledge {
+pub(crate) fn example_robot() -> RobotKnowledge {
     RobotKnowledge {
         skills: BTreeSet::from([TaskType::new("navigation").expect("a slug")]),
         attributes: Attributes::default(),

@@ -36,6 +36,9 @@ pub use exchange::{
 pub use private_attributes::private_attribute_problems;
 pub use spec::EnsembleSpec;
 
+#[cfg(test)]
+pub(crate) use facts::example_robot;
+
 use self::condition::EvaluationError;
 use self::facts::{example_knowledge, node_facts};
 use crate::ids::{NodeId, TaskType};
@@ -148,7 +151,7 @@ impl Ensemble {
         let Some(head) = base.get(coordinator) else {
             return verdict(false, format!("no record of the coordinator {coordinator} received"));
         };
-        match self.cached_verdict(node, &member.record.knowledge, coordinator, &head.record.knowledge) {
+        match self.cached_verdict(node, member.knowledge(), coordinator, head.knowledge()) {
             Ok(()) => verdict(true, "all conditions hold".to_owned()),
             Err(reason) => verdict(false, reason.to_string()),
         }

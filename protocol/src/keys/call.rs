@@ -89,6 +89,8 @@ words! {
         Certificate = "certificate",
         /// Records of knowledge.
         Knowledge = "knowledge",
+        /// Places, poses and charges of robots in a large fleet, and confirmations of records.
+        Motion = "motion",
         /// Comparisons of knowledge.
         Gossip = "gossip",
         /// Failure detection.
@@ -162,6 +164,7 @@ impl KeyKind {
             (Some("wire"), Some(kind)) => match (kind, segments.last()) {
                 ("certificate", _) => KeyKind::Certificate,
                 ("knowledge", _) => KeyKind::Knowledge,
+                ("motion", _) => KeyKind::Motion,
                 ("gossip", _) => KeyKind::Gossip,
                 ("swim", _) => KeyKind::Swim,
                 ("raft", Some("heartbeat")) => KeyKind::RaftHeartbeat,

@@ -62,6 +62,11 @@ impl Keys {
         format!("{}/wire/knowledge/*", self.prefix)
     }
 
+    /// Returns the key expression for the places, poses and charges of all robots of a large fleet.
+    pub fn any_motion(&self) -> String {
+        format!("{}/wire/motion/*", self.prefix)
+    }
+
     /// Returns the key expression for calls for bids to all robots.
     pub fn any_bid(&self) -> String {
         format!("{}/wire/bid/*", self.prefix)

@@ -16,6 +16,9 @@ pub enum Key {
     KnownCertificate(Fingerprint),
     /// `wire/knowledge/{node}`: a node publishes its record.
     Knowledge(NodeId),
+    /// `wire/motion/{node}`: in a large fleet, a node publishes the place, pose and charge of its robot,
+    /// and confirms its record.
+    Motion(NodeId),
     /// `wire/gossip/{node}`: a node replies to a digest with the records that the requester lacks.
     Gossip(NodeId),
     /// `wire/swim/{node}`: failure detection packets for a node.
@@ -105,6 +108,7 @@ impl fmt::Display for Key {
             Key::Certificate(fingerprint) => write!(f, "wire/certificate/{fingerprint}"),
             Key::KnownCertificate(fingerprint) => write!(f, "wire/certificate/{fingerprint}/known"),
             Key::Knowledge(node) => write!(f, "wire/knowledge/{node}"),
+            Key::Motion(node) => write!(f, "wire/motion/{node}"),
             Key::Gossip(node) => write!(f, "wire/gossip/{node}"),
             Key::Swim(node) => write!(f, "wire/swim/{node}"),
             Key::Raft(member, call) => write!(f, "wire/raft/{member:016x}/{}", call.as_str()),
@@ -157,6 +161,7 @@ pub(super) fn read(text: &str) -> Option<Key> {
         ["wire", "certificate", fingerprint] => Key::Certificate(fingerprint.parse().ok()?),
         ["wire", "certificate", fingerprint, "known"] => Key::KnownCertificate(fingerprint.parse().ok()?),
         ["wire", "knowledge", node] => Key::Knowledge(node.parse().ok()?),
+        ["wire", "motion", node] => Key::Motion(node.parse().ok()?),
         ["wire", "gossip", node] => Key::Gossip(node.parse().ok()?),
         ["wire", "swim", node] => Key::Swim(node.parse().ok()?),
         ["wire", "raft", member, call] if member.len() == 16 => {

@@ -57,7 +57,7 @@ impl Key {
             Key::Api(ApiCall::Backup) => Priority::Bulk,
             Key::Api(call) if call.is_read_only() => Priority::View,
             Key::Api(_) => Priority::Mission,
-            Key::Knowledge(_) | Key::Gossip(_) | Key::Ensemble(..) => Priority::Knowledge,
+            Key::Knowledge(_) | Key::Motion(_) | Key::Gossip(_) | Key::Ensemble(..) => Priority::Knowledge,
             Key::Events(_) => Priority::Event,
             Key::ViewFleet
             | Key::ViewRobot(_)

@@ -117,6 +117,7 @@ table! {
     Key::KnownCertificate(_) => "wire/certificate/{fingerprint}/known", "any node" Answers WIRE, "the certificate, if the node knows it: for nodes without a path to its principal";
     Key::Certificate(_) => "wire/certificate/{fingerprint}", "its principal" Answers WIRE, "the certificate that verifies the messages of a node";
     Key::Knowledge(_) => "wire/knowledge/{node}", "the node" Publishes WIRE, "the record of the node";
+    Key::Motion(_) => "wire/motion/{node}", "the node" Publishes WIRE, "in a large fleet: place, pose and charge of the node's robot, and that its record is current";
     Key::Gossip(_) => "wire/gossip/{node}", "the node" Answers WIRE, "compares the records of two nodes, and returns those that the requester lacks";
     Key::Swim(_) => "wire/swim/{node}", "the others" Publishes WIRE, "failure detection packets for the node";
     Key::Raft(_, RaftCall::Vote | RaftCall::Append | RaftCall::Snapshot | RaftCall::PreVote | RaftCall::TransferLeadership | RaftCall::Heartbeat) =>

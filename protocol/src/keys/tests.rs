@@ -11,6 +11,7 @@ pub(super) fn all() -> Vec<Key> {
         Key::Certificate(Fingerprint([0xc0; 16])),
         Key::KnownCertificate(Fingerprint([0xc0; 16])),
         Key::Knowledge(node.clone()),
+        Key::Motion(node.clone()),
         Key::Gossip(node.clone()),
         Key::Swim(node.clone()),
         Key::Bootstrap(node.clone()),

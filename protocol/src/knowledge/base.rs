@@ -1,6 +1,8 @@
 //! Knowledge base: the records that a node has received.
 
+use super::content::Knowledge;
 use super::digest::{CLASSES_MAX, Digest, DigestScope, class, hash, mix};
+use super::motion::MotionUpdate;
 use super::record::{Proof, Record, RecordStamp};
 use crate::ids::NodeId;
 use crate::units::NodeTime;
@@ -21,9 +23,25 @@ pub struct KnownRecord {
     pub record: Record,
     /// Time, on this node's clock, at which this version was received or last confirmed as current.
     pub last_contact: NodeTime,
+    /// Latest motion since this version, if this node has received any.
+    motion: Option<KnownMotion>,
+}
+
+/// Motion since the version of a record.
+#[derive(Debug, Clone, PartialEq)]
+struct KnownMotion {
+    /// Number of the update.
+    number: u64,
+    /// Content of the record with this motion.
+    knowledge: Box<Knowledge>,
 }
 
 impl KnownRecord {
+    /// Returns the content of the record, with the latest motion that this node has received.
+    pub fn knowledge(&self) -> &Knowledge {
+        self.motion.as_ref().map_or(&self.record.knowledge, |motion| &motion.knowledge)
+    }
+
     /// Returns the age of the record at this node.
     pub fn age(&self, now: NodeTime) -> Duration {
         now.since(self.last_contact)
@@ -37,7 +55,7 @@ impl KnowledgeBase {
         match self.records.get(&record.owner) {
             Some(known) if known.record.stamp >= record.stamp => false,
             _ => {
-                self.records.insert(record.owner.clone(), KnownRecord { record, last_contact: now });
+                self.records.insert(record.owner.clone(), KnownRecord { record, last_contact: now, motion: None });
                 true
             }
         }
@@ -74,6 +92,27 @@ impl KnowledgeBase {
         }
         entry.record.stamp = stamp;
         entry.last_contact = entry.last_contact.max(now);
+        true
+    }
+
+    /// Merges the motion of a robot since this version of its record. Returns true if it was later than the known motion of
+    /// the same version; otherwise nothing changes.
+    pub fn receive_motion(&mut self, owner: &NodeId, update: &MotionUpdate) -> bool {
+        let MotionUpdate { stamp, number, motion: Some(motion) } = update else { return false };
+        let Some(entry) = self.records.get_mut(owner).filter(|entry| entry.record.stamp == *stamp) else {
+            return false;
+        };
+        if entry.motion.as_ref().is_some_and(|known| known.number >= *number) {
+            return false;
+        }
+        let mut knowledge = match entry.motion.take() {
+            Some(known) => known.knowledge,
+            None => Box::new(entry.record.knowledge.clone()),
+        };
+        if let Some(robot) = &mut knowledge.robot {
+            motion.apply_to(robot);
+        }
+        entry.motion = Some(KnownMotion { number: *number, knowledge });
         true
     }
 

@@ -9,12 +9,14 @@ mod attributes;
 mod base;
 mod content;
 mod digest;
+mod motion;
 mod record;
 
 pub use attributes::Attributes;
 pub use base::{KnowledgeBase, KnownRecord};
 pub use content::{AWAITED_MAX, Availability, ChargerClaim, Charging, Knowledge, RobotKnowledge};
 pub use digest::{Digest, DigestScope};
+pub use motion::{Motion, MotionUpdate};
 pub use record::{Proof, Record, RecordStamp};
 
 #[cfg(test)]

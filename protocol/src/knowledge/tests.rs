@@ -123,3 +123,30 @@ fn the_record_of_a_later_incarnation_replaces_an_earlier_record() {
     assert!(base.merge(record(1, 2, 0), NodeTime::ZERO));
     assert!(!base.merge(record(1, 1, 10), NodeTime::ZERO));
 }
+
+#[test]
+fn motion_counts_for_its_version_of_the_record_and_is_not_forwarded() {
+    let mut base = KnowledgeBase::default();
+    let mut known = record(1, 1, 1);
+    known.knowledge.robot = Some(crate::ensemble::example_robot());
+    let (owner, robot) = (known.owner.clone(), known.knowledge.robot.clone().unwrap());
+    base.merge(known.clone(), NodeTime::ZERO);
+    let update = |number, place: &str, stamp| {
+        let motion = Motion::of(&RobotKnowledge { place: place.parse().unwrap(), ..robot.clone() });
+        MotionUpdate { stamp, number, motion: Some(motion) }
+    };
+    let place = |base: &KnowledgeBase| {
+        base.get(&owner).and_then(|known| known.knowledge().robot.as_ref()).map(|robot| robot.place.to_string())
+    };
+    assert!(base.receive_motion(&owner, &update(2, "Lab", known.stamp)));
+    assert!(!base.receive_motion(&owner, &update(2, "Store", known.stamp)), "repeated");
+    assert!(!base.receive_motion(&owner, &update(1, "Store", known.stamp)), "late");
+    assert!(!base.receive_motion(&owner, &update(3, "Store", RecordStamp { incarnation: 1, version: 2 })), "unknown");
+    assert_eq!(place(&base).as_deref(), Some("Lab"));
+    // The record that other nodes receive has the content that its owner has signed.
+    assert_eq!(base.missing_for(DigestScope::ALL, &Digest::new()), [&known]);
+    let next = Record { stamp: RecordStamp { incarnation: 1, version: 2 }, ..known };
+    assert!(base.merge(next.clone(), NodeTime::ZERO));
+    assert_eq!(place(&base), Some(robot.place.to_string()));
+    assert!(base.receive_motion(&owner, &update(1, "Store", next.stamp)), "numbers begin again with each version");
+}

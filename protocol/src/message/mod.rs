@@ -3,6 +3,7 @@
 //! | key | kind | sender → receiver | message | reply |
 //! |---|---|---|---|---|
 //! | `wire/knowledge/{node}` | publish | node → all | [`RecordUpdate`] | – |
+//! | `wire/motion/{node}` | publish | node → interested nodes | [`MotionUpdate`](crate::knowledge::MotionUpdate) | – |
 //! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
 //! | `wire/bootstrap/*` | query | candidate → nodes that may vote | [`BootstrapRequest`] | [`BootstrapReply`] |
 //! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |

@@ -156,6 +156,7 @@ impl<'s> TrialRun<'s> {
             dead_after: times.dead_after,
             snapshot_every: consort_raft::SNAPSHOT_EVERY,
             log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
+            scoped_knowledge: false,
             map: None,
         };
         let network = VirtualNetwork::new(derive(seed, &["network"]), LinkModel::LAN);

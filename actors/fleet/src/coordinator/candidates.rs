@@ -76,7 +76,7 @@ fn expected_replies(
     let mut expected = BTreeMap::new();
     for robot in robots {
         let Some(known) = base.get(&NodeId::from(robot.clone())) else { continue };
-        let Some(worker) = &known.record.knowledge.robot else { continue };
+        let Some(worker) = &known.knowledge().robot else { continue };
         let is_recent = known.age(now) <= RECORD_AGE_MAX;
         let mut by_role = BTreeMap::new();
         for (role, terms) in &terms {

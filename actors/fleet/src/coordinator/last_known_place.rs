@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 pub(crate) fn last_known_place(knowledge: &SharedKnowledge, robot: &RobotId) -> Option<PlaceId> {
     knowledge.read(|base| {
         let stored = base.get(&NodeId::from(robot.clone()))?;
-        stored.record.knowledge.robot.as_ref().map(|worker| worker.place.clone())
+        stored.knowledge().robot.as_ref().map(|worker| worker.place.clone())
     })
 }
 

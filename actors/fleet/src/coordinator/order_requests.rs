@@ -125,7 +125,7 @@ impl ApiHandler {
     pub(super) fn selected(&self, selection: &RobotSelection) -> Result<BTreeSet<RobotId>, ApiError> {
         let known: BTreeMap<RobotId, RobotKnowledge> = self.knowledge.read(|base| {
             let record = |(node, stored): (&NodeId, &KnownRecord)| {
-                Some((RobotId::from(node.clone()), stored.record.knowledge.robot.clone()?))
+                Some((RobotId::from(node.clone()), stored.knowledge().robot.clone()?))
             };
             base.iter().filter_map(record).collect()
         });

@@ -121,7 +121,7 @@ fn promised_robots<'l>(ledger: &'l Ledger, scope: Scope<'_>) -> BTreeSet<&'l Rob
 
 fn read_record<T>(knowledge: &SharedKnowledge, robot: &RobotId, read: impl Fn(&RobotKnowledge) -> T) -> Option<T> {
     let node = NodeId::from(robot.clone());
-    knowledge.read(|base| Some(read(base.get(&node)?.record.knowledge.robot.as_ref()?)))
+    knowledge.read(|base| Some(read(base.get(&node)?.knowledge().robot.as_ref()?)))
 }
 
 /// Returns the problem for which a robot cannot keep its promises. During an alarm it keeps them, since no other robot could

@@ -47,7 +47,7 @@ impl ApiHandler {
     fn check_robot(&self, mission: &MissionId, role: &RoleId, robot: &RobotId, is_pin: bool) -> Result<(), ApiError> {
         self.selected(&RobotSelection::Named(BTreeSet::from([robot.clone()])))?;
         let node = NodeId::from(robot.clone());
-        let known = self.knowledge.read(|base| base.get(&node)?.record.knowledge.robot.clone());
+        let known = self.knowledge.read(|base| base.get(&node)?.knowledge().robot.clone());
         let known = known.ok_or_else(|| format!("the coordinator has no record of {robot}; it must be switched on"))?;
         // The ledger rejects an unknown mission.
         let check = |entry: &MissionEntry| check_able(entry, role, (robot, &known), is_pin);

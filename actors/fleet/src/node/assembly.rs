@@ -9,8 +9,8 @@ use crate::ensemble_exchange::EnsembleExchange;
 use crate::events::EventPublisher;
 use crate::observe::SharedObserver;
 use crate::robot::{
-    ExecutionSettings, PricingSettings, Robot, RobotCharging, RobotLinks, RobotMessage, RobotSettings, RobotStart,
-    TaskTimeout,
+    ExecutionSettings, MotionScope, PricingSettings, Robot, RobotCharging, RobotLinks, RobotMessage, RobotSettings,
+    RobotStart, TaskTimeout,
 };
 use crate::robot_driver::{CLIENT_TIMEOUT, DriverClientSettings, DriverServer, DriverServerSettings, RobotDriver};
 use crate::shared_exchanges::SharedExchanges;
@@ -81,9 +81,15 @@ pub(super) async fn start_parts(
         Some(_) => WireVersion::starting_at(Exchange::SINCE, settings.supported_versions),
         None => WireVersion::new(settings.supported_versions),
     };
+    // The conditions of an ensemble that exchanges values are evaluated by its members, from recent records.
+    let exchanges_values = fleet.ensembles.iter().any(|ensemble| !ensemble.spec().exchange.is_empty());
+    let receives_motion = !fleet.scoped_knowledge || settings.stationary || settings.mains_powered || exchanges_values;
     let start = GossipStart {
-        settings: consort_gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation)
-            .with_timing(fleet.timing),
+        settings: consort_gossip::Settings {
+            scoped: fleet.scoped_knowledge,
+            receives_motion,
+            ..consort_gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation).with_timing(fleet.timing)
+        },
         knowledge,
         shared: SharedKnowledge::default(),
         bus: bus.clone(),
@@ -121,6 +127,9 @@ pub(super) async fn start_parts(
         Some(replica) => {
             assembly.follow_ledger_cluster(&replica);
             assembly.follow_ledger_version(&replica);
+            if !receives_motion {
+                assembly.receive_motion_as_member(&replica);
+            }
             assembly.serve_clock().await?;
             assembly.serve_leader(&replica).await?;
             let coordinator = assembly.start_coordinator(&replica, rng.next_u64()).await?;
@@ -268,6 +277,26 @@ impl Assembly {
                 let (cluster, version) = replica.read(|ledger| (ledger.cluster(), ledger.wire()));
                 wire_version.adopt(cluster, version);
                 if applied.changed().await.is_err() {
+                    return;
+                }
+            }
+        });
+    }
+
+    /// Receives the motion of robots while this node is a member of the ledger's cluster, and may have to coordinate.
+    fn receive_motion_as_member(&mut self, replica: &Replica<Ledger>) {
+        let (mut leadership, member, gossip) = (replica.leadership(), replica.id(), self.gossip.clone());
+        self.tasks.spawn(async move {
+            let mut receives = false;
+            loop {
+                let is_member = leadership.borrow_and_update().is_member(member);
+                if receives != is_member {
+                    receives = is_member;
+                    if gossip.receive_motion(receives).is_err() {
+                        return;
+                    }
+                }
+                if leadership.changed().await.is_err() {
                     return;
                 }
             }
@@ -450,6 +479,10 @@ impl Assembly {
             skill_tick_interval: Duration::from_millis(100),
         };
         let charging = self.fleet.charging.as_ref();
+        let motion_scope = match self.fleet.scoped_knowledge {
+            true => MotionScope::Apart { shared_places: charging.map(|all| all.places()).unwrap_or_default() },
+            false => MotionScope::InRecord,
+        };
         let charging = charging.and_then(|settings| RobotCharging::of(settings, &robot, &part.worker, part.capacity));
         let settings = RobotSettings {
             robot,
@@ -458,6 +491,7 @@ impl Assembly {
             pricing,
             execution,
             charging,
+            motion_scope,
             lease_terms: self.fleet.lease_terms,
             update_interval: Duration::from_millis(250),
         };

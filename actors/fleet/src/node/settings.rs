@@ -78,6 +78,9 @@ pub struct FleetSettings {
     pub snapshot_every: u64,
     /// Number of entries of the ledger that a node keeps although its snapshot covers them.
     pub log_entries_kept: u64,
+    /// Nodes receive what they use: motion and heartbeats go to nodes that do not move, run on mains power, or are members of
+    /// the ledger's cluster, and records go to all nodes when they change. For large fleets.
+    pub scoped_knowledge: bool,
     /// The fleet's map, served as `view/map`. No decision depends on it.
     pub map: Option<Arc<MapView>>,
 }

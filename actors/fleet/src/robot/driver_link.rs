@@ -3,7 +3,7 @@
 use super::energy_check::pricing_context;
 use super::recovery_policy::AttemptFailure;
 use super::release::DriverActivity;
-use super::worker_record::WorkerRecord;
+use super::worker_record::{Publication, WorkerRecord};
 use crate::robot_driver::{MapOrders, OpenQuestion, RobotDriver};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
@@ -46,14 +46,14 @@ impl DriverLink {
 
     /// Properties sensing (thesis, Listing 3.1): reads the latest driver report. `holding` is the
     /// availability of a robot with a role, `problem` a problem of the robot that has nothing to do
-    /// with its driver, and `charging` its charging. Returns the worker if it is to be published.
+    /// with its driver, and `charging` its charging. Returns what is to be published.
     pub(super) fn sense(
         &mut self,
         holding: Option<Availability>,
         problem: Option<String>,
         charging: Option<Charging>,
         now: NodeTime,
-    ) -> Option<RobotKnowledge> {
+    ) -> Option<Publication> {
         self.driver.refresh();
         let availability = match (holding, problem.or_else(|| self.driver_problem())) {
             (Some(holding), _) => holding,

@@ -68,3 +68,4 @@ pub(crate) use energy_check::pricing_context;
 pub use sequencer::{AlternativeProgress, OwnProgress, Sequencer, SequencerAction, StepRef};
 pub(crate) use settings::{ExecutionSettings, PricingSettings, RobotLinks, RobotSettings, RobotStart};
 pub(crate) use task_timeout::TaskTimeout;
+pub(crate) use worker_record::MotionScope;

@@ -2,6 +2,7 @@
 
 use super::charging::RobotCharging;
 use super::task_timeout::TaskTimeout;
+use super::worker_record::MotionScope;
 use crate::events::EventPublisher;
 use crate::robot_driver::RobotDriver;
 use consort_bus::SharedBus;
@@ -43,6 +44,8 @@ pub(crate) struct RobotSettings {
     pub(crate) execution: ExecutionSettings,
     /// Charging; `None` if the robot charges by tasks of missions only.
     pub(crate) charging: Option<RobotCharging>,
+    /// Nodes that receive the motion of the robot.
+    pub(crate) motion_scope: MotionScope,
     /// Durations of leases.
     pub(crate) lease_terms: LeaseTerms,
     /// Interval for properties sensing and for lease checks. Default 250 ms. Gossip is updated at

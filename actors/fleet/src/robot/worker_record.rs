@@ -1,8 +1,10 @@
 //! The robot's own record, as a value: its content, and the choice of changes worth publishing.
 
-use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
+use consort_protocol::ids::PlaceId;
+use consort_protocol::knowledge::{Availability, Charging, Motion, RobotKnowledge};
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::Telemetry;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Change of charge that is published through gossip: a guess. Bids and the robot itself use the
@@ -12,18 +14,43 @@ const CHARGE_STEP: f64 = 0.02;
 /// Minimum interval of publications while neither place, availability nor charging changes.
 const PUBLISH_INTERVAL: Duration = Duration::from_secs(1);
 
+/// Nodes that receive the motion of a robot.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum MotionScope {
+    /// All nodes: motion is part of the record.
+    InRecord,
+    /// The nodes that use it. The record, which all nodes receive, contains the motion at the time of its latest change.
+    Apart {
+        /// Places at which the robot arrives, and from which it departs, by a change of the record: all robots use
+        /// them without a coordinator.
+        shared_places: BTreeSet<PlaceId>,
+    },
+}
+
+/// What a robot publishes.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Publication {
+    /// The worker as a new record, to all nodes.
+    Record(RobotKnowledge),
+    /// The motion since the latest record, to the nodes that use it.
+    Motion(Motion),
+}
+
 /// The worker as of the latest telemetry, and as last published.
 pub(super) struct WorkerRecord {
     worker: RobotKnowledge,
+    scope: MotionScope,
     /// The worker as last sent to gossip since the start of this actor.
     published: Option<RobotKnowledge>,
+    /// The motion as last sent, in the record or apart.
+    sent: Option<Motion>,
     published_at: NodeTime,
 }
 
 impl WorkerRecord {
     /// Creates the record of a robot whose driver has not reported yet.
-    pub(super) fn new(worker: RobotKnowledge, now: NodeTime) -> WorkerRecord {
-        WorkerRecord { worker, published: None, published_at: now }
+    pub(super) fn new(worker: RobotKnowledge, scope: MotionScope, now: NodeTime) -> WorkerRecord {
+        WorkerRecord { worker, scope, published: None, sent: None, published_at: now }
     }
 
     pub(super) fn worker(&self) -> &RobotKnowledge {
@@ -31,14 +58,14 @@ impl WorkerRecord {
     }
 
     /// Updates the record. Without telemetry, place, pose and charge stay. Only a free robot charges.
-    /// Returns the worker if it is to be published now.
+    /// Returns what is to be published now.
     pub(super) fn update(
         &mut self,
         telemetry: Option<&Telemetry>,
         availability: Availability,
         charging: Option<Charging>,
         now: NodeTime,
-    ) -> Option<RobotKnowledge> {
+    ) -> Option<Publication> {
         if let Some(report) = telemetry {
             self.worker.place = report.place.clone();
             self.worker.pose = report.pose;
@@ -46,30 +73,62 @@ impl WorkerRecord {
         }
         self.worker.charging = charging.filter(|_| availability == Availability::Free);
         self.worker.availability = availability;
-        if !self.must_publish(now) {
-            return None;
-        }
+        let publication = self.next_publication(now)?;
         self.published_at = now;
-        self.published = Some(self.worker.clone());
-        self.published.clone()
+        match &publication {
+            Publication::Record(worker) => {
+                self.sent = Some(Motion::of(worker));
+                self.published = Some(worker.clone());
+            }
+            Publication::Motion(motion) => self.sent = Some(motion.clone()),
+        }
+        Some(publication)
     }
 
-    fn must_publish(&self, now: NodeTime) -> bool {
-        let Some(published) = &self.published else { return true };
-        let is_urgent = published.availability != self.worker.availability
-            || published.place != self.worker.place
-            || published.charging != self.worker.charging;
+    fn next_publication(&self, now: NodeTime) -> Option<Publication> {
+        let record = || Publication::Record(self.worker.clone());
+        let Some(published) = &self.published else { return Some(record()) };
         let is_due = now.since(self.published_at) >= PUBLISH_INTERVAL;
-        is_urgent || is_due && is_worth_publishing(published, &self.worker)
+        match &self.scope {
+            MotionScope::InRecord => {
+                let is_urgent = published.availability != self.worker.availability
+                    || published.place != self.worker.place
+                    || published.charging != self.worker.charging;
+                (is_urgent || is_due && is_worth_publishing(published, &self.worker)).then(record)
+            }
+            MotionScope::Apart { shared_places } if is_for_all(published, &self.worker, shared_places) => {
+                Some(record())
+            }
+            MotionScope::Apart { .. } => {
+                let motion = Motion::of(&self.worker);
+                let has_passed_place = self.sent.as_ref().is_none_or(|sent| sent.place() != motion.place());
+                let is_worth_sending = self.sent.as_ref().is_none_or(|sent| motion.is_worth_sending(sent));
+                (has_passed_place || is_due && is_worth_sending).then_some(Publication::Motion(motion))
+            }
+        }
     }
+}
+
+/// Checks whether all nodes use the change of the worker since its published record.
+fn is_for_all(published: &RobotKnowledge, now: &RobotKnowledge, shared_places: &BTreeSet<PlaceId>) -> bool {
+    let is_shared = |worker: &RobotKnowledge| shared_places.contains(&worker.place);
+    let RobotKnowledge { place, pose, battery, .. } = published;
+    let in_place = RobotKnowledge { place: place.clone(), pose: *pose, battery: *battery, ..now.clone() };
+    in_place != *published
+        || is_useful(published) != is_useful(now)
+        || published.place != now.place && (is_shared(published) || is_shared(now))
+}
+
+/// Checks whether the robot has enough charge to be useful.
+fn is_useful(worker: &RobotKnowledge) -> bool {
+    worker.battery >= worker.useful_charge
 }
 
 /// Checks whether a change of the worker is worth publishing. An idle robot loses a little charge
 /// every second, which affects no decision.
 fn is_worth_publishing(published: &RobotKnowledge, now: &RobotKnowledge) -> bool {
     let lost = (published.battery.get() - now.battery.get()).abs() >= CHARGE_STEP;
-    let useful = |worker: &RobotKnowledge| worker.battery >= worker.useful_charge;
-    lost || useful(published) != useful(now)
+    lost || is_useful(published) != is_useful(now)
         || RobotKnowledge { battery: published.battery, ..now.clone() } != *published
 }
 
@@ -79,7 +138,6 @@ mod tests {
     use crate::robot::test_values::idle_robot;
     use consort_protocol::pose::Pose;
     use consort_protocol::units::{BatteryShare, WorldTime};
-    use std::collections::BTreeSet;
 
     fn at(ms: u64) -> NodeTime {
         NodeTime::default() + Duration::from_millis(ms)
@@ -99,19 +157,48 @@ mod tests {
 
     fn record() -> WorkerRecord {
         let worker = RobotKnowledge { place: "Yard".parse().unwrap(), ..idle_robot() };
-        let mut record = WorkerRecord::new(worker, at(0));
+        let mut record = WorkerRecord::new(worker, MotionScope::InRecord, at(0));
         assert!(record.update(Some(&telemetry("Dock", 0.9)), Availability::Free, None, at(0)).is_some());
         record
+    }
+
+    /// Returns the worker of a publication that is a record.
+    fn worker(publication: Option<Publication>) -> RobotKnowledge {
+        match publication {
+            Some(Publication::Record(worker)) => worker,
+            other => panic!("no record: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn motion_changes_the_record_only_at_places_that_all_robots_use() {
+        let shared_places = BTreeSet::from(["Charger".parse().unwrap()]);
+        let mut record = WorkerRecord::new(idle_robot(), MotionScope::Apart { shared_places }, at(0));
+        let mut update = |place: &str, x: f64, battery: f64, ms: u64| {
+            let telemetry = Telemetry { pose: Pose::new(x, 0.0, 0.0), ..telemetry(place, battery) };
+            record.update(Some(&telemetry), Availability::Free, None, at(ms))
+        };
+        let is_motion = |publication: Option<Publication>| matches!(publication, Some(Publication::Motion(_)));
+        assert_eq!(worker(update("Dock", 0.0, 0.9, 0)).place.as_str(), "Dock");
+        assert_eq!(update("Dock", 0.5, 0.9, 500), None, "too early");
+        assert!(is_motion(update("Dock", 1.0, 0.9, 1_000)));
+        assert_eq!(update("Dock", 1.1, 0.89, 9_000), None, "within the dead band");
+        assert!(is_motion(update("Lab", 1.1, 0.89, 9_100)), "a passed place");
+        assert!(is_motion(update("Lab", 1.1, 0.8, 10_100)), "its charge");
+        assert_eq!(worker(update("Charger", 2.0, 0.8, 10_200)).pose.x, 2.0, "arrives at a charger");
+        assert_eq!(worker(update("Lab", 1.1, 0.8, 10_300)).place.as_str(), "Lab", "departs from a charger");
+        let problem = Availability::OutOfService { problem: "its driver does not reply".to_owned() };
+        assert_eq!(worker(record.update(None, problem.clone(), None, at(10_400))).availability, problem);
     }
 
     #[test]
     fn a_new_place_or_availability_is_published_at_once() {
         let mut record = record();
         assert_eq!(record.update(Some(&telemetry("Dock", 0.8)), Availability::Free, None, at(100)), None);
-        let moved = record.update(Some(&telemetry("Lab", 0.8)), Availability::Free, None, at(200)).unwrap();
+        let moved = worker(record.update(Some(&telemetry("Lab", 0.8)), Availability::Free, None, at(200)));
         assert_eq!((moved.place.as_str(), moved.battery.get()), ("Lab", 0.8));
         let problem = Availability::OutOfService { problem: "its driver does not reply".to_owned() };
-        let failed = record.update(None, problem.clone(), None, at(300)).unwrap();
+        let failed = worker(record.update(None, problem.clone(), None, at(300)));
         assert_eq!((failed.place.as_str(), failed.availability), ("Lab", problem));
     }
 
@@ -119,10 +206,10 @@ mod tests {
     fn charging_of_a_free_robot_is_published_at_once() {
         let mut record = record();
         let waiting = Charging::Waiting { chargers: BTreeSet::new() };
-        let published = record.update(None, Availability::Free, Some(waiting.clone()), at(100)).unwrap();
+        let published = worker(record.update(None, Availability::Free, Some(waiting.clone()), at(100)));
         assert_eq!(published.charging, Some(waiting.clone()));
         let problem = Availability::OutOfService { problem: "its driver does not reply".to_owned() };
-        let failed = record.update(None, problem, Some(waiting), at(200)).unwrap();
+        let failed = worker(record.update(None, problem, Some(waiting), at(200)));
         assert_eq!(failed.charging, None);
     }
 

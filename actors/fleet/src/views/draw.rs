@@ -346,7 +346,7 @@ impl ViewContext<'_> {
         let alive = status.is_some_and(MemberStatus::is_alive);
         let in_ledger = self.robots_in_ledger();
         let by_ledger = in_ledger.map(|robots| robots.held.get(&robot_id).cloned());
-        let mut robot = record.knowledge.robot.clone();
+        let mut robot = stored.knowledge().robot.clone();
         if let (false, Some(worker)) = (alive, &mut robot) {
             worker.availability =
                 availability_when_down(&worker.availability, by_ledger.as_ref().and_then(Option::as_ref));

@@ -301,21 +301,30 @@ impl ViewService {
             || wanted(&Key::ViewHealth)
             || wanted(&Key::ViewFleet)
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
-        if needs_ledger && !context.status.has_ledger {
-            match self.query_voter(requested, &context.status).await {
-                Some(mut voter_views) => {
-                    if let Some((_, of_voter)) = voter_views.extract_if(.., |(key, _)| *key == Key::ViewFleet).next()
-                        && let Some((_, own)) = views.iter_mut().find(|(key, _)| *key == Key::ViewFleet)
-                    {
-                        copy_ledger_part(&of_voter, own);
-                    }
-                    let contributes =
-                        |(key, value): &(Key, Value)| is_of_ledger(key) && wanted(key) && value.get("error").is_none();
-                    for (key, value) in voter_views.into_iter().filter(contributes) {
-                        views.retain(|(own, _)| *own != key);
+        let lacks_ledger = needs_ledger && !context.status.has_ledger;
+        let lacks_motion =
+            !self.views.knowledge.receives_motion() && views.iter().any(|(key, _)| self.shows_motion(key));
+        if lacks_ledger || lacks_motion {
+            let is_lacking = |key: &Key| {
+                let of_ledger = is_of_ledger(key) || *key == Key::ViewFleet;
+                wanted(key) && (lacks_ledger && of_ledger || lacks_motion && self.shows_motion(key))
+            };
+            match self.query_voter(requested, &context.status, &is_lacking).await {
+                Some(voter_views) => {
+                    let contributes = |(key, value): &(Key, Value)| is_lacking(key) && value.get("error").is_none();
+                    for (key, mut value) in voter_views.into_iter().filter(contributes) {
+                        let own = views.iter().position(|(own, _)| *own == key);
+                        if let Some(own) = own.filter(|_| key == Key::ViewFleet && !lacks_motion) {
+                            copy_ledger_part(&value, &mut views[own].1);
+                            continue;
+                        }
+                        if let Some(own) = own {
+                            keep_driver_values(&views.remove(own).1, &mut value);
+                        }
                         views.push((key, value));
                     }
                 }
+                None if !lacks_ledger => {}
                 None => {
                     let error = ErrorReply::retry_after("no voter of the ledger replies", RETRY_AFTER_MS);
                     let named = named.map(Key::ViewMission);
@@ -349,11 +358,24 @@ impl ViewService {
         views
     }
 
-    /// Returns the views of the ledger from the coordinator, else from any other voter.
-    async fn query_voter(&self, requested: &keyexpr, status: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
+    /// Checks whether a view contains places, poses or charges of other robots.
+    fn shows_motion(&self, key: &Key) -> bool {
+        match key {
+            Key::ViewFleet | Key::ViewEnsembles => true,
+            Key::ViewRobot(robot) => NodeId::from(robot.clone()) != self.views.node,
+            _ => false,
+        }
+    }
+
+    /// Returns the views that this node lacks from the coordinator, else from any other voter.
+    async fn query_voter(
+        &self,
+        requested: &keyexpr,
+        status: &ClusterStatus,
+        is_lacking: &(impl Fn(&Key) -> bool + Sync),
+    ) -> Option<Vec<(Key, Value)>> {
         let Views { keys, bus, knowledge, node, .. } = &*self.views;
         let only_health = requested.as_str() == keys.write(&Key::ViewHealth);
-        let only_fleet = requested.as_str() == keys.write(&Key::ViewFleet);
         let coordinator = status.coordinator.iter();
         let others = status.voters.iter().filter(|voter| Some(*voter) != status.coordinator.as_ref());
         let voters = coordinator.chain(others).filter(|voter| *voter != node && knowledge.is_alive(voter));
@@ -371,11 +393,11 @@ impl ViewService {
                     views.push((*view, value));
                 }
             }
-            // A former voter has no missions to show.
+            // A former voter has no ledger.
             let is_shown = |(key, view): &(Key, Value)| match key {
-                Key::ViewFleet => only_fleet && has_ledger_part(view),
+                Key::ViewFleet => has_ledger_part(view),
                 Key::ViewHealth => only_health,
-                key => is_of_ledger(key),
+                key => is_lacking(key),
             };
             if views.iter().any(is_shown) {
                 return Some(views);
@@ -491,6 +513,16 @@ impl ViewService {
         status.voters_lost.sort();
         status.voters_lost.dedup();
         status
+    }
+}
+
+/// Copies the values of the driver from a view of a robot that this node has drawn to the view of a voter, which
+/// has not received them.
+fn keep_driver_values(own: &Value, of_voter: &mut Value) {
+    for field in ["readings", "feedback"] {
+        if let (Some(value), Some(view)) = (own.get(field), of_voter.as_object_mut()) {
+            view.insert(field.to_owned(), value.clone());
+        }
     }
 }
 

@@ -6,6 +6,7 @@ use crate::record_store::RecordStore;
 use crate::settings::Settings;
 use crate::shared::{GossipState, MemberStatus};
 use consort_protocol::ids::NodeId;
+use consort_protocol::knowledge::Motion;
 use consort_protocol::message::RecordUpdate;
 use consort_protocol::units::NodeTime;
 use rand::RngExt;
@@ -66,7 +67,15 @@ impl<'a> Context<'a> {
     /// Publishes the whole own record, and starts to repeat it.
     pub(super) fn publish(&mut self) {
         self.repeat_full_record();
-        self.republish();
+        let record = RecordUpdate::Record(self.core.records.own().clone());
+        self.push_update(Action::Publish(record));
+    }
+
+    /// Publishes the motion of the own robot.
+    pub(super) fn move_robot(&mut self, motion: Motion) {
+        let update = self.core.records.move_robot(motion, self.state);
+        self.push_update(Action::PublishMotion(update));
+        self.core.changed = true;
     }
 
     /// Starts the period in which the whole record is repeated.
@@ -74,22 +83,32 @@ impl<'a> Context<'a> {
         self.core.full_record_until = self.now + FULL_RECORD_PERIOD;
     }
 
-    /// Publishes the own record again, or a refresh of it.
-    pub(super) fn republish(&mut self) {
+    /// Publishes the own record again, or a refresh of it. In a large fleet a node that missed the record receives it by
+    /// anti-entropy, or queries the owner after a heartbeat.
+    fn republish(&mut self) {
+        let action = if self.core.settings.scoped {
+            Action::PublishMotion(self.core.records.motion_update())
+        } else if self.now < self.core.full_record_until {
+            Action::Publish(RecordUpdate::Record(self.core.records.own().clone()))
+        } else {
+            Action::Publish(self.core.records.refresh())
+        };
+        self.push_update(action);
+    }
+
+    fn push_update(&mut self, action: Action) {
         self.core.last_published = self.now;
         self.state.counters.published += 1;
-        let full_record = self.now < self.core.full_record_until;
-        self.actions.push(Action::Publish(if full_record {
-            RecordUpdate::Record(self.core.records.own().clone())
-        } else {
-            self.core.records.refresh()
-        }));
+        self.actions.push(action);
     }
 
     /// Publishes the heartbeat and schedules the next.
     pub(super) fn heartbeat(&mut self) {
         let interval = self.heartbeat_interval();
-        self.core.records.repeat(self.core.settings.renew, interval, self.state, self.now);
+        let Settings { renew, scoped, .. } = self.core.settings;
+        // Equal versions let two nodes of a large fleet compare their records by sums.
+        let renew = if scoped { Duration::MAX } else { renew };
+        self.core.records.repeat(renew, interval, self.state, self.now);
         // A change published a moment ago counts as a heartbeat.
         if self.now.since(self.core.last_published) * 2 > interval {
             self.republish();
@@ -100,11 +119,26 @@ impl<'a> Context<'a> {
     /// Returns the heartbeat interval. It is longer in a large fleet, to limit the messages that
     /// each node receives.
     pub(super) fn heartbeat_interval(&self) -> Duration {
+        self.extended_interval().max(self.core.settings.heartbeat)
+    }
+
+    /// Returns the delay of a greeting: random in a large fleet, since all nodes see a newcomer at once. Most of them hear of
+    /// it from others meanwhile. A newcomer itself, which knows few nodes, greets them soon.
+    pub(super) fn greeting_delay(&mut self) -> Duration {
+        if !self.core.settings.scoped {
+            return Duration::ZERO;
+        }
+        let delay_max = self.extended_interval();
+        self.core.random_up_to(delay_max)
+    }
+
+    /// Returns an interval for messages that each node receives from all others.
+    fn extended_interval(&self) -> Duration {
         let alive = self.state.status.values().filter(|status| status.is_alive()).count();
         let extended = INTERVAL_PER_NODE.saturating_mul(u32::try_from(alive).unwrap_or(u32::MAX));
         // For any fleet size the age of received records stays within the interval of version
         // renewal.
-        extended.min(self.core.settings.renew).max(self.core.settings.heartbeat)
+        extended.min(self.core.settings.renew)
     }
 
     /// Schedules a timer after `delay` with a random deviation of up to a tenth. Never at once, or

@@ -4,7 +4,7 @@ use crate::record_store::RecordTooLarge;
 use crate::swim::SwimError;
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::Knowledge;
+use consort_protocol::knowledge::{Knowledge, Motion, MotionUpdate};
 use consort_protocol::message::{Exchange, RecordUpdate};
 
 /// A change of the own knowledge.
@@ -15,6 +15,10 @@ pub(crate) type Change = Box<dyn FnOnce(&mut Knowledge) + Send>;
 pub(crate) enum Event {
     /// The node's own knowledge changes.
     KnowledgeChanged(Change),
+    /// The robot of the node moves, or its charge changes.
+    MotionChanged(Motion),
+    /// A node published the motion of its robot.
+    MotionPublished(NodeId, MotionUpdate),
     /// A node published an update of its record.
     Published(NodeId, RecordUpdate),
     /// A packet of failure detection arrived.
@@ -41,6 +45,8 @@ pub(crate) enum Event {
 pub(crate) enum Action {
     /// Publish an update of the own record.
     Publish(RecordUpdate),
+    /// Publish the motion of the own robot, or the confirmation of the own record.
+    PublishMotion(MotionUpdate),
     /// Send a packet to a node.
     Send(NodeId, Bytes),
     /// Compare digests with a peer, and return its reply as [`Event::ReplyReceived`] with the same

@@ -31,7 +31,13 @@ pub(super) struct Membership {
 impl Membership {
     pub(super) fn new(settings: &Settings, rng: ChaCha8Rng) -> Membership {
         Membership {
-            swim: Swim::new(settings.node.clone(), settings.incarnation, settings.swim(), rng),
+            swim: Swim::new(
+                settings.node.clone(),
+                settings.incarnation,
+                settings.swim(),
+                settings.confidants_max(),
+                rng,
+            ),
             tokens: BTreeSet::new(),
             to_announce: BTreeSet::new(),
             queried: BTreeMap::new(),
@@ -159,7 +165,8 @@ impl Membership {
             return;
         }
         if self.to_announce.is_empty() {
-            context.set_timer(Duration::ZERO, ScheduledTimer::Announce);
+            let delay = context.greeting_delay();
+            context.set_timer(delay, ScheduledTimer::Announce);
         }
         self.to_announce.insert(node);
     }

@@ -100,6 +100,8 @@ impl Gossiper {
         let context = &mut Context::new(core, state, now);
         match event {
             Event::KnowledgeChanged(change) => change_knowledge(change, context)?,
+            Event::MotionChanged(motion) => context.move_robot(motion),
+            Event::MotionPublished(owner, update) => reception::receive_motion(owner, &update, membership, context)?,
             Event::Published(owner, update) => reception::receive_update(owner, update, membership, context)?,
             Event::Packet(bytes) => membership.receive_packet(&bytes, context)?,
             Event::Token(node, _) if node == context.core.settings.node => {}

@@ -5,7 +5,7 @@ use super::event::GossipError;
 use super::membership::Membership;
 use crate::record_store::{MergeOutcome, Refresh};
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Digest, Record, RecordStamp};
+use consort_protocol::knowledge::{Digest, MotionUpdate, Record, RecordStamp};
 use consort_protocol::message::RecordUpdate;
 
 /// Maximum lead of an earlier incarnation over this one, in milliseconds: a century, for clocks
@@ -26,18 +26,41 @@ pub(super) fn receive_update(
             context.state.base.confirm(&owner, stamp, context.now);
         }
         RecordUpdate::Refresh { stamp, since, proof } => {
-            let refresh = Refresh { owner: &owner, stamp, since, proof };
-            match context.core.records.receive_refresh(refresh, context.state, context.now) {
-                MergeOutcome::Own(stamp) => overtake(stamp, membership, context)?,
-                MergeOutcome::Renewed | MergeOutcome::Changed => membership.confirm(&owner, context)?,
-                MergeOutcome::Missing | MergeOutcome::Stale => {}
-            }
+            receive_refresh(Refresh { owner: &owner, stamp, since, proof }, membership, context)?;
         }
     }
     // A publisher deserves an announcement. Receiving from it is no proof that it receives from
     // this node.
     membership.schedule_announcement(owner, context);
     Ok(())
+}
+
+/// Handles the motion that a node published of its robot, which also confirms its record.
+pub(super) fn receive_motion(
+    owner: NodeId,
+    update: &MotionUpdate,
+    membership: &mut Membership,
+    context: &mut Context<'_>,
+) -> Result<(), GossipError> {
+    let refresh = Refresh { owner: &owner, stamp: update.stamp, since: update.stamp.version, proof: None };
+    receive_refresh(refresh, membership, context)?;
+    let is_own = owner == context.core.settings.node;
+    context.core.changed |= !is_own && context.state.base.receive_motion(&owner, update);
+    membership.schedule_announcement(owner, context);
+    Ok(())
+}
+
+fn receive_refresh(
+    refresh: Refresh<'_>,
+    membership: &mut Membership,
+    context: &mut Context<'_>,
+) -> Result<(), GossipError> {
+    let owner = refresh.owner;
+    match context.core.records.receive_refresh(refresh, context.state, context.now) {
+        MergeOutcome::Own(stamp) => overtake(stamp, membership, context),
+        MergeOutcome::Renewed | MergeOutcome::Changed => membership.confirm(owner, context),
+        MergeOutcome::Missing | MergeOutcome::Stale => Ok(()),
+    }
 }
 
 /// Merges the records from a peer. Returns true if any of them was new.

@@ -47,7 +47,7 @@ fn run(
                     requests.push((peer, exchange));
                     actions.extend(ada.handle(Event::ReplyReceived(number, reply()), state, at(ms)).unwrap());
                 }
-                Action::Send(..) | Action::SendReply(_) => {}
+                Action::PublishMotion(_) | Action::Send(..) | Action::SendReply(_) => {}
             }
         }
     }

@@ -14,6 +14,7 @@ use foca::{
     OwnedNotification, State,
 };
 use packet::{PacketCodec, PacketError, SwimId};
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -158,6 +159,10 @@ pub(super) struct Swim {
     members_queried: BTreeSet<NodeId>,
     probe_period: Duration,
     deferral_max: Duration,
+    /// Maximum number of members that are notified or asked about a suspect.
+    confidants_max: usize,
+    /// Chooses them.
+    rng: ChaCha8Rng,
 }
 
 /// Probe number of a query that is not foca's: foca counts up and reaches this number once in 256
@@ -174,10 +179,16 @@ const DEFERRALS_MAX: u32 = 7;
 const UNCONFIRMED_MAX: usize = 1024;
 
 impl Swim {
-    pub(super) fn new(node: NodeId, incarnation: u64, config: foca::Config, rng: ChaCha8Rng) -> Swim {
+    pub(super) fn new(
+        node: NodeId,
+        incarnation: u64,
+        config: foca::Config,
+        confidants_max: usize,
+        rng: ChaCha8Rng,
+    ) -> Swim {
         let (probe_period, deferral_max) = (config.probe_period, config.suspect_to_down_after * DEFERRALS_MAX);
         Swim {
-            foca: Foca::new(SwimId { node, incarnation, rejoins: 0 }, config, rng, PacketCodec),
+            foca: Foca::new(SwimId { node, incarnation, rejoins: 0 }, config, rng.clone(), PacketCodec),
             confirmed: BTreeMap::new(),
             unconfirmed: BTreeMap::new(),
             suspects: BTreeSet::new(),
@@ -187,6 +198,8 @@ impl Swim {
             members_queried: BTreeSet::new(),
             probe_period,
             deferral_max,
+            confidants_max,
+            rng,
         }
     }
 
@@ -311,11 +324,11 @@ impl Swim {
         PROBES_MAX - (self.probe_answers & ((1 << PROBES_MAX) - 1)).count_ones()
     }
 
-    /// Queries the view of all members: the answer of a suspect may have reached them, and not this
-    /// node.
+    /// Queries the view of all members, or of some in a large fleet: the answer of a suspect may have reached
+    /// them, and not this node.
     fn query_members(&mut self) -> Result<Vec<SwimAction>, SwimError> {
-        let all: Vec<SwimId> = self.foca.iter_members().map(|member| member.id().clone()).collect();
-        self.act(|foca, runtime| all.into_iter().try_for_each(|member| foca.announce(member, &mut *runtime)))
+        let asked = self.confidants(None);
+        self.act(|foca, runtime| asked.into_iter().try_for_each(|member| foca.announce(member, &mut *runtime)))
     }
 
     /// Checks whether to wait for another probe before a verdict. An unhealthy node waits as long
@@ -383,6 +396,20 @@ impl Swim {
         self.foca.iter_members().map(tell).collect()
     }
 
+    /// Returns the members to notify or to ask about a suspect: random members in a large fleet, else all.
+    fn confidants(&mut self, suspect: Option<&SwimId>) -> Vec<SwimId> {
+        let others = self.foca.iter_members().map(Member::id).filter(|id| Some(*id) != suspect);
+        let mut others: Vec<SwimId> = others.cloned().collect();
+        if others.len() > self.confidants_max {
+            for place in 0..self.confidants_max {
+                let chosen = self.rng.random_range(place..others.len());
+                others.swap(place, chosen);
+            }
+            others.truncate(self.confidants_max);
+        }
+        others
+    }
+
     /// Checks whether a member is still suspected and has not increased its incarnation since.
     fn unanswered(&self, id: &SwimId, incarnation: foca::Incarnation) -> bool {
         let mut members = self.foca.iter_members();
@@ -442,10 +469,10 @@ impl Swim {
         while let Some((after, timer)) = runtime.to_schedule() {
             if let foca::Timer::ChangeSuspectToDown { member_id, .. } = &timer {
                 // The own probe failed. Every node that receives from this node should receive the
-                // suspicion at once: random gossip needs a healthy link to most members.
-                let all = self.foca.iter_members().filter(|member| member.id() != member_id);
-                let all: Vec<SwimId> = all.map(|member| member.id().clone()).collect();
-                actions.extend(all.iter().filter_map(|to| self.send_suspicion(to, member_id)));
+                // suspicion at once: random gossip needs a healthy link to most members. In a large
+                // fleet, where relays connect all nodes, it spreads from some of them.
+                let confidants = self.confidants(Some(member_id));
+                actions.extend(confidants.iter().filter_map(|to| self.send_suspicion(to, member_id)));
             }
             actions.push(SwimAction::SetTimer(extended(after, &timer), timer));
         }

@@ -61,7 +61,8 @@ pub struct FleetConfig {
     pub voters: usize,
     /// Planned number of nodes: robots, stations and worlds. From 30 on only stations, worlds and nodes on
     /// mains power relay messages for others, and all other nodes connect to them, unless `relay` of a
-    /// node says otherwise. Default: a small fleet, in which every node relays.
+    /// node says otherwise. The places and charges of moving robots then go to stations, worlds, nodes on mains
+    /// power and voters only. Default: a small fleet, in which every node relays.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub planned_nodes: Option<usize>,
     /// Time that a voter must be unreachable until another replaces it, in milliseconds. Default:

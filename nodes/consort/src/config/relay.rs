@@ -98,7 +98,7 @@ struct LinkFacts<'a> {
 
 impl LinkFacts<'_> {
     fn decide(&self) -> Result<LinkRole, RelayError> {
-        let is_small = self.planned_nodes.is_none_or(|nodes| nodes < LARGE_FLEET);
+        let is_small = !is_large(self.planned_nodes);
         match self.setting {
             RelaySetting::Yes => Ok(LinkRole::Relay(RoleReason::Setting)),
             RelaySetting::No if self.connect.is_empty() => Err(RelayError::NoRelay),
@@ -129,6 +129,18 @@ impl LinkFacts<'_> {
         relays.dedup();
         relays.truncate(RELAYS_MAX);
         relays
+    }
+}
+
+/// Checks whether a fleet with this setting is large.
+fn is_large(planned_nodes: Option<usize>) -> bool {
+    planned_nodes.is_some_and(|nodes| nodes >= LARGE_FLEET)
+}
+
+impl FleetConfig {
+    /// Checks whether the fleet is large: nodes on battery power connect to relays, and receive what they use.
+    pub(crate) fn is_large(&self) -> bool {
+        is_large(self.planned_nodes)
     }
 }
 

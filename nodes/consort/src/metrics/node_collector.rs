@@ -122,7 +122,7 @@ impl MetricSources {
         let (mut batteries, mut ages, mut states) = (vec![], vec![], vec![]);
         self.knowledge.read(|base| {
             for (node, heard) in base.iter() {
-                let Some(worker) = &heard.record.knowledge.robot else { continue };
+                let Some(worker) = &heard.knowledge().robot else { continue };
                 let robot = || ("robot", node.to_string());
                 batteries.push((vec![robot()], worker.battery.get()));
                 ages.push((vec![robot()], heard.age(now).as_secs_f64()));

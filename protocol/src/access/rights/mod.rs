@@ -3,6 +3,7 @@
 //! | key | publishes | queries | replies |
 //! |---|---|---|---|
 //! | `wire/knowledge/{node}` | that node, of itself | – | – |
+//! | `wire/motion/{node}` | that node | – | – |
 //! | `wire/swim/{node}` | any node | – | – |
 //! | `wire/gossip/{node}` | – | any node | that node |
 //! | `wire/certificate/{fingerprint}` | – | (unsigned) | (unsigned: the certificate proves itself) |
@@ -187,6 +188,7 @@ fn permitted_content(node: &Node<'_>, operation: Operation, key: &str) -> Option
     let unnamed = |permitted: bool| permitted.then_some(NamedContent::None);
     match (segments.as_slice(), operation) {
         (&["wire", "knowledge", name], Publish) => node.is_named(name).then_some(NamedContent::RecordUpdate),
+        (&["wire", "motion", name], Publish) => unnamed(node.is_named(name)),
         (&["wire", "swim", _], Publish) => unnamed(true),
         (&["wire", "gossip", _], Query) => unnamed(true),
         (&["wire", "gossip", name], Reply) => unnamed(node.is_named(name)),

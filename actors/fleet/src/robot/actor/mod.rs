@@ -68,7 +68,8 @@ impl Actor for Robot {
         let notices = bus.serve(&keys.write(&Key::Award(robot.clone()))).await?;
         tasks.forward_queries(notices, &myself, RobotMessage::AwardNotice);
         let (now, report_timeout) = (settings.links.clock.now(), settings.execution.task_timeout.report_timeout);
-        let driver = DriverLink::new(driver, WorkerRecord::new(worker, now), report_timeout);
+        let record = WorkerRecord::new(worker, settings.motion_scope.clone(), now);
+        let driver = DriverLink::new(driver, record, report_timeout);
         let (mut changes, to) = (driver.changes(), myself.clone());
         let interval = settings.update_interval;
         tasks.spawn(async move {

@@ -156,13 +156,20 @@ impl RobotState {
         let charging = self.charging.as_ref().and_then(ChargeControl::published);
         let limits = self.driver.speed_limits();
         self.driver.set_map_orders(self.orders.map_orders(now));
-        let worker = self.driver.sense(holding, problem, charging, now);
+        let publication = self.driver.sense(holding, problem, charging, now);
         if self.driver.speed_limits() != limits {
             self.extend_timers();
         }
-        let Some(worker) = worker else { return };
-        let worker = self.settings.pricing.ensembles.published(worker);
-        if self.settings.links.gossip.update_with(move |knowledge| knowledge.robot = Some(worker)).is_err() {
+        let gossip = &self.settings.links.gossip;
+        let published = match publication {
+            Some(Publication::Record(worker)) => {
+                let worker = self.settings.pricing.ensembles.published(worker);
+                gossip.update_with(move |knowledge| knowledge.robot = Some(worker))
+            }
+            Some(Publication::Motion(motion)) => gossip.move_robot(motion),
+            None => return,
+        };
+        if published.is_err() {
             debug!(robot = %self.settings.robot, "gossip has stopped");
         }
     }

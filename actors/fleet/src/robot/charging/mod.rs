@@ -65,6 +65,13 @@ pub struct ChargingSettings {
     pub curve: ChargingCurve,
 }
 
+impl ChargingSettings {
+    /// Returns all chargers and places for parking. Each robot leaves those at which others stand.
+    pub(crate) fn places(&self) -> BTreeSet<PlaceId> {
+        self.chargers.iter().map(|charger| &charger.place).chain(&self.parking).cloned().collect()
+    }
+}
+
 impl From<&ChargingSettings> for ChargingView {
     fn from(settings: &ChargingSettings) -> ChargingView {
         let ChargeThresholds { below, until, opportunistic } = settings.thresholds;
