@@ -43,6 +43,7 @@ mod robot_orders;
 mod role_orders;
 mod scale;
 mod schedules;
+mod scoped_knowledge;
 mod speed_limits;
 mod spread_loops;
 mod stalls;

@@ -5,6 +5,7 @@
 //!   Gossip ─────────────────────────────────────────────────────────────────────────────▶ all
 //!   Gossip ◀── query wire/gossip/{peer}: sums, digests where they differ, and records ───▶ one peer, each round
 //!   Gossip ◀── publish wire/swim/{node}: probes, suspicions, verdicts (SWIM) ────────────▶ a few
+//!   Gossip ── publish wire/motion/{me}: heartbeats and the motion of the robot, in a large fleet ────────▶ subscribers
 //!   Gossip ──▶ token alive/node/{me}; ◀── alive/node/*
 //! ```
 //!
@@ -31,6 +32,17 @@
 //!   classes of owners first, and exchange digests only of the classes that differ. In a large
 //!   fleet heartbeats are rarer: a node receives at most some twenty a second, until every owner is
 //!   down to one in `renew`.
+//! - In a large fleet (`scoped` of the settings) a node receives what it uses. Records go to all nodes, once, when they
+//!   change; a node that missed one receives it by anti-entropy, as a newcomer receives all from one peer. Place, pose and
+//!   charge of robots and the heartbeats go to `wire/motion/*`, to which stations, members of the ledger's cluster and
+//!   watchers subscribe. Motion counts for one version of the record, and is neither signed nor forwarded. A record
+//!   contains the motion at the time of its latest change. Versions are not renewed, so equal records have equal sums, and a
+//!   subscriber without a path to the owner does not see that it still publishes.
+//! - A subscriber has the motion of each robot within a heartbeat, at most 5.5 s after it has subscribed. Then a record is at
+//!   most as old, and a place or pose at most 1 s or as old as the delay of a message, beyond the dead band
+//!   ([`Motion`](consort_protocol::knowledge::Motion)). Ensembles are evaluated on records of this age. At nodes that do not
+//!   subscribe, ages count from the latest change.
+//! - A suspicion goes to all members at once, or to ten in a large fleet, where greetings are delayed at random.
 //! - The age of a record counts from the last message of the owner, or from the first copy of this
 //!   version received from another node. The owner renews the version every few seconds, so both
 //!   show whether the owner still publishes.

@@ -10,7 +10,7 @@ use consort_protocol::codec::{
 };
 use consort_protocol::ensemble::MemberValues;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::knowledge::{Digest, DigestScope, Record};
+use consort_protocol::knowledge::{Digest, DigestScope, Motion, MotionUpdate, Record};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 use consort_protocol::message::{
@@ -68,6 +68,8 @@ proptest! {
         assert_versions(&RecordUpdate::Record(record.clone()), &RecordUpdate::Record(without.clone()))?;
         let exchange = |record| Exchange { sums: sums.clone(), scope, digest: digest.clone(), records: vec![record] };
         assert_versions(&exchange(record.clone()), &exchange(without))?;
+        let motion = record.knowledge.robot.as_ref().map(Motion::of);
+        assert_round_trip(&MotionUpdate { stamp: record.stamp, number: record.stamp.version, motion })?;
     }
 
     #[test]
@@ -126,6 +128,7 @@ proptest! {
         // Undecodable bytes give an error; a decoded message encodes again.
         let _ = decode_any_version::<Exchange>(&bytes);
         let _ = decode_any_version::<RecordUpdate>(&bytes);
+        assert_harmless::<MotionUpdate>(&bytes);
         assert_harmless::<CallForBids>(&bytes);
         assert_harmless::<BidResponse>(&bytes);
         assert_harmless::<AwardNotice>(&bytes);

@@ -11,6 +11,7 @@ use consort_protocol::codec::{self, MESSAGE_BYTES_MAX, VersionedMessage};
 use consort_protocol::ensemble::MemberValues;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::RaftCall;
+use consort_protocol::knowledge::MotionUpdate;
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, Submission};
 use consort_protocol::message::{
     AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope, Exchange, FollowedLeader,
@@ -62,6 +63,7 @@ pub(super) fn wire(bytes: &[u8]) -> bool {
         Ledger,
         SignalHistory,
         MemberValues,
+        MotionUpdate,
         Beacon,
         BootstrapRequest,
         BootstrapReply,
@@ -132,7 +134,8 @@ pub(super) fn gossip(bytes: &[u8]) -> bool {
             1 => ada.receive(How::Published(name("ada")), piece),
             2 => ada.receive(How::Packet, piece),
             3 => ada.receive(How::Request, piece),
-            4..=6 => ada.receive(How::Reply(u64::from(kind / 8)), piece),
+            6 => ada.receive(How::Motion(name("bob")), piece),
+            4..=5 => ada.receive(How::Reply(u64::from(kind / 8)), piece),
             _ => ada.advance(Duration::from_millis(40 * u64::from(kind))),
         };
         match messages {

@@ -28,6 +28,7 @@ pub use traffic::FRAME_BYTES;
 use crate::fleet::NodeOptions;
 use crate::percentiles::Percentiles;
 use crate::{Fleet, RobotSpec, paused_runtime, slug};
+use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
 use consort_protocol::keys::{ApiCall, KeyKind};
@@ -65,6 +66,9 @@ const RECOVERY: Duration = Duration::from_secs(15);
 
 /// Number of legs in a goal of a moving robot.
 const LEGS: usize = 40;
+
+/// Number of robots from which on the fleet has the settings of a large fleet, as with `planned_nodes`.
+const LARGE_FLEET: usize = 30;
 
 /// Ordered before the arm: the first voter by name creates the cluster.
 const STATIONS: [&str; 3] = ["base-1", "base-2", "base-3"];
@@ -203,7 +207,10 @@ fn robots(setup: ScaleSetup, topology: &TopologicalMap) -> impl Iterator<Item = 
 async fn start(setup: ScaleSetup, runtimes: BTreeMap<String, Handle>) -> (Fleet, NodeId) {
     let topology = shipped("hospital").expect("it is shipped").topology();
     let members = robots(setup, &topology).map(|(name, place)| RobotSpec::carrier(&name, place.as_str()));
-    let options = NodeOptions { runtimes, world_speed: 1.0, extensions: setup.extensions, ..NodeOptions::default() };
+    let is_large = setup.robots >= LARGE_FLEET;
+    let adjust = Box::new(move |settings: &mut NodeSettings| settings.fleet.scoped_knowledge = is_large);
+    let extensions = setup.extensions;
+    let options = NodeOptions { adjust, runtimes, world_speed: 1.0, extensions, ..NodeOptions::default() };
     let mut fleet = Fleet::hospital_with(setup.seed, members.collect(), &STATIONS, vec![], options).await;
     let coordinator = fleet.wait_for_coordinator().await;
     assert_eq!(coordinator.as_str(), STATIONS[0], "the first voter by name creates the cluster");

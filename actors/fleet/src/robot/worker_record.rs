@@ -31,7 +31,7 @@ pub(crate) enum MotionScope {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Publication {
     /// The worker as a new record, to all nodes.
-    Record(RobotKnowledge),
+    Record(Box<RobotKnowledge>),
     /// The motion since the latest record, to the nodes that use it.
     Motion(Motion),
 }
@@ -78,7 +78,7 @@ impl WorkerRecord {
         match &publication {
             Publication::Record(worker) => {
                 self.sent = Some(Motion::of(worker));
-                self.published = Some(worker.clone());
+                self.published = Some(RobotKnowledge::clone(worker));
             }
             Publication::Motion(motion) => self.sent = Some(motion.clone()),
         }
@@ -86,7 +86,7 @@ impl WorkerRecord {
     }
 
     fn next_publication(&self, now: NodeTime) -> Option<Publication> {
-        let record = || Publication::Record(self.worker.clone());
+        let record = || Publication::Record(Box::new(self.worker.clone()));
         let Some(published) = &self.published else { return Some(record()) };
         let is_due = now.since(self.published_at) >= PUBLISH_INTERVAL;
         match &self.scope {
@@ -165,7 +165,7 @@ mod tests {
     /// Returns the worker of a publication that is a record.
     fn worker(publication: Option<Publication>) -> RobotKnowledge {
         match publication {
-            Some(Publication::Record(worker)) => worker,
+            Some(Publication::Record(worker)) => *worker,
             other => panic!("no record: {other:?}"),
         }
     }

@@ -1,7 +1,12 @@
 use super::*;
 use consort_protocol::ids::{FleetId, NodeId};
-use consort_protocol::knowledge::{Digest, DigestScope};
+use consort_protocol::knowledge::{
+    Attributes, Availability, Digest, DigestScope, Motion, MotionUpdate, RobotKnowledge,
+};
 use consort_protocol::message::RecordUpdate;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, SharePerSecond};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 fn node(name: &str) -> NodeId {
@@ -16,12 +21,20 @@ fn knowledge(replica: Option<u64>) -> Knowledge {
     Knowledge { may_vote: false, replica, ..Knowledge::of(None) }
 }
 
+fn settings() -> Settings {
+    Settings::new(FleetId::new("ward").unwrap(), node("ada"), 1)
+}
+
 /// Returns the gossip of Ada, for which Bob and Cyd are alive.
 fn ada() -> (Gossiper, GossipState) {
+    ada_with(settings(), knowledge(None))
+}
+
+/// Does the same with these settings and this knowledge.
+fn ada_with(settings: Settings, knowledge: Knowledge) -> (Gossiper, GossipState) {
     let mut state = GossipState::default();
-    let settings = Settings::new(FleetId::new("ward").unwrap(), node("ada"), 1);
     let rng = ChaCha8Rng::seed_from_u64(1);
-    let start = GossiperStart { settings, knowledge: knowledge(None), signer: None, rng };
+    let start = GossiperStart { settings, knowledge, signer: None, rng };
     let (gossiper, first) = Gossiper::new(start, &mut state, NodeTime::ZERO);
     assert!(matches!(&first[..], [Action::Publish(RecordUpdate::Record(_))]));
     for other in ["bob", "cyd"] {
@@ -154,4 +167,97 @@ fn a_reply_to_sums_is_the_digest_of_the_difference() {
     assert_eq!(request(next, &mut ada, &mut state).records, [ada.core.records.own().clone()]);
     // With more sums than allowed, everything is compared.
     assert_eq!(request(sums(vec![0; 200]), &mut ada, &mut state).digest, state.base.digest(DigestScope::ALL));
+}
+
+fn robot(place: &str) -> RobotKnowledge {
+    RobotKnowledge {
+        skills: BTreeSet::new(),
+        attributes: Attributes::default(),
+        place: place.parse().unwrap(),
+        pose: Pose::default(),
+        battery: BatteryShare::FULL,
+        discharge: SharePerSecond::new(0.0).unwrap(),
+        useful_charge: BatteryShare::new(0.0).unwrap(),
+        speed: None,
+        availability: Availability::Free,
+        estimator: String::new(),
+        charging: None,
+    }
+}
+
+/// Returns the gossip of Ada in a large fleet. Her robot is at the dock.
+fn ada_of_large_fleet() -> (Gossiper, GossipState) {
+    ada_with(Settings { scoped: true, ..settings() }, Knowledge { robot: Some(robot("Dock")), ..knowledge(None) })
+}
+
+/// Returns the motion updates among actions.
+fn motions(actions: Vec<Action>) -> Vec<MotionUpdate> {
+    let motion = |action| match action {
+        Action::PublishMotion(update) => Some(update),
+        _ => None,
+    };
+    actions.into_iter().filter_map(motion).collect()
+}
+
+#[test]
+fn motion_in_a_large_fleet_changes_the_record_with_its_next_version() {
+    let (mut ada, mut state) = ada_of_large_fleet();
+    let own = node("ada");
+    let stamp = |state: &GossipState| state.base.get(&own).unwrap().record.stamp;
+    let first = stamp(&state);
+    let sent = motions(ada.handle(Event::MotionChanged(Motion::of(&robot("Lab"))), &mut state, at(0)).unwrap());
+    assert_eq!(sent, [MotionUpdate { stamp: first, number: 1, motion: Some(Motion::of(&robot("Lab"))) }]);
+    assert_eq!((stamp(&state), state.base.get(&own).unwrap().knowledge().robot.clone()), (first, Some(robot("Lab"))));
+    // Heartbeats repeat the motion; neither the record nor a new version of it is sent.
+    let heartbeats: Vec<MotionUpdate> = (100..9_000)
+        .step_by(100)
+        .flat_map(|ms| motions(ada.handle(Event::TimerFired, &mut state, at(ms)).unwrap()))
+        .collect();
+    assert!(heartbeats.len() >= 7, "{heartbeats:?}");
+    assert!(heartbeats.iter().all(|update| update.stamp == first && update.motion == sent[0].motion), "{heartbeats:?}");
+
+    let change = Event::KnowledgeChanged(Box::new(|own| own.leaving = true));
+    let actions = ada.handle(change, &mut state, at(9_000)).unwrap();
+    let [Action::Publish(RecordUpdate::Record(record))] = &actions[..] else { panic!("{actions:?}") };
+    assert_eq!((record.knowledge.leaving, &record.knowledge.robot), (true, &Some(robot("Lab"))));
+    let (records, _) = run((&mut ada, &mut state), 9_100..30_000, same_records);
+    assert!(records.is_empty(), "a changed record is sent once: {records:?}");
+}
+
+#[test]
+fn a_motion_update_confirms_the_record_or_shows_that_it_was_missed() {
+    let (mut ada, mut state) = ada_of_large_fleet();
+    let stamp = RecordStamp { incarnation: 4, version: 9 };
+    let knowledge = Knowledge { robot: Some(robot("Dock")), ..knowledge(None) };
+    let record = Record { owner: node("bob"), stamp, knowledge, proof: None };
+    let update = MotionUpdate { stamp, number: 3, motion: Some(Motion::of(&robot("Lab"))) };
+    let published = || Event::MotionPublished(node("bob"), update.clone());
+    ada.handle(published(), &mut state, at(1_000)).unwrap();
+    assert_eq!(ada.core.records.next_missing_owner(&state), Some(node("bob")));
+    ada.handle(Event::Published(node("bob"), RecordUpdate::Record(record.clone())), &mut state, at(2_000)).unwrap();
+    ada.handle(published(), &mut state, at(3_000)).unwrap();
+    let known = state.base.get(&node("bob")).unwrap();
+    assert_eq!((&known.record, known.last_contact), (&record, at(3_000)));
+    assert_eq!(known.knowledge().robot, Some(robot("Lab")));
+}
+
+#[test]
+fn a_newcomer_to_a_large_fleet_is_greeted_later_unless_it_is_known_by_then() {
+    for becomes_known in [false, true] {
+        let (mut ada, mut state) = ada_of_large_fleet();
+        for number in 0..100 {
+            state.status.insert(node(&format!("node{number}")), MemberStatus::Alive { since: NodeTime::ZERO });
+        }
+        let greets = |actions: Vec<Action>| {
+            actions.iter().any(|action| matches!(action, Action::Send(to, _) if *to == node("newcomer")))
+        };
+        let appeared = ada.handle(Event::Token(node("newcomer"), true), &mut state, at(0)).unwrap();
+        assert!(!greets(appeared) && !greets(ada.handle(Event::TimerFired, &mut state, at(0)).unwrap()));
+        if becomes_known {
+            state.status.insert(node("newcomer"), MemberStatus::Alive { since: NodeTime::ZERO });
+        }
+        let greeted =
+            (100..=5_200).step_by(100).any(|ms| greets(ada.handle(Event::TimerFired, &mut state, at(ms)).unwrap()));
+        assert_eq!(greeted, !becomes_known);
+    }
 }

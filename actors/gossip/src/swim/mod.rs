@@ -517,3 +517,31 @@ impl Swim {
         actions.extend(cleared.filter(alive).cloned().map(SwimAction::Cleared));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::Settings;
+    use consort_protocol::ids::FleetId;
+    use rand::SeedableRng;
+
+    fn id(number: usize) -> SwimId {
+        SwimId { node: NodeId::new(format!("node{number}")).unwrap(), incarnation: 1, rejoins: 0 }
+    }
+
+    #[test]
+    fn a_node_of_a_large_fleet_notifies_some_members_about_a_suspect() {
+        let own = id(0).node;
+        let small = Settings::new(FleetId::new("ward").unwrap(), own.clone(), 1);
+        for (settings, expected) in [(small.clone(), 39), (Settings { scoped: true, ..small }, 10)] {
+            let rng = ChaCha8Rng::seed_from_u64(1);
+            let mut swim = Swim::new(own.clone(), 1, settings.swim(), settings.confidants_max(), rng);
+            let members = (1..=40).map(|number| Member::new(id(number), 0, State::Alive));
+            swim.act(|foca, runtime| foca.apply_many(members, true, runtime)).unwrap();
+            let confidants: BTreeSet<NodeId> =
+                swim.confidants(Some(&id(7))).into_iter().map(|member| member.node).collect();
+            assert_eq!(confidants.len(), expected);
+            assert!(!confidants.contains(&id(7).node));
+        }
+    }
+}

@@ -26,8 +26,8 @@
 //! | `consort_ledger_index` | last entry of the ledger that its copy applied |
 //! | `consort_missions{state}` | missions in its copy of the ledger, ended missions included while they are kept |
 //! | `consort_nodes{status}` | nodes of the fleet, by their status at this node |
-//! | `consort_robot_battery_ratio{robot}` | charge left, 1 is full |
-//! | `consort_robot_age_seconds{robot}` | age of its knowledge of the robot |
+//! | `consort_robot_battery_ratio{robot}` | charge left, 1 is full; in a large fleet from stations, voters and nodes on mains power only |
+//! | `consort_robot_age_seconds{robot}` | age of its knowledge of the robot, from the same nodes |
 //! | `consort_robot_state{robot,state}` | 1 for the robot's state: `free`, `charging`, `holding`, `suspended`, `out_of_service` |
 //! | `consort_gossip_malformed_total` | gossip messages that could not be parsed |
 //! | `consort_messages_rejected_total` | messages without a valid signature, or without permission: 0 without certificates |

@@ -120,12 +120,16 @@ impl MetricSources {
         let nodes = nodes.into_iter().map(|(status, count)| (vec![("status", status.to_owned())], f64::from(count)));
         let now = self.clock.now();
         let (mut batteries, mut ages, mut states) = (vec![], vec![], vec![]);
+        // Without the motion of robots, charges and ages are those of the latest changes of records.
+        let receives_motion = self.knowledge.receives_motion();
         self.knowledge.read(|base| {
             for (node, heard) in base.iter() {
                 let Some(worker) = &heard.knowledge().robot else { continue };
                 let robot = || ("robot", node.to_string());
-                batteries.push((vec![robot()], worker.battery.get()));
-                ages.push((vec![robot()], heard.age(now).as_secs_f64()));
+                if receives_motion {
+                    batteries.push((vec![robot()], worker.battery.get()));
+                    ages.push((vec![robot()], heard.age(now).as_secs_f64()));
+                }
                 states.push((vec![robot(), ("state", state(worker).to_owned())], 1.0));
             }
         });

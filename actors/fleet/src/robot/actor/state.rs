@@ -163,7 +163,7 @@ impl RobotState {
         let gossip = &self.settings.links.gossip;
         let published = match publication {
             Some(Publication::Record(worker)) => {
-                let worker = self.settings.pricing.ensembles.published(worker);
+                let worker = self.settings.pricing.ensembles.published(*worker);
                 gossip.update_with(move |knowledge| knowledge.robot = Some(worker))
             }
             Some(Publication::Motion(motion)) => gossip.move_robot(motion),
