@@ -135,6 +135,26 @@ fn a_robot_charges_without_a_coordinator() {
     });
 }
 
+/// Robots receive no motion of each other.
+#[test]
+fn robots_of_a_large_fleet_take_turns_at_a_charger_without_a_coordinator() {
+    for_each_seed(SEEDS, async |seed| {
+        let adjust = Box::new(|node: &mut NodeSettings| {
+            node.fleet.bootstrap_expect = 100;
+            node.fleet.scoped_knowledge = true;
+        });
+        let names = ["fern", "gorse"];
+        let robots = vec![carrier(names[0], ROOMS[1], BELOW - 0.05), carrier(names[1], ROOMS[0], BELOW - 0.1)];
+        let mut fleet = Fleet::hospital_with_chargers(seed, robots, &["aster"], setup(BELOW), adjust).await;
+        let connected = |fleet: &Fleet| names.into_iter().find(|robot| is_connected(fleet, robot));
+        fleet.wait_until("the first connection", SOON, |fleet| connected(fleet).is_some()).await;
+        let second = if connected(&fleet) == Some(names[0]) { names[1] } else { names[0] };
+        fleet.wait_until("the connection of the other robot", SOON, |fleet| is_connected(fleet, second)).await;
+        assert!(names.iter().all(|robot| !fleet.knowledge(robot).receives_motion()), "seed {seed}");
+        assert!(connections(&fleet).len() >= 2, "seed {seed}\n{}", fleet.event_log_text());
+    });
+}
+
 /// A robot that restarts lacks its orders until a coordinator reaches it.
 #[test]
 fn a_held_robot_does_not_drive_to_a_charger_after_a_restart() {

@@ -90,25 +90,12 @@ impl Motion {
 mod tests {
     use super::*;
     use crate::codec;
-    use crate::knowledge::{Attributes, Availability};
-    use crate::units::SharePerSecond;
+    use crate::ensemble::example_robot;
     use proptest::prelude::*;
-    use std::collections::BTreeSet;
 
     fn robot(place: &str, pose: Pose, battery: f64) -> RobotKnowledge {
-        RobotKnowledge {
-            skills: BTreeSet::new(),
-            attributes: Attributes::default(),
-            place: place.parse().unwrap(),
-            pose,
-            battery: BatteryShare::new(battery).unwrap(),
-            discharge: SharePerSecond::new(0.0).unwrap(),
-            useful_charge: BatteryShare::new(0.0).unwrap(),
-            speed: None,
-            availability: Availability::Free,
-            estimator: String::new(),
-            charging: None,
-        }
+        let battery = BatteryShare::new(battery).unwrap();
+        RobotKnowledge { place: place.parse().unwrap(), pose, battery, ..example_robot() }
     }
 
     #[test]

@@ -1,4 +1,5 @@
 use super::*;
+use crate::ensemble::example_robot;
 use crate::ids::NodeId;
 use crate::units::NodeTime;
 use proptest::prelude::*;
@@ -128,7 +129,7 @@ fn the_record_of_a_later_incarnation_replaces_an_earlier_record() {
 fn motion_counts_for_its_version_of_the_record_and_is_not_forwarded() {
     let mut base = KnowledgeBase::default();
     let mut known = record(1, 1, 1);
-    known.knowledge.robot = Some(crate::ensemble::example_robot());
+    known.knowledge.robot = Some(example_robot());
     let (owner, robot) = (known.owner.clone(), known.knowledge.robot.clone().unwrap());
     base.merge(known.clone(), NodeTime::ZERO);
     let update = |number, place: &str, stamp| {

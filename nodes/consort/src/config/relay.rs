@@ -167,6 +167,13 @@ mod tests {
     use super::*;
     use std::collections::BTreeMap;
 
+    #[test]
+    fn a_fleet_is_large_from_thirty_planned_nodes_on() {
+        let fleet = |planned_nodes| FleetConfig { planned_nodes, ..FleetConfig::default() };
+        let large = [None, Some(LARGE_FLEET - 1), Some(LARGE_FLEET)].map(|nodes| fleet(nodes).is_large());
+        assert_eq!(large, [false, false, true]);
+    }
+
     fn stations() -> Vec<String> {
         (1..=3).map(|number| format!("tcp/station-{number}.ward.example:7447")).collect()
     }
