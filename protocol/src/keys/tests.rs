@@ -97,7 +97,9 @@ fn keys_about_missions_are_cluster_scoped() {
         assert!(keys.is_cluster_scoped(&text), "{text}");
     }
     let warden = "consort/warden/wire/beacon".to_owned();
-    for text in [keys.any_knowledge(), keys.any_raft(7), keys.any_bootstrap(), keys.any_view(), warden] {
+    for text in
+        [keys.any_knowledge(), keys.any_motion(), keys.any_raft(7), keys.any_bootstrap(), keys.any_view(), warden]
+    {
         assert!(!keys.is_cluster_scoped(&text), "{text}");
     }
 }

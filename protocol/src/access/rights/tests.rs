@@ -22,8 +22,9 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 45] = [
+const TABLE: [(&str, [&str; 3]); 46] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
+    ("wire/motion/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
     ("wire/gossip/ada", ["", ANY, ADA]),
     ("wire/certificate/07070707070707070707070707070707", ["", "", ""]),
