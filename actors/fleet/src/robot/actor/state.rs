@@ -16,6 +16,7 @@ use crate::robot::sequencer::Sequencer;
 use crate::robot::settings::RobotSettings;
 use crate::robot::signals::SignalExchange;
 use crate::robot::standing_orders::StandingOrders;
+use crate::robot::worker_record::Publication;
 use consort_bus::Query;
 use consort_bus::tasks::Tasks;
 use consort_protocol::event::EventKind;
