@@ -38,8 +38,8 @@
 //!   watchers subscribe. Motion counts for one version of the record, and is neither signed nor forwarded. A record
 //!   contains the motion at the time of its latest change. Versions are not renewed, so equal records have equal sums, and a
 //!   subscriber without a path to the owner does not see that it still publishes.
-//! - A subscriber has the motion of each robot within a heartbeat, at most 5.5 s after it has subscribed. Then a record is at
-//!   most as old, and a place or pose at most 1 s or as old as the delay of a message, beyond the dead band
+//! - A subscriber has the motion of each robot at most 8 s after it has subscribed: the longest interval of heartbeats is
+//!   5.5 s, and one is left out shortly after another update. Then a record is at most as old, and a place or pose at most 1 s or as old as the delay of a message, beyond the dead band
 //!   ([`Motion`](consort_protocol::knowledge::Motion)). Ensembles are evaluated on records of this age. At nodes that do not
 //!   subscribe, ages count from the latest change.
 //! - A suspicion goes to all members at once, or to ten in a large fleet, where greetings are delayed at random.
