@@ -32,17 +32,20 @@
 //!   classes of owners first, and exchange digests only of the classes that differ. In a large
 //!   fleet heartbeats are rarer: a node receives at most some twenty a second, until every owner is
 //!   down to one in `renew`.
-//! - In a large fleet (`scoped` of the settings) a node receives what it uses. Records go to all nodes, once, when they
-//!   change; a node that missed one receives it by anti-entropy, as a newcomer receives all from one peer. Place, pose and
-//!   charge of robots and the heartbeats go to `wire/motion/*`, to which stations, members of the ledger's cluster and
-//!   watchers subscribe. Motion counts for one version of the record, and is neither signed nor forwarded. A record
-//!   contains the motion at the time of its latest change. Versions are not renewed, so equal records have equal sums, and a
-//!   subscriber without a path to the owner does not see that it still publishes.
-//! - A subscriber has the motion of each robot at most 8 s after it has subscribed: the longest interval of heartbeats is
-//!   5.5 s, and one is left out shortly after another update. Then a record is at most as old, and a place or pose at most 1 s or as old as the delay of a message, beyond the dead band
-//!   ([`Motion`](consort_protocol::knowledge::Motion)). Ensembles are evaluated on records of this age. At nodes that do not
-//!   subscribe, ages count from the latest change.
-//! - A suspicion goes to all members at once, or to ten in a large fleet, where greetings are delayed at random.
+//! - In a large fleet (`scoped` of the settings) a node receives what it uses. A record goes to all
+//!   nodes, once, when it changes. A node that missed it receives it by anti-entropy, and a newcomer
+//!   receives all records from a peer. Place, pose and charge of robots and the heartbeats go to
+//!   `wire/motion/*`. Stations, members of the ledger's cluster and watchers subscribe to it. Motion
+//!   counts for one version of the record, has no proof, and is not forwarded. A record contains the
+//!   motion at the time of its latest change. Versions are not renewed, so nodes with equal records
+//!   have equal sums, and a subscriber without a path to the owner sees no heartbeat of it.
+//! - A subscriber has the motion of each robot at most 8 s after it has subscribed: the longest
+//!   interval of heartbeats is 5.5 s, and one is left out shortly after another update. From then on
+//!   its records are at most 8 s old. A pose is at most 1 s old or within the dead band
+//!   ([`Motion`](consort_protocol::knowledge::Motion)), unless an update was lost. Ensembles are
+//!   evaluated on these records. At nodes that do not subscribe, ages count from the latest change.
+//! - A suspicion goes to all members at once, or to ten of them in a large fleet. There greetings
+//!   are delayed at random.
 //! - The age of a record counts from the last message of the owner, or from the first copy of this
 //!   version received from another node. The owner renews the version every few seconds, so both
 //!   show whether the owner still publishes.
