@@ -57,6 +57,24 @@ fn waiting_missions_run_by_priority_and_order_after_a_takeover() {
 }
 
 #[test]
+fn missions_with_deadlines_overtake_an_older_one_without() {
+    for_each_seed([644, 645], async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", "PC Room 8").with_speed(1.5)];
+        let mut fleet = Fleet::hospital(seed, robots, &["aba"], &ROOMS).await;
+        fleet.wait_for_coordinator().await;
+        let first = submit(&fleet, "a", ROOMS[0], json!({})).await;
+        fleet.wait_until("the first to begin", SOON, |fleet| fleet.holder(&first, "r1").is_some()).await;
+        let plain = submit(&fleet, "b", ROOMS[1], json!({})).await;
+        let relaxed = submit(&fleet, "c", ROOMS[2], json!({ "deadline_s": 7200 })).await;
+        let near = submit(&fleet, "d", ROOMS[3], json!({ "deadline_s": 3600 })).await;
+        for mission in [&first, &plain, &relaxed, &near] {
+            fleet.assert_completes(mission).await;
+        }
+        assert_eq!(begun(&fleet), [first, near, relaxed, plain], "seed {seed}\n{}", fleet.event_log_text());
+    });
+}
+
+#[test]
 fn the_urgent_mission_of_two_simultaneous_requests_wins() {
     for_each_seed([651, 652, 653, 654], async |seed| {
         let mut fleet = Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "PC Room 8")], &["aba"], &ROOMS).await;

@@ -3,7 +3,7 @@
 use super::branch::Branch;
 use super::mission_order::RoleOrder;
 use super::person_request::PersonRequestEntry;
-use super::submission::{Priority, Submission};
+use super::submission::Submission;
 use crate::auction::{AuctionId, AuctionRecord, CallForBids, EnergyBudget, RoleSpan, Timelines};
 use crate::cause::CauseClass;
 use crate::codec;
@@ -15,7 +15,6 @@ use crate::scalar::Scalar;
 use crate::units::{Energy, EnergyLimit, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Item in the custody of a robot, while a mission is active or waits for a person.
@@ -38,8 +37,8 @@ pub struct HeldItem {
 pub struct MissionEntry {
     /// Id of the mission.
     pub id: MissionId,
-    /// Number among all missions ever submitted, from 1. Missions of the same priority are served
-    /// in this order.
+    /// Number among all missions ever submitted, from 1. Missions of the same priority that are due at the same time are
+    /// served in this order.
     pub number: u64,
     /// Request as submitted.
     pub submission: Submission,
@@ -396,11 +395,6 @@ impl MissionEntry {
             Branch::Main => Some(&self.submission.division),
             Branch::Recovery => self.submission.recovery.as_ref().map(|recovery| &recovery.division),
         }
-    }
-
-    /// Returns the sort key in which missions are served: smallest first.
-    pub fn rank(&self) -> (Reverse<Priority>, u64) {
-        (Reverse(self.submission.priority), self.number)
     }
 
     /// Returns the estimated energy of all awards of the mission. An award that its robot never confirmed

@@ -33,6 +33,8 @@
 //!
 //! Chargers are leased to robots (the module `chargers`).
 //!
+//! Waiting missions are served by priority, deadline and age (the module `service_order`).
+//!
 //! Queries use indexes by state, rank and robot (the module `missions`), and readers on the same node ask which missions have
 //! changed (the module `mission_changes`).
 //!
@@ -75,6 +77,7 @@ mod robot_orders;
 mod role_orders;
 mod schedule;
 mod schedules;
+mod service_order;
 mod speed_limit;
 mod spread;
 mod submission;
@@ -102,6 +105,7 @@ pub use person_request::{
 };
 pub use robot_order::{OrderChange, OrderRequest, RobotOrder, RobotOrders};
 pub use schedule::{MissedOccurrences, Occurrence, Schedule, ScheduleEntry, SchedulePause, ScheduleRule};
+pub use service_order::{ServiceRank, service_order};
 pub use speed_limit::{SpeedLimit, SpeedLimitChange};
 pub use submission::{
     DeadlineError, Priority, PriorityError, RecoveryBranch, Submission, TIME_AHEAD_MAX, time_until_deadline,

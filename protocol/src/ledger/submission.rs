@@ -28,8 +28,8 @@ pub struct Submission {
     pub forms: BTreeMap<TaskType, BTreeMap<String, ValueKind>>,
     /// Person or client that asked for the mission, for display.
     pub by: String,
-    /// Priority. Of two waiting missions the mission with higher priority is served first, then the
-    /// earlier mission.
+    /// Priority. Of two waiting missions the mission with higher priority is served first, then the mission that is due
+    /// first, then the earlier mission.
     pub priority: Priority,
     /// Time before which no robot gets a role and no person is asked: milliseconds since 1970, by the
     /// clocks of a majority of the voters.
@@ -38,8 +38,8 @@ pub struct Submission {
     /// 1970 on the accepting coordinator's wall clock. Deadlines rely on the wall clocks of coordinators;
     /// leases never do.
     pub deadline_ms: Option<u64>,
-    /// Time of submission: milliseconds on the accepting coordinator's wall clock. For display, and for
-    /// conditions of people; it affects no other decision.
+    /// Time of submission: milliseconds on the accepting coordinator's wall clock. For display, for conditions of people,
+    /// and for the order in which missions are served; it affects no other decision.
     pub at_ms: u64,
 }
 

@@ -1,7 +1,7 @@
 //! Auctions of a leader session, and the order in which missions are served.
 //!
 //! Missions are auctioned in parallel. If several missions need the same robot, the mission with
-//! the higher priority gets it, and among equals the mission with the lower number. Therefore an
+//! the higher priority gets it, and among equals the mission that is due first (`service_order` of the ledger). Therefore an
 //! auction that has its bids and would fill its roles first waits for all better-ranked missions
 //! that are collecting bids. Better-ranked missions in backoff are called at once, because the
 //! robots found may be the robots they wait for. An auction waits for at most 2 bid windows.
@@ -26,7 +26,7 @@ use consort_protocol::auction::{
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Priority};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Priority, service_order};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
@@ -183,8 +183,7 @@ impl Auctions {
             let lease_monitor = context.lease_monitor.lock();
             let called = self.rounds.keys().filter_map(|mission| ledger.mission(mission));
             let called = called.filter(|entry| !entry.state.is_final());
-            let mut open: Vec<_> = called.filter(|entry| can_be_auctioned(entry, &lease_monitor, now)).collect();
-            open.sort_by_key(|entry| entry.rank());
+            let open = service_order(called.filter(|entry| can_be_auctioned(entry, &lease_monitor, now)));
             open.into_iter().map(|entry| (entry.id.clone(), entry.submission.priority)).collect::<Vec<_>>()
         });
         let mut calling = false;

@@ -1,7 +1,7 @@
 //! What a reconciliation examines.
 
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
-use consort_protocol::ledger::{Ledger, MissionEntry, RoleAssignment};
+use consort_protocol::ledger::{Ledger, MissionEntry, RoleAssignment, service_order};
 use std::collections::BTreeSet;
 
 /// Missions and robots whose actions are computed.
@@ -23,9 +23,7 @@ impl Scope<'_> {
     pub(super) fn missions<'l>(&self, ledger: &'l Ledger) -> Vec<&'l MissionEntry> {
         let Scope::Changed { missions, .. } = self else { return ledger.active_missions() };
         let missions = missions.iter().filter_map(|mission| ledger.mission(mission));
-        let mut active: Vec<&MissionEntry> = missions.filter(|entry| !entry.state.is_final()).collect();
-        active.sort_by_key(|entry| entry.rank());
-        active
+        service_order(missions.filter(|entry| !entry.state.is_final()))
     }
 
     /// Returns the promised roles of the robots, those of each robot in their order.

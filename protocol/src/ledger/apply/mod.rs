@@ -189,8 +189,8 @@ impl Ledger {
         self.missions.changes().since(cursor)
     }
 
-    /// Returns the missions that have not ended, in the order in which they are served: by
-    /// priority, then by submission.
+    /// Returns the missions that have not ended, in the order in which they are served
+    /// ([`service_order`](super::service_order())).
     pub fn active_missions(&self) -> Vec<&MissionEntry> {
         self.missions.of_group(MissionGroup::Active)
     }

@@ -2,12 +2,8 @@
 
 use crate::ids::{MissionId, RobotId};
 use crate::ledger::entry::MissionEntry;
-use crate::ledger::submission::Priority;
-use std::cmp::Reverse;
+use crate::ledger::service_order::ServiceRank;
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Place in the order in which missions are served.
-type Rank = (Reverse<Priority>, u64);
 
 /// Group of missions that queries need together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -66,7 +62,7 @@ pub(super) fn is_promised(entry: &MissionEntry, robot: &RobotId) -> bool {
 #[derive(Debug, Clone, Default)]
 pub(super) struct MissionIndex {
     /// The missions of each group, in the order in which they are served.
-    groups: [BTreeSet<(Rank, MissionId)>; MissionGroup::ALL.len()],
+    groups: [BTreeSet<(ServiceRank, MissionId)>; MissionGroup::ALL.len()],
     held: BTreeMap<RobotId, BTreeSet<MissionId>>,
     promised: BTreeMap<RobotId, BTreeSet<MissionId>>,
     /// What the indexes contain of each mission that is in any of them.
@@ -126,7 +122,7 @@ fn remove(missions: &mut BTreeMap<RobotId, BTreeSet<MissionId>>, robot: &RobotId
 /// What the indexes contain of a mission.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct IndexedMission {
-    rank: Rank,
+    rank: ServiceRank,
     groups: Vec<MissionGroup>,
     /// Robots that hold roles.
     holders: BTreeSet<RobotId>,

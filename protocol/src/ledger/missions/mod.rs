@@ -10,6 +10,7 @@ mod index;
 
 use super::entry::MissionEntry;
 use super::mission_changes::ChangeList;
+use super::service_order::service_order;
 use crate::ids::{MissionId, RobotId};
 pub(super) use index::MissionGroup;
 use index::{MissionIndex, holds, is_promised};
@@ -79,11 +80,8 @@ impl Missions {
     pub(super) fn of_group(&self, group: MissionGroup) -> Vec<&MissionEntry> {
         let indexed = self.index.of_group(group).filter(|id| !self.touched.contains(*id)).filter_map(|id| self.get(id));
         let touched = self.touched_missions().map(|(_, entry)| entry).filter(|entry| group.contains(entry));
-        let mut missions: Vec<&MissionEntry> = indexed.chain(touched).collect();
-        if !self.touched.is_empty() {
-            missions.sort_by_key(|entry| entry.rank());
-        }
-        missions
+        let missions = indexed.chain(touched);
+        if self.touched.is_empty() { missions.collect() } else { service_order(missions) }
     }
 
     /// Returns the number of missions of a group.

@@ -129,7 +129,7 @@ fn check_queries(ledger: &Ledger) {
         .iter()
         .flat_map(|entry| entry.promised_roles().map(move |(role, promise)| (&entry.id, role, promise, entry.rank())))
         .collect();
-    promises.sort_by_key(|(_, _, promise, (priority, number))| (*priority, promise.position, *number));
+    promises.sort_by_key(|(_, _, promise, rank)| (rank.priority, promise.position, *rank));
     let promises: Vec<_> = promises.into_iter().map(|(id, role, promise, _)| (id, role, promise)).collect();
     let found = ledger.promises_in_order().into_iter().map(|(entry, role, promise)| (&entry.id, role, promise));
     assert_eq!(found.collect::<Vec<_>>(), promises);

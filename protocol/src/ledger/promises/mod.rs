@@ -194,8 +194,8 @@ fn promised_in(entry: &MissionEntry) -> impl Iterator<Item = PromisedIn<'_>> {
 fn in_order<'a>(promises: impl Iterator<Item = PromisedIn<'a>>) -> Vec<PromisedIn<'a>> {
     let mut promises: Vec<PromisedIn<'a>> = promises.collect();
     promises.sort_by_key(|(entry, _, promise)| {
-        let (priority, number) = entry.rank();
-        (priority, promise.position, number)
+        let rank = entry.rank();
+        (rank.priority, promise.position, rank)
     });
     promises
 }
