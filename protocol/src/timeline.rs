@@ -1,7 +1,7 @@
 //! Timeline of a robot: jobs in the order in which the robot does them, with the travel between them.
 //!
 //! A timeline is a simple temporal network in the form of a chain. Each job begins within its window, and after the
-//! robot has ended the job before it and has travelled. Two passes solve the network: the earliest begins from the
+//! robot has ended the job before it, has waited for its release, and has travelled. Two passes solve the network: the earliest begins from the
 //! front, and the latest begins from the back. With both, a position for another job is checked in constant time:
 //!
 //! ```text
@@ -64,6 +64,8 @@ pub struct Job<K, P> {
     pub to: P,
     /// Time in which it begins.
     pub window: Window,
+    /// Release in seconds: the robot does not leave for it earlier.
+    pub release_s: f64,
     /// Duration in seconds.
     pub duration_s: f64,
     /// Share of the robot's capacity that it takes.
@@ -73,7 +75,15 @@ pub struct Job<K, P> {
 impl<K, P: Clone> Job<K, P> {
     /// Returns a job at a place that takes no time and no capacity.
     pub fn at(key: K, place: P) -> Job<K, P> {
-        Job { key, from: place.clone(), to: place, window: Window::ANY, duration_s: 0.0, load: 0.0 }
+        let (from, window) = (place.clone(), Window::ANY);
+        Job { key, from, to: place, window, release_s: 0.0, duration_s: 0.0, load: 0.0 }
+    }
+}
+
+impl<K, P> Job<K, P> {
+    /// Returns the begin in seconds, if the robot is free at a time and travels for a time.
+    fn begin_after(&self, free_s: f64, travel_s: f64) -> f64 {
+        (free_s.max(self.release_s) + travel_s).max(self.window.earliest_s)
     }
 }
 
@@ -217,7 +227,7 @@ impl<K: PartialEq, P> Timeline<K, P> {
             None => (&self.from, self.from_s),
         };
         let there_s = travel.seconds(before, &job.from);
-        let begin_s = (free_s + there_s).max(job.window.earliest_s);
+        let begin_s = job.begin_after(free_s, there_s);
         if begin_s > job.window.latest_s {
             return None;
         }
@@ -232,12 +242,11 @@ impl<K: PartialEq, P> Timeline<K, P> {
             (None, Some((home, by_s))) => (travel.seconds(&job.to, home), travel.seconds(before, home), *by_s),
             (None, None) => (0.0, 0.0, f64::INFINITY),
         };
-        let delay_s = self.entries.get(position).map_or(0.0, |next| {
-            let later_s = (end_s + onwards_s).max(next.job.window.earliest_s);
-            (later_s - next.begin_s).max(0.0)
-        });
+        let next = self.entries.get(position);
+        let delay_s = next.map_or(0.0, |next| (next.job.begin_after(end_s, onwards_s) - next.begin_s).max(0.0));
+        let leaves_s = next.map_or(end_s, |next| end_s.max(next.job.release_s));
         // An unreachable place is infinitely far.
-        (end_s + onwards_s <= by_s && (there_s + onwards_s).is_finite()).then_some(Insertion {
+        (leaves_s + onwards_s <= by_s && (there_s + onwards_s).is_finite()).then_some(Insertion {
             position,
             added_travel_s: there_s + onwards_s - direct_s,
             begin_s,
@@ -268,7 +277,7 @@ impl<K: PartialEq, P> Timeline<K, P> {
     fn update(&mut self, travel: &impl Travel<P>) {
         let (mut at, mut free_s) = (&self.from, self.from_s);
         for entry in &mut self.entries {
-            entry.begin_s = (free_s + travel.seconds(at, &entry.job.from)).max(entry.job.window.earliest_s);
+            entry.begin_s = entry.job.begin_after(free_s, travel.seconds(at, &entry.job.from));
             (at, free_s) = (&entry.job.to, entry.end_s());
         }
         let mut next = self.home.as_ref().map(|(home, by_s)| (home, *by_s));
@@ -353,6 +362,33 @@ mod tests {
                 } else if key % 3 == 0 {
                     timeline.remove(|other| other % 2 == 0, &Line);
                 }
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// No insertion moves a job out of its window, or lets the robot leave before a release.
+        #[test]
+        fn insertions_keep_windows_and_releases(
+            offers in prop::collection::vec((0_u8..40, 0_u8..60, 0_u8..30, 0_u8..60), 1..10),
+        ) {
+            let mut timeline = Timeline::new(0.0, 0.0);
+            for (key, (place, earliest, width, release)) in offers.into_iter().enumerate() {
+                let (place, earliest, release_s) = (f64::from(place), f64::from(earliest), f64::from(release));
+                let job = Job { release_s, ..job(key, place, earliest, earliest + f64::from(width)) };
+                let Some(found) = timeline.best_insertion(&job, &Line) else { continue };
+                timeline.insert(job, found.position, &Line);
+                let (mut at, mut free_s) = (0.0_f64, 0.0_f64);
+                for (job, begin_s) in timeline.begins() {
+                    let way = (job.from - at).abs();
+                    prop_assert_eq!(begin_s, (free_s.max(job.release_s) + way).max(job.window.earliest_s));
+                    prop_assert!(begin_s <= job.window.latest_s, "{job:?} begins at {begin_s}");
+                    (at, free_s) = (job.to, begin_s + job.duration_s);
+                }
+                let begin_s = timeline.begins().find(|(job, _)| job.key == key).map(|(_, begin_s)| begin_s);
+                prop_assert_eq!(begin_s, Some(found.begin_s));
             }
         }
     }

@@ -49,7 +49,7 @@ pub(crate) struct DryRunOutcome {
     pub bids: BTreeMap<RoleId, Vec<WorkerBid>>,
     /// Robot of each role. Roles of spread loops may be left open. Empty after a failure.
     pub holders: BTreeMap<RoleId, RobotId>,
-    /// Roles that are promised to busy robots, with the estimated time until each robot is free.
+    /// Roles that are promised to busy robots, with the estimated time until each begins.
     pub promised: BTreeMap<RoleId, Seconds>,
     /// Explanation of each promised role.
     pub why: Vec<String>,

@@ -23,8 +23,8 @@ pub struct AuctionRecord {
     pub omitted: u32,
     /// Robot chosen for each role.
     pub chosen: BTreeMap<RoleId, RobotId>,
-    /// Roles that are promised to the chosen robots and not awarded yet, with the estimated time until each
-    /// robot is free.
+    /// Roles that are promised to the chosen robots and not awarded yet, with the estimated time until each begins: its
+    /// robot is free, and what it waits for has ended.
     #[serde(default)]
     pub promised: BTreeMap<RoleId, Seconds>,
     /// Reason, if no roles were assigned.
@@ -80,6 +80,11 @@ impl AuctionRecord {
             Some(BidVerdict::Refused { .. } | BidVerdict::NotAsked { .. }) | None => Energy::ZERO,
         };
         RoleEstimate { time: entry.into_iter().flat_map(|entry| &entry.parts).map(|part| part.time).sum(), energy }
+    }
+
+    /// Returns the duration of each step of a robot's bid for a role in seconds, as far as the record contains them.
+    pub(crate) fn durations_s(&self, role: &RoleId, robot: &RobotId) -> Vec<f64> {
+        self.entry(role, robot).map(|entry| durations_s(&entry.parts)).unwrap_or_default()
     }
 
     /// Adds the robots that were not asked.
@@ -174,6 +179,18 @@ impl AuctionRecord {
         self.omitted = self.omitted.saturating_add(omitted);
         self.entries = entries;
     }
+}
+
+/// Returns the duration of each step in seconds, by its index; 0 for steps that are not contained.
+pub(super) fn durations_s(parts: &[BidPart]) -> Vec<f64> {
+    let steps = parts.iter().filter(|part| (part.step as usize) < ELEMENTS_MAX);
+    let mut durations_s = vec![];
+    for part in steps {
+        let index = part.step as usize;
+        durations_s.resize(durations_s.len().max(index + 1), 0.0);
+        durations_s[index] = part.time.get();
+    }
+    durations_s
 }
 
 /// Reply of a robot for a role, with its verdict.

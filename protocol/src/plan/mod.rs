@@ -17,9 +17,11 @@ mod divide;
 mod guards;
 mod local;
 mod progress;
+mod start_times;
 
 pub use check::{DivisionError, DivisionViolation, DivisionViolations, check_division, divide_and_check};
 pub use divide::divide;
 pub use guards::{ItemMove, item_moves};
 pub use local::{Alternative, Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
 pub use progress::{PlanProgress, ProgressError, StepNotPermitted};
+pub use start_times::{EstimatedPlan, earliest_starts};

@@ -73,10 +73,17 @@ pub(crate) fn timelines() -> impl Strategy<Value = Timelines> {
         Just(Objective::LeastEnergy),
         seconds().prop_map(|battery_s| Objective::Weighted { battery_s }),
     ];
-    let promised = (name(), role_of_mission(), span(), option::of(seconds()))
-        .prop_map(|(robot, role, span, slack)| PromisedRole { robot, role, span, slack });
-    (objective, vec(promised, 0..3), btree_set(name(), 0..3), option::of(seconds())).prop_map(
-        |(objective, promised, startable, ends_within)| Timelines { objective, promised, startable, ends_within },
+    let promised = (name(), role_of_mission(), span(), option::of(seconds()), seconds())
+        .prop_map(|(robot, role, span, slack, release)| PromisedRole { robot, role, span, slack, release });
+    let releases = btree_map(name(), seconds(), 0..3);
+    (objective, vec(promised, 0..3), btree_set(name(), 0..3), option::of(seconds()), releases).prop_map(
+        |(objective, promised, startable, ends_within, releases)| Timelines {
+            objective,
+            promised,
+            startable,
+            ends_within,
+            releases,
+        },
     )
 }
 

@@ -100,7 +100,7 @@ struct MissionLine<'a> {
     people: &'a [ExpectedRequest],
     roles: Vec<RoleLine<'a>>,
     selected: &'a BTreeMap<RoleId, RobotId>,
-    /// Time until each robot of a promised role is free, in seconds.
+    /// Time until each promised role begins, in seconds: its robot is free, and the roles before it have ended.
     promised: &'a BTreeMap<RoleId, Seconds>,
     failure: Option<&'a str>,
 }

@@ -7,8 +7,9 @@ use super::energy::{EnergyBudget, EnergyOffer};
 use super::energy_exceeded::EnergyExceeded;
 use super::invitation::Invitation;
 use super::promise::PromiseContext;
-use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
+use super::record::{AuctionEntry, AuctionRecord, BidVerdict, durations_s};
 use crate::ids::{EnsembleId, RobotId, RoleId};
+use crate::plan::{EstimatedPlan, earliest_starts};
 use crate::units::{Energy, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -81,9 +82,36 @@ pub fn clear_auction_with(
     let Some((later_responses, later_context)) = context.later(responses) else { return now };
     let later = clear_by_preference(call, &later_responses, &later_context, allocator);
     match later.holders.as_ref().and_then(|holders| promises.promised(holders, responses)) {
-        Some(promised) => AuctionOutcome { record: AuctionRecord { promised, ..later.record }, ..later },
+        Some(promised) => {
+            let promised = after_others(call, &later.record, responses, &promised);
+            AuctionOutcome { record: AuctionRecord { promised, ..later.record }, ..later }
+        }
         None => now,
     }
+}
+
+/// Returns the starts of promised roles, not before the other roles of the call have done what they wait for.
+fn after_others(
+    call: &CallForBids,
+    record: &AuctionRecord,
+    responses: &[BidResponse],
+    promised: &BTreeMap<RoleId, Seconds>,
+) -> BTreeMap<RoleId, Seconds> {
+    let replies = replies_to(call, responses);
+    let estimated = |(role, robot): (&RoleId, &RobotId)| {
+        let plan = call.roles.get(role)?;
+        let durations_s = bid_of(&replies, role, robot).map(|bid| durations_s(&bid.parts)).unwrap_or_default();
+        let begin_s = promised.get(role).map_or(0.0, |start| start.get());
+        Some((role.clone(), EstimatedPlan { plan, begin_s, durations_s }))
+    };
+    let plans = record.chosen.iter().filter_map(estimated).collect();
+    let released = earliest_starts(&plans, |_| false);
+    let start = |(role, start): (RoleId, Seconds)| {
+        let released = released.get(&role).and_then(|start_s| Seconds::new(*start_s).ok());
+        let start = released.filter(|released| *released > start).unwrap_or(start);
+        (role, start)
+    };
+    promised.iter().map(|(role, start)| (role.clone(), *start)).map(start).collect()
 }
 
 fn clear_by_preference(

@@ -1,8 +1,8 @@
 //! Insertion of a role in the timeline of a robot.
 //!
-//! A robot that has promised roles bids for another at the best position among them. Its timeline is a [`Timeline`]
-//! without earliest begins; the latest begin of a promised role is its begin without the new role, plus the time by
-//! which it may still be delayed. The marginal cost of a position is the increase of the sum of the ends of all roles,
+//! A robot that has promised roles bids for another at the best position among them. Its timeline is a [`Timeline`]:
+//! a role that waits for others has an estimated release, before which its robot does not begin; the latest begin of a promised
+//! role is its begin without the new role, plus the time by which it may still be delayed. The marginal cost of a position is the increase of the sum of the ends of all roles,
 //! and of the energy:
 //!
 //! ```text
@@ -17,7 +17,7 @@ use crate::timeline::{Job, Timeline, Travel, Window};
 use crate::units::{Energy, Seconds, SharePerSecond};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Seconds for which a full battery counts with [`Objective::LeastEnergy`]: time decides between equal energies only.
 const BATTERY_S: f64 = 1e6;
@@ -83,6 +83,8 @@ pub struct PromisedRole {
     /// Time by which the role may be delayed; `None` for any. Such roles are the last ones: their missions have a lower
     /// priority.
     pub slack: Option<Seconds>,
+    /// Estimated time until it can begin, by what others do before; 0 if it can begin, or if that is unknown.
+    pub release: Seconds,
 }
 
 /// Timelines of the robots of a fleet, as a call for bids contains them.
@@ -100,6 +102,9 @@ pub struct Timelines {
     pub startable: BTreeSet<RoleId>,
     /// Time until the deadline of the mission; `None` without one.
     pub ends_within: Option<Seconds>,
+    /// Estimated time until roles of the call can begin, by what others do before, as far as it is known.
+    #[serde(deserialize_with = "bounds::collection::<_, _, ROLES_MAX>")]
+    pub releases: BTreeMap<RoleId, Seconds>,
 }
 
 /// Position of a role in the timeline of a robot.
@@ -107,11 +112,11 @@ pub struct Timelines {
 pub struct PlannedRole {
     /// Its tasks.
     pub span: RoleSpan,
-    /// Time until the robot is free for it.
+    /// Time until the robot begins it: the robot is free, and the role is released.
     pub start: Seconds,
     /// The promised role that follows; `None` if it comes last.
     pub before: Option<RoleOfMission>,
-    /// Time by which each promised role after it ends later.
+    /// Time by which each promised role after it ends later at most.
     pub delay: Seconds,
     /// Number of those roles.
     pub delayed: u32,
@@ -160,6 +165,15 @@ pub struct TimelineStart<'a> {
     pub comes_first: bool,
     /// Time by which the role should end; `None` for any.
     pub ends_within: Option<Seconds>,
+    /// Time before which the role cannot begin.
+    pub release: Seconds,
+}
+
+impl TimelineStart<'_> {
+    /// Returns the time at which the robot begins the role if it does nothing else before.
+    pub fn begin(&self) -> Seconds {
+        if self.release > self.time { self.release } else { self.time }
+    }
 }
 
 /// Best insertion of a role.
@@ -187,7 +201,7 @@ pub fn insert_role(
     let (travel, discharge) = (Drives(travel), start.discharge.get());
     let empty = || Timeline::new(Some(start.place.clone()), start.time.get());
     let jobs: Vec<Job<usize, Option<PlaceId>>> =
-        promised.iter().enumerate().map(|(index, promised)| job(index, &promised.span)).collect();
+        promised.iter().enumerate().map(|(index, promised)| job(index, &promised.span, promised.release)).collect();
     let planned = empty().with_jobs(jobs, &travel);
     let promise = |((job, begin_s), promised): ((&Job<usize, Option<PlaceId>>, f64), &&PromisedRole)| {
         let slack = promised.slack.filter(|_| !start.comes_first);
@@ -199,7 +213,8 @@ pub fn insert_role(
     let delayed = |position: usize| u32::try_from(promised.len() - position).unwrap_or(u32::MAX);
     let before_lower = promised.iter().position(|promised| promised.slack.is_none()).unwrap_or(promised.len());
     let last = if start.comes_first { 0 } else { before_lower };
-    let found = timeline.cheapest_insertion(&job(promised.len(), &span), &travel, |found| {
+    let new = job(promised.len(), &span, start.release);
+    let found = timeline.cheapest_insertion(&new, &travel, |found| {
         let delays_s = found.delay_s * f64::from(delayed(found.position));
         let energy = span.energy.get() + discharge * found.added_travel_s;
         let ends_s = found.begin_s + span.time.get();
@@ -210,16 +225,16 @@ pub fn insert_role(
     let found = found.filter(|found| found.position <= last)?;
     let ended = found.position.checked_sub(1).and_then(|last| timeline.begins().nth(last));
     let free_s = ended.map_or(start.time.get(), |(job, begin_s)| begin_s + job.duration_s);
-    let detour_s = found.added_travel_s - (found.begin_s - free_s);
+    let free = Some(start.place.clone());
+    let detour_s = found.added_travel_s - travel.seconds(ended.map_or(&free, |(job, _)| &job.to), &new.from);
     // The energy of roles of a lower priority is left out: they wait if the charge is too low for them.
     let kept = &promised[..before_lower];
-    let (mut driven_s, mut ends_s) = (if found.position < before_lower { detour_s } else { 0.0 }, start.time.get());
-    for (job, begin_s) in timeline.begins().take(before_lower) {
-        (driven_s, ends_s) = (driven_s + begin_s - ends_s, begin_s + job.duration_s);
-    }
+    let kept_jobs = timeline.jobs().take(before_lower).cloned();
+    let ways_s = empty().with_jobs(kept_jobs, &travel).travel_s(&travel);
+    let driven_s = ways_s + if found.position < before_lower { detour_s } else { 0.0 };
     let energy_kept: f64 = kept.iter().map(|promised| promised.span.energy.get()).sum();
     let planned = PlannedRole {
-        start: Seconds::new(free_s).ok()?,
+        start: Seconds::new(free_s.max(start.release.get())).ok()?,
         before: promised.get(found.position).map(|next| next.role.clone()),
         delay: Seconds::new(found.delay_s).ok()?,
         delayed: delayed(found.position),
@@ -234,9 +249,9 @@ pub fn insert_role(
     Some(RoleInsertion { from, ends_at: end_of(&kept[found.position..]), planned })
 }
 
-fn job(key: usize, span: &RoleSpan) -> Job<usize, Option<PlaceId>> {
+fn job(key: usize, span: &RoleSpan, release: Seconds) -> Job<usize, Option<PlaceId>> {
     let RoleSpan { from, to, time, .. } = span;
-    Job { to: to.clone(), duration_s: time.get(), ..Job::at(key, from.clone()) }
+    Job { to: to.clone(), duration_s: time.get(), release_s: release.get(), ..Job::at(key, from.clone()) }
 }
 
 /// Drives between the places of roles. Without a place the robot does not drive.

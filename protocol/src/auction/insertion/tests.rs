@@ -34,7 +34,8 @@ fn moving(from: u8, to: u8, time: u8) -> RoleSpan {
 fn promise(number: usize, span: RoleSpan, slack: Option<u8>) -> PromisedRole {
     let mission = format!("m-{number}").parse().unwrap();
     let role = RoleOfMission { mission, role: "r1".parse().unwrap() };
-    PromisedRole { robot: "ada".parse().unwrap(), role, span, slack: slack.map(seconds) }
+    let (robot, release) = ("ada".parse().unwrap(), Seconds::ZERO);
+    PromisedRole { robot, role, span, slack: slack.map(seconds), release }
 }
 
 /// Returns the insertion for a robot that is free at metre 0 after 5 s.
@@ -50,7 +51,8 @@ fn insert_within(
 ) -> Option<RoleInsertion> {
     let start = place(0);
     let discharge = SharePerSecond::new(DISCHARGE).unwrap();
-    let start = TimelineStart { place: &start, time: seconds(5), discharge, comes_first: false, ends_within };
+    let (time, comes_first, release) = (seconds(5), false, Seconds::ZERO);
+    let start = TimelineStart { place: &start, time, discharge, comes_first, ends_within, release };
     insert_role(start, &promised.iter().collect::<Vec<_>>(), span, objective, &Line)
 }
 
@@ -124,6 +126,60 @@ proptest! {
         let in_all = perform(&order).2;
         prop_assert!((promised_energy.get() + own_energy - in_all).abs() < 1e-9);
     }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// No role begins before its release, and no promise is delayed beyond its bound.
+    #[test]
+    fn an_insertion_keeps_releases_and_bounds(
+        promised in prop::collection::vec((0_u8..40, 0_u8..30, 0_u8..90, 0_u8..90), 0..5),
+        (to, release) in (0_u8..40, 0_u8..90),
+    ) {
+        let role = |(number, (place, time, slack, release)): (usize, (u8, u8, u8, u8))| {
+            PromisedRole { release: seconds(release), ..promise(number, span(place, place, time), Some(slack)) }
+        };
+        let promised: Vec<PromisedRole> = promised.into_iter().enumerate().map(role).collect();
+        let begins = |roles: &[(&RoleSpan, Seconds)]| {
+            let (mut at, mut now, mut begins) = (place(0), 5.0_f64, vec![]);
+            for (span, release) in roles {
+                now = now.max(release.get());
+                let leaves = now;
+                now += Line.seconds(&at, span.from.as_ref().unwrap());
+                begins.push((leaves, now));
+                now += span.time.get();
+                at = span.to.clone().unwrap();
+            }
+            begins
+        };
+        let mut roles: Vec<(&RoleSpan, Seconds)> = promised.iter().map(|role| (&role.span, role.release)).collect();
+        let before = begins(&roles);
+        let (free, discharge, new) = (place(0), SharePerSecond::new(DISCHARGE).unwrap(), span(to, to, 5));
+        let (time, release) = (seconds(5), seconds(release));
+        let start = TimelineStart { place: &free, time, discharge, comes_first: false, ends_within: None, release };
+        let own: Vec<&PromisedRole> = promised.iter().collect();
+        let found = insert_role(start, &own, new.clone(), Objective::EarliestEnd, &Line).expect("the last position");
+        let position = position(&promised, &found);
+        roles.insert(position, (&new, release));
+        let mut after = begins(&roles);
+        let (leaves, _) = after.remove(position);
+        prop_assert!((found.planned.start.get() - leaves).abs() < 1e-9, "{found:?}, {leaves}");
+        prop_assert!(leaves >= release.get());
+        for (((_, later), (_, begin)), promised) in after.iter().zip(&before).zip(&promised) {
+            let slack = promised.slack.unwrap().get();
+            prop_assert!(later - begin <= slack + 1e-9, "{promised:?} is delayed by {} s", later - begin);
+        }
+    }
+}
+
+#[test]
+fn a_role_fits_into_the_time_before_a_release() {
+    // The robot would wait 60 s for the promised role.
+    let waiting = PromisedRole { release: seconds(65), ..promise(1, span(30, 30, 10), Some(0)) };
+    let found = insert(&[waiting], span(20, 20, 10), Objective::EarliestEnd).unwrap();
+    let PlannedRole { start, delay, delayed, .. } = found.planned;
+    assert_eq!((start, delay, delayed), (seconds(5), Seconds::ZERO, 1));
 }
 
 #[test]
@@ -202,7 +258,8 @@ fn a_role_that_can_start_comes_first_whatever_it_delays() {
     let promised = [promise(1, span(30, 30, 10), Some(1))];
     let promised: Vec<&PromisedRole> = promised.iter().collect();
     let (free, discharge) = (place(0), SharePerSecond::new(DISCHARGE).unwrap());
-    let start = TimelineStart { place: &free, time: seconds(0), discharge, comes_first: true, ends_within: None };
+    let (time, release) = (Seconds::ZERO, Seconds::ZERO);
+    let start = TimelineStart { place: &free, time, discharge, comes_first: true, ends_within: None, release };
     let found = insert_role(start, &promised, span(40, 40, 60), Objective::EarliestEnd, &Line).unwrap();
     assert_eq!(found.planned.before.as_ref(), Some(&promised[0].role));
     assert_eq!((found.from.as_str(), found.planned.start, found.planned.delay), ("0", seconds(0), seconds(80)));

@@ -28,7 +28,7 @@ use crate::codec;
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
-use crate::plan::{LocalPlan, Signal, Step, StepAction, StepIndex};
+use crate::plan::{EstimatedPlan, LocalPlan, Signal, Step, StepAction, StepIndex, earliest_starts};
 use crate::units::Seconds;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
@@ -130,6 +130,29 @@ impl MissionEntry {
         self.roles.get(role).is_some_and(|held| held.ended.is_empty()) && !self.can_proceed(role)
     }
 
+    /// Returns the estimated times until roles can begin, by what others do before, at a time in milliseconds since 1970.
+    /// Roles that can begin, and those for which nothing is known, are left out.
+    pub fn releases(&self, now_ms: u64) -> BTreeMap<RoleId, Seconds> {
+        let estimate = |id: &RoleId| {
+            let holder = self.roles.get(id)?.holder.as_ref()?;
+            let durations_s = self.auction.as_ref()?.durations_s(id, &holder.robot);
+            Some((holder.planned_ms as f64 / 1000.0, durations_s))
+        };
+        let estimated = |(id, plan)| {
+            let (begin_s, durations_s) = estimate(id).unwrap_or_default();
+            (RoleId::clone(id), EstimatedPlan { plan, begin_s, durations_s })
+        };
+        let plans = self.division().into_iter().flat_map(|division| &division.plans);
+        let plans: BTreeMap<RoleId, EstimatedPlan<'_>> = plans.map(estimated).collect();
+        let sent: BTreeSet<Signal> = self.roles.keys().flat_map(|role| self.signals_to(role)).collect();
+        let starts = earliest_starts(&plans, |signal| sent.contains(signal));
+        let starts = starts.into_iter().filter_map(|(role, start_s)| {
+            let release = Seconds::new(start_s - now_ms as f64 / 1000.0).ok()?;
+            (release > Seconds::ZERO && !self.can_proceed(&role)).then_some((role, release))
+        });
+        starts.collect()
+    }
+
     fn is_person(&self, role: &RoleId) -> bool {
         self.roles.get(role).is_some_and(|entry| entry.kind == RoleKind::Unmanaged)
     }
@@ -225,12 +248,13 @@ impl Ledger {
     /// promises of a robot or none: those of a robot are left out if the estimate of one is unknown, or if there is no room;
     /// the robots that have promised the least time come first, since they are likely to get the role. A promise may be
     /// delayed up to `delay_max` in all, and not beyond the deadline of its mission; by a mission of higher priority without a
-    /// bound, and by one of lower priority not at all.
+    /// bound, and by one of lower priority not at all. `now_ms` is the time of the call in milliseconds since 1970.
     pub fn promised_roles(
         &self,
         call: &CallForBids,
         delay_max: Seconds,
         invited: &BTreeSet<RobotId>,
+        now_ms: u64,
     ) -> Vec<PromisedRole> {
         let mission = &call.auction.mission;
         let Some(called) = self.mission(mission) else { return vec![] };
@@ -250,6 +274,7 @@ impl Ledger {
                 role: RoleOfMission { mission: entry.id.clone(), role: role.clone() },
                 span,
                 slack,
+                release: entry.releases(now_ms).remove(role).unwrap_or(Seconds::ZERO),
             });
             queues.entry(&promise.robot).or_default().push(promised);
         }

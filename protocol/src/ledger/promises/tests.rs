@@ -84,7 +84,7 @@ impl Log {
         let invited = invited.iter().map(|name| robot(name)).collect();
         let entry = self.0.mission(mission).unwrap();
         let call = entry.call_for_roles(&entry.open_roles(), record(mission, &[]).auction).unwrap();
-        self.0.promised_roles(&call, Seconds::new(60.0).unwrap(), &invited)
+        self.0.promised_roles(&call, Seconds::new(60.0).unwrap(), &invited, 0)
     }
 
     /// Moves the promise of the arm to another robot. It is promised to the robot with `is_promised`.
@@ -242,6 +242,23 @@ fn an_insertion_keeps_the_deadlines_of_promises() {
 }
 
 #[test]
+fn a_promised_role_is_released_when_the_roles_before_it_are_planned_to_end() {
+    let (mut log, missions) = Log::with_missions(2);
+    let [first, second] = &missions[..] else { panic!() };
+    // The cart begins at 0 and takes 20 s.
+    log.insert(first, "arm", second, 20.0);
+    let release_at = |log: &Log, now_ms| {
+        let entry = log.0.mission(second).unwrap();
+        let call = entry.call_for_roles(&entry.open_roles(), record(second, &[]).auction).unwrap();
+        let sent = log.0.promised_roles(&call, Seconds::ZERO, &[robot("arm")].into(), now_ms);
+        sent[0].release.get()
+    };
+    assert_eq!([0, 5_000, 30_000].map(|now_ms| release_at(&log, now_ms)), [20.0, 15.0, 0.0]);
+    log.end(first, "cart");
+    assert_eq!(release_at(&log, 5_000), 0.0, "the cart has ended early");
+}
+
+#[test]
 fn the_first_drive_of_a_promise_counts_towards_its_deadline() {
     let (mut log, missions) = Log::with_missions(2);
     let [first, second] = &missions[..] else { panic!() };
@@ -279,7 +296,7 @@ fn a_promise_passes_to_another_robot() {
     log.insert(second, "arm-1", held, 20.0);
     let call =
         log.0.mission(second).unwrap().call_for_roles(&[role("arm")].into(), record(second, &[]).auction).unwrap();
-    let sent = log.0.promised_roles(&call, Seconds::ZERO, &[robot("arm-1")].into());
+    let sent = log.0.promised_roles(&call, Seconds::ZERO, &[robot("arm-1")].into(), 0);
     let sent: Vec<_> = sent.iter().map(|promise| &promise.role.mission).collect();
     assert_eq!(sent, [first], "the role of the call is left out");
 

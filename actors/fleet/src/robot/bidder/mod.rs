@@ -164,6 +164,7 @@ impl Bidder {
             discharge: context.discharge,
             comes_first: present.is_none() && call.timelines.startable.contains(role),
             ends_within: call.timelines.ends_within,
+            release: call.timelines.releases.get(role).copied().unwrap_or(Seconds::ZERO),
         };
         let span = role_span(plan, &budget, &self.estimator, &context.place);
         let RoleInsertion { from, ends_at, planned } = self.insert(call, span, start, &context);
@@ -208,7 +209,7 @@ impl Bidder {
         (!own.is_empty()).then(insert).flatten().unwrap_or_else(|| RoleInsertion {
             from: start.place.clone(),
             ends_at: None,
-            planned: PlannedRole::alone(span, start.time),
+            planned: PlannedRole::alone(span, start.begin()),
         })
     }
 }

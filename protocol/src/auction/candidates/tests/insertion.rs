@@ -129,14 +129,15 @@ impl Worker {
         let promise = |(index, (work, slack)): (usize, &(Work, Option<u64>))| {
             let mission = format!("m-{number}-{index}").parse().unwrap();
             let role = RoleOfMission { mission, role: role(0) };
-            PromisedRole { robot: robot(number), role, span: span(*work), slack: slack.map(seconds) }
+            let release = Seconds::ZERO;
+            PromisedRole { robot: robot(number), role, span: span(*work), slack: slack.map(seconds), release }
         };
         self.promised.iter().enumerate().filter(|_| self.is_called).map(promise).collect()
     }
 
     /// Returns the bid for a role, as the robot computes it.
     fn bid(&self, call: &CallForBids, number: usize, of: &RoleId, span: &RoleSpan) -> Bid {
-        let Timelines { objective, promised, startable, ends_within } = &call.timelines;
+        let Timelines { objective, promised, startable, ends_within, releases } = &call.timelines;
         let own: Vec<&PromisedRole> = promised.iter().filter(|promised| promised.robot == robot(number)).collect();
         let (held, end) = self.held.unwrap_or((0, self.at));
         let end = place(end);
@@ -146,11 +147,12 @@ impl Worker {
             discharge: SharePerSecond::new(DISCHARGE).unwrap(),
             comes_first: self.held.is_none() && startable.contains(of),
             ends_within: *ends_within,
+            release: releases.get(of).copied().unwrap_or(Seconds::ZERO),
         };
         let inserted = (!own.is_empty()).then(|| insert_role(start, &own, span.clone(), *objective, &Plane)).flatten();
         let (from, planned) = match inserted {
             Some(RoleInsertion { from, planned, .. }) => (from, planned),
-            None => (end.clone(), PlannedRole::alone(span.clone(), start.time)),
+            None => (end.clone(), PlannedRole::alone(span.clone(), start.begin())),
         };
         let time = time_from(&from, span);
         let (mission, held) = ("other".parse().unwrap(), role(0));
@@ -206,13 +208,16 @@ proptest! {
         ],
         (starts, may_wait, promises_max) in (prop::collection::vec(any::<bool>(), 2), any::<bool>(), 0_u32..4),
         ends_within in prop::option::of((0..RANGE).prop_map(seconds)),
+        releases in prop::collection::vec((0..RANGE).prop_map(seconds), 2),
         count in 1_usize..4,
     ) {
         let spans: BTreeMap<RoleId, RoleSpan> = (0..).map(role).zip(works.into_iter().map(span)).collect();
         let startable = spans.keys().zip(starts).filter(|(_, starts)| *starts).map(|(role, _)| role.clone());
         let startable: BTreeSet<RoleId> = startable.collect();
         let promised = workers.iter().enumerate().flat_map(|(number, worker)| worker.promises(number)).collect();
-        let timelines = Timelines { objective, promised, startable: startable.clone(), ends_within };
+        let later = spans.keys().filter(|role| !startable.contains(*role));
+        let releases = later.zip(releases).map(|(role, release)| (role.clone(), release)).collect();
+        let timelines = Timelines { objective, promised, startable: startable.clone(), ends_within, releases };
         let call = CallForBids { timelines, ..call("visit", spans.len()) };
         let terms = RoleTerms::of(&call);
         let candidates = workers.iter().enumerate().map(|(number, worker)| {
