@@ -359,7 +359,7 @@ impl Fleet {
                 worker: member.worker(map),
                 estimator: Arc::new(descriptors.resolve(environment).expect("routes are there")),
                 library: Arc::new(library),
-                capacity: None,
+                capacity: self.options.charging.as_ref().map(|charging| charging.capacity),
             }
         });
         let settings = self.node(name, true, Some(robot));

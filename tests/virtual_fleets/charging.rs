@@ -322,6 +322,43 @@ fn an_award_ends_charging() {
 }
 
 #[test]
+fn a_robot_is_promised_a_role_after_a_planned_stop_at_a_charger() {
+    for_each_seed(SEEDS, async |seed| {
+        // The round takes 19.6 % from where the robot is, and 15.8 % from the charger.
+        let robots = vec![carrier("fern", ROOMS[1], 0.25)];
+        let mut charging = setup(0.2);
+        charging.settings.chargers[0].power = Some(charging.power);
+        let adjust = Box::new(|_: &mut NodeSettings| ());
+        let mut fleet = Fleet::hospital_with_chargers(seed, robots, &["aster"], charging, adjust).await;
+        fleet.wait_for_coordinator().await;
+        let mission = submit(&fleet, &ROOMS).await;
+        let is_promised = |event: &EventKind| match event {
+            EventKind::Awarded { promised, .. } => promised.values().any(|robot| robot.as_str() == "fern"),
+            _ => false,
+        };
+        fleet.wait_until("a promise", SOON, |fleet| fleet.has_event(is_promised)).await;
+        let stop = fleet.events().into_iter().find_map(|event| match event {
+            EventKind::Closed { record, .. } if record.auction.mission == mission => {
+                let start = record.promised.values().next().copied()?;
+                Some((record.planned.into_values().next()?.charging?, start))
+            }
+            _ => None,
+        });
+        let (stop, start) = stop.unwrap_or_else(|| panic!("seed {seed}: no stop\n{}", fleet.event_log_text()));
+        assert_eq!(stop.charger.as_str(), CHARGER, "seed {seed}");
+        // From 19.7 % on, 0.4 % a second.
+        assert!(start >= stop.time && start.get() > 170.0 && start.get() < 300.0, "seed {seed}: {start}");
+        let has_begun = |event: &EventKind| matches!(event, EventKind::Started { .. });
+        fleet.wait_until("the award", SOON, |fleet| fleet.has_event(has_begun)).await;
+        assert_eq!(connections(&fleet), ["fern"], "seed {seed}");
+        let charge = battery(&fleet, "fern");
+        assert!(charge > UNTIL - 0.05, "seed {seed}: it begins with {charge}");
+        fleet.assert_completes(&mission).await;
+        assert!(battery(&fleet, "fern") > USEFUL, "seed {seed}");
+    });
+}
+
+#[test]
 fn a_bid_needs_the_way_to_a_charger() {
     for_each_seed(SEEDS, async |seed| {
         // The drive leaves 12 %, of which 6 % are left at the charger.

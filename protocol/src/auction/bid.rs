@@ -1,5 +1,6 @@
 //! Calls, bids and refusals as values, and the viability check of bids.
 
+use super::charging_stop::ChargingStop;
 use super::insertion::{Objective, PlannedRole, Timelines};
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
@@ -77,7 +78,7 @@ pub struct Bid {
     /// if the robot has data on the error of its estimates. May exceed 1.
     pub energy: f64,
     /// Charge left afterwards, as a share of a full battery; negative if the battery would not
-    /// last.
+    /// last. With a planned stop at a charger it is too little: the charge that would be left without the stop.
     pub remaining: f64,
     /// Charge below which the robot is no longer useful, as stated by the robot.
     pub useful_charge: BatteryShare,
@@ -351,6 +352,11 @@ impl Bid {
     /// Returns the estimate of the tasks of the role.
     pub fn estimate(&self) -> RoleEstimate {
         RoleEstimate { time: self.parts.iter().map(|part| part.time).sum(), energy: Energy::of_share(self.energy) }
+    }
+
+    /// Returns the stop at a charger that the robot plans before the role.
+    pub fn charging_stop(&self) -> Option<&ChargingStop> {
+        self.planned.as_ref()?.charging.as_ref()
     }
 
     /// Returns the marginal cost of the bid: its time, the delay of the promised roles after it, and its energy with that

@@ -4,7 +4,7 @@ use super::branch::Branch;
 use super::mission_order::RoleOrder;
 use super::person_request::PersonRequestEntry;
 use super::submission::Submission;
-use crate::auction::{AuctionId, AuctionRecord, CallForBids, EnergyBudget, RoleSpan, Timelines};
+use crate::auction::{AuctionId, AuctionRecord, CallForBids, ChargingStop, EnergyBudget, RoleSpan, Timelines};
 use crate::cause::CauseClass;
 use crate::codec;
 use crate::ids::{ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId};
@@ -238,6 +238,8 @@ pub struct RoleAssignment {
     pub delayed: Seconds,
     /// Time at which the robot is estimated to be free for the role, in milliseconds since 1970, with these delays.
     pub planned_ms: u64,
+    /// Stop at a charger before the role, while the role is promised.
+    pub charging: Option<ChargingStop>,
 }
 
 impl RoleAssignment {

@@ -3,8 +3,8 @@
 use crate::message_values::task_question;
 use crate::values::*;
 use consort_protocol::auction::{
-    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, NotAskedReason, Objective, PlannedRole,
-    PresentRole, PromisedRole, RefusalReason, RoleOfMission, RoleSpan, Timelines, ViabilityError,
+    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidVerdict, ChargingStop, NotAskedReason, Objective,
+    PlannedRole, PresentRole, PromisedRole, RefusalReason, RoleOfMission, RoleSpan, Timelines, ViabilityError,
 };
 use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use consort_protocol::ledger::{
@@ -52,8 +52,15 @@ fn span() -> impl Strategy<Value = RoleSpan> {
 
 fn planned() -> impl Strategy<Value = PlannedRole> {
     let position = (seconds(), option::of(role_of_mission()), any::<u32>(), any::<u32>());
-    (span(), position, seconds(), seconds(), 0.0..2.0, -1.0..1.0).prop_map(
-        |(span, (start, before, delayed, promised), delay, delay_max, energy, detour_energy)| PlannedRole {
+    let charging = (place(), seconds(), share(), share()).prop_map(|(charger, time, spare, remaining)| ChargingStop {
+        charger,
+        time,
+        spare,
+        remaining,
+    });
+    let charging = option::of(charging);
+    (span(), position, seconds(), seconds(), 0.0..2.0, -1.0..1.0, charging).prop_map(
+        |(span, (start, before, delayed, promised), delay, delay_max, energy, detour_energy, charging)| PlannedRole {
             span,
             start,
             before,
@@ -63,6 +70,7 @@ fn planned() -> impl Strategy<Value = PlannedRole> {
             promised,
             energy: Energy::of_share(energy),
             detour_energy,
+            charging,
         },
     )
 }
@@ -73,8 +81,9 @@ pub(crate) fn timelines() -> impl Strategy<Value = Timelines> {
         Just(Objective::LeastEnergy),
         seconds().prop_map(|battery_s| Objective::Weighted { battery_s }),
     ];
-    let promised = (name(), role_of_mission(), span(), option::of(seconds()), seconds())
-        .prop_map(|(robot, role, span, slack, release)| PromisedRole { robot, role, span, slack, release });
+    let promised = (name(), role_of_mission(), span(), option::of(seconds()), seconds(), any::<bool>()).prop_map(
+        |(robot, role, span, slack, release, charges)| PromisedRole { robot, role, span, slack, release, charges },
+    );
     let releases = btree_map(name(), seconds(), 0..3);
     (objective, vec(promised, 0..3), btree_set(name(), 0..3), option::of(seconds()), releases).prop_map(
         |(objective, promised, startable, ends_within, releases)| Timelines {

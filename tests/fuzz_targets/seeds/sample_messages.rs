@@ -7,8 +7,8 @@ use consort_fleet::robot_driver::{
 };
 use consort_gossip::{GossipHarness, GossipInput as How};
 use consort_protocol::auction::{
-    AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, Objective, PlannedRole, PresentRole,
-    PromisedRole, RoleOfMission, RoleReply, RoleSpan, Timelines,
+    AuctionId, AuctionRecord, Bid, BidPart, BidResponse, CallForBids, ChargingStop, Objective, PlannedRole,
+    PresentRole, PromisedRole, RoleOfMission, RoleReply, RoleSpan, Timelines,
 };
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec::{encode, encode_for_version, encode_record};
@@ -145,6 +145,12 @@ fn span() -> RoleSpan {
     RoleSpan { from: Some(slug("Dock")), to: Some(slug("Laboratory")), time, energy: Energy::of_share(0.1) }
 }
 
+fn stop() -> ChargingStop {
+    let share = |share: f64| BatteryShare::new(share).expect("a share");
+    let time = Seconds::new(300.0).expect("a time");
+    ChargingStop { charger: slug("Dock"), time, spare: share(0.8), remaining: share(0.5) }
+}
+
 fn planned() -> PlannedRole {
     let seconds = |seconds: f64| Seconds::new(seconds).expect("a time");
     PlannedRole {
@@ -155,6 +161,7 @@ fn planned() -> PlannedRole {
         promised: 1,
         energy: Energy::of_share(0.1),
         detour_energy: 0.01,
+        charging: Some(stop()),
         ..PlannedRole::alone(span(), seconds(20.0))
     }
 }
@@ -253,6 +260,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
                     span: span(),
                     slack: Some(Seconds::new(60.0).expect("a time")),
                     release: Seconds::new(40.0).expect("a time"),
+                    charges: true,
                 }],
                 startable: [slug("r1")].into(),
                 ends_within: Some(Seconds::new(600.0).expect("a time")),

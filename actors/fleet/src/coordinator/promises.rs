@@ -5,23 +5,27 @@ use super::message::AwardedRole;
 use super::queues::may_return;
 use super::scope::Scope;
 use consort_gossip::{MemberStatus, SharedKnowledge};
-use consort_protocol::auction::BidLimits;
+use consort_protocol::auction::{BidLimits, CHARGE_TOLERANCE, ChargingStop};
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::ledger::{Alarm, Ledger, Priority};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Tolerance for the charge of a robot, as a share of a full battery: records state the charge in steps of 0.02.
-const CHARGE_TOLERANCE: f64 = 0.02;
+/// Time after the planned start of a role before which its robot charges, in milliseconds. Until then the robot gets no role that
+/// follows. Raised: a robot that finds no charger does nothing for longer. A guess: a few minutes.
+const CHARGING_LATE_MS: u64 = 5 * 60 * 1000;
 
 /// Returns the awards of promised roles to free robots, in the order of the promises, and the
 /// releases of promises that cannot be kept, or that those of a higher priority have displaced. A robot
 /// that only waits for others in its role is asked to return the role for a promised role that can start. A robot whose charge
-/// is too low by now would give up the role, and would get it no more: its promise is released, so that it can charge.
+/// is too low by now would give up the role, and would get it no more: its promise is released, so that it can charge. A robot
+/// that has planned to charge before a role gets it when it has charged, and no later one before. `now_ms` is the time of
+/// day that a majority of the voters confirms.
 pub(super) fn promises_due(
     ledger: &Ledger,
     scope: Scope<'_>,
     SessionState { rounds, unfit, spare_charge, promises_max, .. }: &SessionState<'_>,
+    now_ms: Option<u64>,
     is_due: impl Fn(&AwardedRole) -> bool,
 ) -> Vec<CoordinatorAction> {
     let promises = scope.promises(ledger);
@@ -52,8 +56,10 @@ pub(super) fn promises_due(
         *before += 1;
         let (can_start, is_free) = (entry.can_proceed(role), !taken.contains(&robot.robot));
         let is_idle = is_free || waiting.contains_key(&robot.robot);
-        let lacks_charge = |spare: &f64| robot.energy.get() > spare + CHARGE_TOLERANCE;
-        let is_too_low = can_start && is_idle && spare_charge.get(&robot.robot).is_some_and(lacks_charge);
+        let spare = spare_charge.get(&robot.robot);
+        let charges_first = robot.charging.as_ref().is_some_and(|stop| has_to_charge(stop, spare));
+        let lacks_charge = |spare: &f64| robot.charging.is_none() && robot.energy.get() > spare + CHARGE_TOLERANCE;
+        let is_too_low = can_start && is_idle && spare.is_some_and(lacks_charge);
         let displaced = || format!("{} has promised enough roles of a higher priority", robot.robot);
         let too_low = || format!("the charge of {} is too low for it", robot.robot);
         let reason = unfit.get(&robot.robot).cloned();
@@ -62,19 +68,29 @@ pub(super) fn promises_due(
             actions.extend(is_due(&promised).then_some(CoordinatorAction::ReleaseRole(promised, reason)));
         } else if !can_start {
             continue;
+        } else if charges_first && is_free {
+            let late_ms = robot.planned_ms.saturating_add(CHARGING_LATE_MS);
+            if now_ms.is_none_or(|now_ms| now_ms < late_ms) {
+                taken.insert(&robot.robot);
+            }
         } else if is_free {
             if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
                 taken.insert(&robot.robot);
                 actions.extend(is_due(&promised).then_some(CoordinatorAction::AwardPromised(promised)));
             }
         } else {
-            // The robot gets the returned role again once that role can start.
+            // The robot gets the returned role again once that role can start. A robot that holds no role can charge.
             let held = waiting.remove(&robot.robot).filter(&is_due);
             let give_way = |awarded| CoordinatorAction::AskToGiveWay { awarded, to: entry.id.clone(), for_now: true };
             actions.extend(held.map(give_way));
         }
     }
     actions
+}
+
+/// Checks whether a robot has not charged yet as it has planned.
+fn has_to_charge(stop: &ChargingStop, spare: Option<&f64>) -> bool {
+    spare.is_none_or(|spare| *spare < stop.spare.get() - CHARGE_TOLERANCE)
 }
 
 /// Returns the robots of a scope with promises that cannot take a role, with the reasons, as far as this node knows.
@@ -153,6 +169,7 @@ mod tests {
         is_due: bool,
     }
 
+    const NOW_MS: u64 = 1_000;
     const USUAL: Case = Case { promises_max: 16, unfit: &[], spare: None, is_due: true };
 
     fn due(ledger: &Ledger, Case { promises_max, unfit, spare, is_due }: Case) -> Vec<CoordinatorAction> {
@@ -161,7 +178,7 @@ mod tests {
         let spare_charge = &spare.map(|spare| ("lab-arm".parse().unwrap(), spare)).into_iter().collect();
         let lease_monitor = &LeaseMonitor::new(LeaseTerms::default());
         let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
-        promises_due(ledger, Scope::All, &state, |_| is_due)
+        promises_due(ledger, Scope::All, &state, Some(NOW_MS), |_| is_due)
     }
 
     /// Returns the missions whose promised roles are awarded.
@@ -223,6 +240,25 @@ mod tests {
             let awarded = with_spare(&log, spare);
             assert!(matches!(awarded[..], [CoordinatorAction::AwardPromised(_)]), "{awarded:?}");
         }
+    }
+
+    #[test]
+    fn a_robot_gets_a_role_before_which_it_charges_once_it_has_charged() {
+        let mut log = Log::default();
+        let (charged, next) = (log.add_mission_after_charging("ada", 0.8), log.add_mission("bob"));
+        let with_spare = |log: &Log, spare| due(&log.0, Case { spare: Some(spare), ..USUAL });
+        log.end_cart(&next);
+        assert!(matches!(&with_spare(&log, 0.3)[..], [CoordinatorAction::AwardPromised(role)] if role.mission == next));
+        log.end_cart(&charged);
+        assert_eq!(with_spare(&log, 0.3), [], "it charges before the role, and before those that follow");
+        let awarded = with_spare(&log, 0.79);
+        assert!(matches!(&awarded[..], [CoordinatorAction::AwardPromised(role)] if role.mission == charged));
+        let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
+        let spare_charge = &BTreeMap::from([("lab-arm".parse().unwrap(), 0.3)]);
+        let (lease_monitor, promises_max) = (&LeaseMonitor::new(LeaseTerms::default()), 16);
+        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
+        let late = promises_due(&log.0, Scope::All, &state, Some(CHARGING_LATE_MS), |_| true);
+        assert!(matches!(&late[..], [CoordinatorAction::AwardPromised(role)] if role.mission == next), "{late:?}");
     }
 
     #[test]

@@ -73,7 +73,7 @@ pub(super) fn pending_actions(
     });
     let reassigned = reassigned.filter(|(awarded, _)| is_notice_due(awarded));
     actions.extend(reassigned.map(|(awarded, order)| CoordinatorAction::AskToReturn { awarded, order }));
-    actions.extend(promises_due(ledger, scope, state, is_notice_due));
+    actions.extend(promises_due(ledger, scope, state, confirmed_ms, is_notice_due));
     // Robots keep their roles during an alarm, since they would get no others.
     if ledger.has_alarm() {
         return actions;

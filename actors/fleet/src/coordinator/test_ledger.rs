@@ -1,12 +1,14 @@
 //! A ledger with promises, for unit tests.
 
-use consort_protocol::auction::{AuctionEntry, AuctionId, AuctionRecord, BidVerdict};
+use consort_protocol::auction::{
+    AuctionEntry, AuctionId, AuctionRecord, BidVerdict, ChargingStop, PlannedRole, RoleSpan,
+};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, Priority, PromiseMove, Submission};
 use consort_protocol::mission::{Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
-use consort_protocol::units::Seconds;
+use consort_protocol::units::{BatteryShare, Energy, Seconds};
 use consort_skills::domain::hospital;
 use std::collections::BTreeMap;
 
@@ -34,6 +36,19 @@ impl Log {
 
     /// Does the same for a mission of a priority.
     pub(crate) fn add_mission_of(&mut self, cart: &str, priority: i64) -> MissionId {
+        self.add(cart, priority, None)
+    }
+
+    /// Does the same for an arm that charges before the role, up to this charge above the minimum.
+    pub(crate) fn add_mission_after_charging(&mut self, cart: &str, spare: f64) -> MissionId {
+        let share = |share| BatteryShare::new(share).unwrap();
+        let span = RoleSpan { from: None, to: None, time: Seconds::ZERO, energy: Energy::ZERO };
+        let (charger, time) = ("Dock".parse().unwrap(), Seconds::ZERO);
+        let stop = ChargingStop { charger, time, spare: share(spare), remaining: share(0.5) };
+        self.add(cart, 0, Some(PlannedRole { charging: Some(stop), ..PlannedRole::alone(span, Seconds::ZERO) }))
+    }
+
+    fn add(&mut self, cart: &str, priority: i64, planned: Option<PlannedRole>) -> MissionId {
         let mission = MissionTemplate::parse(MISSION, Format::Json).unwrap();
         let mission = mission.instantiate(&BTreeMap::new(), &hospital()).unwrap();
         let division = divide_and_check(&mission).unwrap();
@@ -52,7 +67,9 @@ impl Log {
             verdict: BidVerdict::Viable { time: Seconds::ZERO, energy: 0.1, remaining: 0.5 },
             parts: vec![],
         };
-        let auction = AuctionRecord { entries: vec![entry], promised: [(arm, Seconds::ZERO)].into(), ..empty };
+        let planned = planned.map(|planned| (arm.clone(), planned)).into_iter().collect();
+        let promised = [(arm, Seconds::ZERO)].into();
+        let auction = AuctionRecord { entries: vec![entry], promised, planned, ..empty };
         self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
         mission
     }

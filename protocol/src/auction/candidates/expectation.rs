@@ -181,7 +181,8 @@ mod tests {
         assert_eq!(expect(&call, &worker, price), Expectation::CostsAtLeast(100_020.0));
         let span = RoleSpan { from: None, to: None, time: Seconds::ZERO, energy: Energy::ZERO };
         let role = RoleOfMission { mission: "visit-0".parse().unwrap(), role: "r1".parse().unwrap() };
-        call.timelines.promised = vec![PromisedRole { robot: "ada".parse().unwrap(), role, span, slack: None, release: Seconds::ZERO }];
+        let (robot, slack, release, charges) = ("ada".parse().unwrap(), None, Seconds::ZERO, false);
+        call.timelines.promised = vec![PromisedRole { robot, role, span, slack, release, charges }];
         assert_eq!(expect(&call, &worker, price), Expectation::CostsAtLeast(0.0));
         assert_eq!(
             expect(&call, &worker, Price::Impossible),

@@ -215,6 +215,10 @@ fn later_text(record: &AuctionRecord, role: &RoleId) -> String {
         start => format!(" in about {start:.0} s"),
     };
     let planned = record.planned.get(role);
+    let when = match planned.and_then(|planned| planned.charging.as_ref()) {
+        Some(stop) => format!("{when}, after charging at {}", stop.charger),
+        None => when,
+    };
     match planned.and_then(|planned| Some((planned.before.as_ref()?, planned.delay.get()))) {
         Some((next, delay_s)) => {
             format!("{when} (before {} of {}, which it delays by {delay_s:.0} s)", next.role, next.mission)

@@ -10,6 +10,7 @@
 //!   after:   held ─┤ a ├─┤ new ├─┤ b ├            = end of new + delay of b
 //! ```
 
+use super::charging_stop::ChargingStop;
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{MissionId, PlaceId, RobotId, RoleId};
 use crate::mission::ROLES_MAX;
@@ -85,6 +86,8 @@ pub struct PromisedRole {
     pub slack: Option<Seconds>,
     /// Estimated time until it can begin, by what others do before; 0 if it can begin, or if that is unknown.
     pub release: Seconds,
+    /// The robot has to charge before it.
+    pub charges: bool,
 }
 
 /// Timelines of the robots of a fleet, as a call for bids contains them.
@@ -128,6 +131,9 @@ pub struct PlannedRole {
     pub energy: Energy,
     /// Additional energy of the drives to promised roles, as a share of a full battery; negative if they are shorter.
     pub detour_energy: f64,
+    /// Stop at a charger before the role. The span and the start contain its time.
+    #[serde(default)]
+    pub charging: Option<ChargingStop>,
 }
 
 impl PlannedRole {
@@ -143,6 +149,7 @@ impl PlannedRole {
             promised: 0,
             energy: Energy::ZERO,
             detour_energy: 0.0,
+            charging: None,
         }
     }
 
@@ -242,11 +249,49 @@ pub fn insert_role(
         promised: delayed(0),
         energy: Energy::of_share(energy_kept + discharge * driven_s),
         detour_energy: discharge * detour_s,
+        charging: None,
         span,
     };
     let end_of = |roles: &[&PromisedRole]| roles.iter().rev().find_map(|role| role.span.to.clone());
     let from = end_of(&promised[..found.position]).unwrap_or_else(|| start.place.clone());
     Some(RoleInsertion { from, ends_at: end_of(&kept[found.position..]), planned })
+}
+
+/// State of a robot after the roles that it has promised, except for those of a lower priority.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TimelineEnd {
+    /// Place where the robot is.
+    pub place: PlaceId,
+    /// Time until then.
+    pub time: Seconds,
+    /// Energy of these roles, with the drives to them.
+    pub energy: Energy,
+    /// The first promised role of a lower priority.
+    pub before: Option<RoleOfMission>,
+    /// Number of promised roles of a lower priority.
+    pub delayed: u32,
+}
+
+/// Returns the state of a robot after its promised roles; `None` if they cannot be reached.
+pub fn end_of_promised(
+    start: TimelineStart<'_>,
+    promised: &[&PromisedRole],
+    travel: &impl Travel<PlaceId>,
+) -> Option<TimelineEnd> {
+    let before_lower = promised.iter().position(|promised| promised.slack.is_none()).unwrap_or(promised.len());
+    let (kept, lower) = promised.split_at(before_lower);
+    let travel = Drives(travel);
+    let jobs = kept.iter().enumerate().map(|(index, promised)| job(index, &promised.span, promised.release));
+    let timeline = Timeline::new(Some(start.place.clone()), start.time.get()).with_jobs(jobs, &travel);
+    let energy: f64 = kept.iter().map(|promised| promised.span.energy.get()).sum();
+    let ends_at = kept.iter().rev().find_map(|promised| promised.span.to.clone());
+    Some(TimelineEnd {
+        place: ends_at.unwrap_or_else(|| start.place.clone()),
+        time: Seconds::new(timeline.free_from_s()).ok()?,
+        energy: Energy::of_share(energy + start.discharge.over(Seconds::new(timeline.travel_s(&travel)).ok()?)),
+        before: lower.first().map(|next| next.role.clone()),
+        delayed: u32::try_from(lower.len()).unwrap_or(u32::MAX),
+    })
 }
 
 fn job(key: usize, span: &RoleSpan, release: Seconds) -> Job<usize, Option<PlaceId>> {

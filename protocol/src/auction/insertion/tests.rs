@@ -35,7 +35,7 @@ fn promise(number: usize, span: RoleSpan, slack: Option<u8>) -> PromisedRole {
     let mission = format!("m-{number}").parse().unwrap();
     let role = RoleOfMission { mission, role: "r1".parse().unwrap() };
     let (robot, release) = ("ada".parse().unwrap(), Seconds::ZERO);
-    PromisedRole { robot, role, span, slack: slack.map(seconds), release }
+    PromisedRole { robot, role, span, slack: slack.map(seconds), release, charges: false }
 }
 
 /// Returns the insertion for a robot that is free at metre 0 after 5 s.

@@ -11,6 +11,9 @@
 //! A mission of a higher priority comes before the promised roles of others, and may be promised a robot whose queue is
 //! full: the last promise is then released. It may also be promised a robot that only waits in a role of a lower priority.
 //!
+//! A robot that has to charge before a role can only be promised the role, also if it is free: the award follows when it has
+//! charged.
+//!
 //! A promised role is auctioned again from time to time. It passes to the winner if that costs clearly less than the robot of
 //! the promise, or if that robot is late.
 
@@ -113,14 +116,25 @@ impl PromiseContext<'_> {
         let queue = self.queues.get(&bid.robot);
         let present = bid.present.as_ref();
         let reason = queue.map(|queue| queue.reason.clone()).or_else(|| present.map(RefusalReason::from));
-        let Some(reason) = reason.filter(|_| self.is_later(bid)) else {
-            return RoleReply::Bid(bid.clone());
-        };
         let is_too_late = self.terms.horizon.is_some_and(|horizon| self.start_of(bid) > horizon);
-        if is_too_late || !self.may_promise(queue, &bid.role) {
-            return RoleReply::Refusal(BidRefusal { robot: bid.robot.clone(), role: bid.role.clone(), reason });
+        let may_promise = !is_too_late && self.may_promise_bid(queue, bid);
+        match reason.filter(|_| self.is_later(bid)) {
+            // A free robot that has to charge can only be promised the role.
+            None if bid.charging_stop().is_none() || !may_promise => RoleReply::Bid(bid.clone()),
+            Some(reason) if !may_promise => {
+                RoleReply::Refusal(BidRefusal { robot: bid.robot.clone(), role: bid.role.clone(), reason })
+            }
+            _ => RoleReply::Bid(self.at_its_start(bid)),
         }
-        RoleReply::Bid(self.at_its_start(bid))
+    }
+
+    /// Checks whether a robot with this queue may promise a role with its bid. A stop at a charger holds only for the queue that
+    /// the robot has considered.
+    fn may_promise_bid(&self, queue: Option<&RobotQueue>, bid: &Bid) -> bool {
+        let (charges, is_free) = (bid.charging_stop().is_some(), queue.is_none() && bid.present.is_none());
+        let may_charge_first = charges && is_free && self.terms.promises_max > 0;
+        let holds = !charges || self.plan_of(bid).is_some();
+        holds && (may_charge_first || self.may_promise(queue, &bid.role))
     }
 
     /// Checks whether a robot with this queue may promise a role.
@@ -147,7 +161,8 @@ impl PromiseContext<'_> {
             Some(plan) => Some(Box::new(PlannedRole { delay_max: self.terms.delay_max, ..plan.clone() })),
             None => bid.planned.clone().map(|planned| Box::new(PlannedRole::alone(planned.span, start))),
         };
-        let (time, remaining) = (start + bid.time, bid.remaining - energy.get());
+        let charged = bid.charging_stop().map(|stop| stop.remaining.get());
+        let (time, remaining) = (start + bid.time, charged.unwrap_or(bid.remaining - energy.get()));
         Bid { time, remaining, present: None, planned, ..bid.clone() }
     }
 
@@ -191,7 +206,7 @@ impl PromiseContext<'_> {
     /// Checks whether the bid is for a promise.
     fn is_later(&self, bid: &Bid) -> bool {
         let is_held = self.queues.get(&bid.robot).is_some_and(|queue| queue.held.is_some());
-        is_held || bid.present.is_some() || !self.startable.contains(&bid.role)
+        is_held || bid.present.is_some() || bid.charging_stop().is_some() || !self.startable.contains(&bid.role)
     }
 
     /// Returns the roles that are promised with these holders, with the times until their robots are free; `None`
@@ -209,8 +224,12 @@ impl PromiseContext<'_> {
         let (later, now): (Vec<&Bid>, Vec<&Bid>) = chosen.partition(|bid| self.is_later(bid));
         let longest =
             now.iter().map(|bid| bid.time).fold(Seconds::ZERO, |one, other| if one > other { one } else { other });
+        let charging: BTreeSet<&RobotId> =
+            later.iter().filter(|bid| bid.charging_stop().is_some()).map(|bid| &bid.robot).collect();
         let promised: BTreeMap<_, _> = later.into_iter().map(|bid| (bid.role.clone(), self.start_of(bid))).collect();
-        let serves_in_turn = |robot| self.queues.get(robot).is_some_and(RobotQueue::serves_in_turn);
+        let serves_in_turn = |robot: &RobotId| {
+            charging.contains(robot) || self.queues.get(robot).is_some_and(RobotQueue::serves_in_turn)
+        };
         let is_in_time = !now.is_empty() && promised.values().all(|start| *start <= longest);
         let is_accepted = is_in_time || self.may_wait || holders.values().all(serves_in_turn);
         is_accepted.then_some(promised)

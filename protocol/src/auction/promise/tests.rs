@@ -1,4 +1,5 @@
 use super::super::bid::{AuctionId, BidLimits, CallForBids, PresentRole};
+use super::super::charging_stop::ChargingStop;
 use super::super::clearing::{AuctionContext, AuctionOutcome, clear_auction};
 use super::super::insertion::{RoleOfMission, RoleSpan, Timelines};
 use super::super::invitation::Invitation;
@@ -168,6 +169,29 @@ fn robots_with_promises_are_promised_in_turn() {
     let queues = [("ada", queue(true, 1)), ("arm-1", queue(false, 1))];
     let outcome = clear(&Case { queues: &queues, startable: &["cart"], may_wait: false }, &responses);
     assert_eq!(promised(&outcome), [("arm", 20.0), ("cart", 29.0)]);
+}
+
+#[test]
+fn a_free_robot_that_has_to_charge_is_promised_the_role_after_its_stop() {
+    let mut charging = bid("ada", "cart", None);
+    let Some(RoleReply::Bid(planned)) = charging.replies.first_mut() else { panic!("a bid") };
+    let span = RoleSpan { from: None, to: None, time: seconds(100.0), energy: Energy::ZERO };
+    let share = |share| BatteryShare::new(share).unwrap();
+    let (charger, time) = ("dock".parse().unwrap(), seconds(300.0));
+    let stop = ChargingStop { charger, time, spare: share(0.8), remaining: share(0.6) };
+    planned.remaining = 0.05;
+    planned.planned = Some(Box::new(PlannedRole { charging: Some(stop), ..PlannedRole::alone(span, time) }));
+    let responses = [bid("arm-1", "arm", None), charging];
+    let in_turn = [("arm-1", queue(false, 1))];
+    let outcome = clear(&Case { queues: &in_turn, startable: &["cart"], may_wait: false }, &responses);
+    assert_eq!(promised(&outcome), [("arm", 20.0), ("cart", 300.0)]);
+    let entry = outcome.record.entries.iter().find(|entry| entry.robot.as_str() == "ada").unwrap();
+    assert!(matches!(entry.verdict, BidVerdict::Viable { remaining: 0.6, .. }), "{entry:?}");
+    assert_eq!(outcome.record.planned[&role("cart")].charging.as_ref().map(|stop| stop.time), Some(time));
+    // The robot has promised a role that it did not consider.
+    let queues = [("arm-1", queue(false, 1)), ("ada", queue(false, 1))];
+    let outcome = clear(&Case { queues: &queues, startable: &["cart"], may_wait: false }, &responses);
+    assert_eq!(promised(&outcome), []);
 }
 
 #[test]

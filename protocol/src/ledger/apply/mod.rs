@@ -383,7 +383,9 @@ impl Ledger {
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
                 let RoleEstimate { time, energy } = auction.estimate_of(&id, &robot);
-                let span = auction.planned.get(&id).map(|planned| planned.span.clone());
+                let planned = auction.planned.get(&id);
+                let span = planned.map(|planned| planned.span.clone());
+                let charging = planned.and_then(|planned| planned.charging.clone()).filter(|_| is_promised(&id));
                 let (incarnation, delayed) = (None, Seconds::ZERO);
                 let position = positions.get(&id).copied().unwrap_or_default();
                 let start = auction.promised.get(&id).copied().unwrap_or(Seconds::ZERO);
@@ -398,6 +400,7 @@ impl Ledger {
                     position,
                     delayed,
                     planned_ms,
+                    charging,
                 });
                 role.phase = if is_promised(&id) { RolePhase::Promised } else { RolePhase::Awarded };
                 role.ended.clear();

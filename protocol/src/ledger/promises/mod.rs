@@ -275,6 +275,7 @@ impl Ledger {
                 span,
                 slack,
                 release: entry.releases(now_ms).remove(role).unwrap_or(Seconds::ZERO),
+                charges: promise.charging.is_some(),
             });
             queues.entry(&promise.robot).or_default().push(promised);
         }
@@ -427,7 +428,7 @@ impl Ledger {
         let promised = entry.roles.get_mut(role).ok_or_else(not_promised)?;
         promised.phase = RolePhase::Awarded;
         if let Some(holder) = &mut promised.holder {
-            holder.epoch = at;
+            (holder.epoch, holder.charging) = (at, None);
         }
         entry.end_next_restrictions(iter::once(role));
         Ok(CommandOutcome::Awarded { epoch: at })

@@ -15,8 +15,8 @@ mod state;
 pub(crate) use message::RobotMessage;
 
 use super::alarm_drive::AlarmDrive;
-use super::bidder::{BidContext, Bidder, PresentWork, lacks_charge};
-use super::charging::{ChargeControl, ChargerReserve};
+use super::bidder::{BidContext, Bidder, PresentWork, lacks_charge, plans_stop};
+use super::charging::ChargeControl;
 use super::checkpoint::Checkpoint;
 use super::checkpoint_storage::CheckpointStorage;
 use super::driver_link::DriverLink;
@@ -246,11 +246,14 @@ impl RobotState {
             present,
         };
         let limits = pricing.limits;
-        let chargers = self.charging.as_ref().map(|own| ChargerReserve::new(own.usable().clone(), limits));
+        let chargers = self.charging.as_ref().map(|own| own.reserve(limits));
         let bidder = Bidder::new(robot.clone(), Arc::clone(&pricing.estimator)).with_chargers(chargers);
         let response = bidder.respond(&call, &context);
         if response.replies.iter().any(|reply| lacks_charge(reply, &limits)) {
             self.charging.iter_mut().for_each(ChargeControl::note_lack);
+        }
+        if response.replies.iter().any(plans_stop) {
+            self.charging.iter_mut().for_each(ChargeControl::note_stop);
         }
         let key = links.keys.write(&Key::Bid(robot.clone()));
         reply::wire_in(&mut self.tasks, query, key, response);

@@ -1,8 +1,11 @@
 //! Bids: a robot prices its own work.
 
+mod after_charging;
+
 use super::charging::ChargerReserve;
 use super::energy_check::pricing_context;
 use super::own_tasks::drive_to;
+use after_charging::ShortBid;
 use consort_protocol::auction::{
     Bid, BidLimits, BidRefusal, BidResponse, CallForBids, PlannedRole, PresentRole, PromisedRole, RefusalReason,
     RoleInsertion, RoleReply, RoleSpan, TimelineStart, ViabilityError, insert_role,
@@ -146,7 +149,7 @@ impl Bidder {
         }
         let from = present.map_or_else(|| worker.place.clone(), |present| present.ends_at.clone());
         let readings = readings.cloned();
-        let context = EstimateContext { place: from, readings, ..pricing_context(worker, closed_lanes, speed_limits) };
+        let free = EstimateContext { place: from, readings, ..pricing_context(worker, closed_lanes, speed_limits) };
         let budget_from = |context: &EstimateContext| {
             self.estimator.budget(plan, context).map_err(|problem| {
                 // What people have closed may be open later. A problem that is left without their closures counts.
@@ -157,28 +160,37 @@ impl Bidder {
                 }
             })
         };
-        let budget = budget_from(&context)?;
+        let budget = budget_from(&free)?;
+        let own = self.own_promises(call);
         let start = TimelineStart {
-            place: &context.place,
+            place: &free.place,
             time: present.map_or(Seconds::ZERO, |present| present.role.time),
-            discharge: context.discharge,
-            comes_first: present.is_none() && call.timelines.startable.contains(role),
+            discharge: free.discharge,
+            // A promised role before which the robot charges may be able to start.
+            comes_first: present.is_none()
+                && call.timelines.startable.contains(role)
+                && !own.iter().any(|promised| promised.charges),
             ends_within: call.timelines.ends_within,
             release: call.timelines.releases.get(role).copied().unwrap_or(Seconds::ZERO),
         };
-        let span = role_span(plan, &budget, &self.estimator, &context.place);
-        let RoleInsertion { from, ends_at, planned } = self.insert(call, span, start, &context);
-        let context = EstimateContext { place: from.clone(), ..context };
+        let span = role_span(plan, &budget, &self.estimator, &free.place);
+        let RoleInsertion { from, ends_at, planned } = self.insert(call, span, start, &free);
+        let context = EstimateContext { place: from.clone(), ..free.clone() };
         let budget = if planned.promised > 0 { budget_from(&context)? } else { budget };
         let (time, energy) = (budget.time(), budget.energy);
-        let remaining = worker.battery.get() - present.map_or(0.0, |present| present.energy) - energy;
-        if let Some(chargers) = &self.chargers {
-            let left = remaining - planned.energy.get();
-            let end = EstimateContext { place: ends_at.unwrap_or(budget.ends_at), ..context };
-            let checked = chargers.check(left, worker.useful_charge, &self.estimator, &end);
-            checked.map_err(|reason| without_charger(reason, closures))?;
-        }
-        Ok(Bid {
+        let charge = worker.battery.get() - present.map_or(0.0, |present| present.energy);
+        let remaining = charge - energy;
+        let checked = match &self.chargers {
+            Some(chargers) => {
+                let left = remaining - planned.energy.get();
+                let end = EstimateContext { place: ends_at.unwrap_or(budget.ends_at), ..context };
+                let is_low = left <= chargers.floor(worker.useful_charge).get();
+                let checked = chargers.check(left, worker.useful_charge, &self.estimator, &end);
+                (!is_low).then_some(checked.map_err(|reason| without_charger(reason, closures)))
+            }
+            None => Some(Ok(())),
+        };
+        let bid = Bid {
             robot: self.robot.clone(),
             role: role.clone(),
             time,
@@ -190,7 +202,20 @@ impl Bidder {
             parts: budget.parts,
             present: present.map(|present| present.role.clone()),
             planned: Some(Box::new(planned)),
-        })
+        };
+        if checked == Some(Ok(())) {
+            return Ok(bid);
+        }
+        let budget_from = |context: &EstimateContext| budget_from(context).ok();
+        match self.after_charging(ShortBid { bid: &bid, own: &own, start, charge, free: &free }, budget_from) {
+            Some(later) => Ok(later),
+            None => checked.unwrap_or(Ok(())).map(|()| bid),
+        }
+    }
+
+    /// Returns the roles that the robot has promised, in their order.
+    fn own_promises<'c>(&self, call: &'c CallForBids) -> Vec<&'c PromisedRole> {
+        call.timelines.promised.iter().filter(|promised| promised.robot == self.robot).collect()
     }
 
     /// Inserts a role in the timeline of the robot. Without known promises, or without a way to all of them, the
@@ -202,8 +227,7 @@ impl Bidder {
         start: TimelineStart<'_>,
         free: &EstimateContext,
     ) -> RoleInsertion {
-        let own: Vec<&PromisedRole> =
-            call.timelines.promised.iter().filter(|promised| promised.robot == self.robot).collect();
+        let own = self.own_promises(call);
         let travel = EstimatedTravel { estimator: &self.estimator, context: free };
         let insert = || insert_role(start, &own, span.clone(), call.timelines.objective, &travel);
         (!own.is_empty()).then(insert).flatten().unwrap_or_else(|| RoleInsertion {
@@ -253,6 +277,11 @@ pub(super) fn lacks_charge(reply: &RoleReply, limits: &BidLimits) -> bool {
             matches!(refusal.reason, RefusalReason::ChargerOutOfReach { charger: Some(_), .. })
         }
     }
+}
+
+/// Checks whether the robot bids for the time after a stop at a charger.
+pub(super) fn plans_stop(reply: &RoleReply) -> bool {
+    matches!(reply, RoleReply::Bid(bid) if bid.charging_stop().is_some())
 }
 
 /// Returns the refusal of a plan that can be priced without the closures of people.

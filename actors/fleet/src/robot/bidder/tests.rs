@@ -189,6 +189,7 @@ fn bid_beside(to: &str, promised: &[&str], is_startable: bool) -> Bid {
         },
         slack: Seconds::new(5.0).ok(),
         release: Seconds::ZERO,
+        charges: false,
     };
     let promised = promised.iter().enumerate().map(promise).collect();
     let startable = is_startable.then(|| "r1".parse().unwrap()).into_iter().collect();

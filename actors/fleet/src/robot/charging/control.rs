@@ -2,14 +2,16 @@
 
 use super::RobotCharging;
 use super::policy::{Activity, Claim, LeaseOffer, OtherRobot, ReceivedLeases, Situation};
+use super::reserve::ChargerReserve;
 use crate::robot::own_tasks::{Drive, OwnTask, dock_at, drive_to, nearest, places};
+use consort_protocol::auction::BidLimits;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{ChargerClaim, Charging};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, NodeTime, WorldTime};
 use consort_skills::descriptor::{EstimateContext, Estimator};
 use ractor::ActorId;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 /// Node time for which a robot avoids a place where a task of charging has failed. A guess: most
@@ -35,6 +37,8 @@ pub(in crate::robot) struct ChargeControl {
     trip: Option<Trip>,
     /// The charge was too low for a role since the robot last had enough.
     lacks_charge: bool,
+    /// The robot has bid for a role after a stop at a charger since it last had enough: it charges also after other roles.
+    plans_stop: bool,
     /// Latest rise of the charge of the connected robot.
     rise: Option<Rise>,
     /// Places where a task has failed, until these times.
@@ -69,6 +73,7 @@ impl ChargeControl {
             activity,
             trip: None,
             lacks_charge: false,
+            plans_stop: false,
             rise: None,
             avoided,
             has_coordinator: false,
@@ -77,14 +82,20 @@ impl ChargeControl {
         }
     }
 
-    /// Returns the chargers that the robot may use.
-    pub(in crate::robot) fn usable(&self) -> &BTreeSet<PlaceId> {
-        &self.settings.usable
+    /// Returns the chargers and charges with which the robot plans stops.
+    pub(in crate::robot) fn reserve(&self, limits: BidLimits) -> ChargerReserve {
+        let RobotCharging { thresholds, usable, forecast, .. } = &self.settings;
+        ChargerReserve::new(usable.clone(), limits).with_stops(forecast.clone(), thresholds.until)
     }
 
     /// Records that the charge is too low for a role: the robot charges until it has enough or gets another role.
     pub(in crate::robot) fn note_lack(&mut self) {
         self.lacks_charge = true;
+    }
+
+    /// Records that the robot has bid for a role after a stop at a charger: whenever it is free, it charges until it has enough.
+    pub(in crate::robot) fn note_stop(&mut self) {
+        self.plans_stop = true;
     }
 
     /// Records whether a coordinator is in contact.
@@ -109,7 +120,7 @@ impl ChargeControl {
 
     /// Checks whether the charge was too low for a role since the robot last had enough.
     pub(in crate::robot) fn lacks_charge(&self) -> bool {
-        self.lacks_charge
+        self.lacks_charge || self.plans_stop
     }
 
     /// Returns what the robot publishes.
@@ -162,6 +173,7 @@ impl ChargeControl {
     ) -> bool {
         let RobotCharging { thresholds, usable, all, parking, forecast } = &self.settings;
         self.lacks_charge &= situation.battery < thresholds.until;
+        self.plans_stop &= situation.battery < thresholds.until;
         self.avoided.retain(|_, until| situation.now < *until);
         let charged_after = |drive: &Drive| {
             let left = (situation.battery.get() - drive.energy).clamp(0.0, 1.0);

@@ -16,7 +16,8 @@
 //!
 //! An award, a hold, an alarm and maintenance end each of these activities. After a start of its node a robot begins
 //! only when it has received its orders, or after 10 s. A robot bids at any charge that suffices for the role
-//! and for the way to a charger afterwards ([`ChargerReserve`]).
+//! and for the way to a charger afterwards ([`ChargerReserve`]). If its charge does not suffice, and the power of the chargers
+//! and its capacity are known, it bids for the time after a stop at a charger, and charges once it is free.
 //!
 //! Robots exclude each other by *claims* in their knowledge records: a robot claims a charger that no
 //! other robot claims or occupies, publishes the claim, and drives once the claim is old enough to have
@@ -42,6 +43,7 @@ mod tests;
 pub(super) use control::ChargeControl;
 pub use policy::ChargeThresholds;
 pub(super) use policy::{OtherRobot, Situation};
+pub(super) use reserve::BeforeStop;
 pub use reserve::ChargerReserve;
 
 use consort_protocol::charging_curve::ChargingCurve;
@@ -115,7 +117,12 @@ pub(super) struct ChargingForecast {
 impl ChargingForecast {
     /// Returns the time for which the robot charges at a charger. All chargers count as equal if a gain is unknown.
     pub(super) fn time(&self, charger: &PlaceId, from: f64, to: BatteryShare) -> Seconds {
-        self.gains.get(charger).map_or(Seconds::ZERO, |gain| self.curve.time(from, to.get(), *gain))
+        self.known_time(charger, from, to).unwrap_or(Seconds::ZERO)
+    }
+
+    /// Returns the time for which the robot charges at a charger, if the gains are known.
+    pub(super) fn known_time(&self, charger: &PlaceId, from: f64, to: BatteryShare) -> Option<Seconds> {
+        self.gains.get(charger).map(|gain| self.curve.time(from, to.get(), *gain))
     }
 }
 

@@ -1,12 +1,12 @@
-//! The reserve of bids: after a role the robot must be able to reach a charger.
+//! The reserve of bids: after a role the robot must be able to reach a charger. Otherwise it plans a stop before the role.
 
-use super::{ChargingSettings, RobotCharging};
-use crate::robot::own_tasks::nearest;
-use consort_protocol::auction::{BidLimits, RefusalReason};
+use super::{ChargingForecast, ChargingSettings, RobotCharging};
+use crate::robot::own_tasks::{Drive, dock_at, nearest};
+use consort_protocol::auction::{BidLimits, ChargingStop, RefusalReason, StopLimits, StopOption, plan_stop};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::units::BatteryShare;
-use consort_skills::descriptor::{EstimateContext, Estimator};
+use consort_skills::descriptor::{EstimateContext, Estimator, PlanBudget};
 use std::collections::BTreeSet;
 
 /// Chargers, one of which a robot must be able to reach after a role. On arrival it must have more charge than the limits
@@ -15,6 +15,16 @@ use std::collections::BTreeSet;
 pub struct ChargerReserve {
     chargers: BTreeSet<PlaceId>,
     limits: BidLimits,
+    /// Forecast of the charging, and the charge up to which the robot charges; `None` for a robot that plans no stops.
+    stops: Option<(ChargingForecast, BatteryShare)>,
+}
+
+/// State of a robot before a stop at a charger.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct BeforeStop<'a> {
+    pub(crate) charge: f64,
+    pub(crate) useful_charge: BatteryShare,
+    pub(crate) context: &'a EstimateContext,
 }
 
 impl ChargerReserve {
@@ -29,9 +39,54 @@ impl ChargerReserve {
         Some(ChargerReserve::new(charging.usable, limits))
     }
 
+    /// Plans stops with this forecast, up to a charge.
+    pub(in crate::robot) fn with_stops(self, forecast: ChargingForecast, until: BatteryShare) -> ChargerReserve {
+        ChargerReserve { stops: Some((forecast, until)), ..self }
+    }
+
+    /// Returns the charge that the robot must always exceed.
+    pub(crate) fn floor(&self, useful_charge: BatteryShare) -> BatteryShare {
+        self.limits.charge_floor(useful_charge)
+    }
+
+    /// Returns the stop with which a role ends first, with the budget of the role from the charger on. `budget_from` returns
+    /// the budget of the role from a place on.
+    pub(crate) fn plan_stop(
+        &self,
+        before: BeforeStop<'_>,
+        estimator: &Estimator,
+        budget_from: impl Fn(&EstimateContext) -> Option<PlanBudget>,
+    ) -> Option<(ChargingStop, PlanBudget)> {
+        let BeforeStop { charge, useful_charge, context } = before;
+        let (forecast, until) = self.stops.as_ref()?;
+        let at = |place: PlaceId| EstimateContext { place, pose: None, ..context.clone() };
+        let option = |drive: Drive| {
+            let there = at(drive.to.clone());
+            let dock = estimator.estimate(&dock_at(&drive.to), &there).ok()?;
+            let budget = budget_from(&there)?;
+            let onward = nearest(estimator, &at(budget.ends_at.clone()), &self.chargers).into_iter().next()?;
+            let option = StopOption {
+                charger: drive.to,
+                way_time: drive.time + dock.time,
+                way_energy: drive.energy + dock.energy,
+                role_time: budget.time(),
+                role_energy: budget.energy,
+                onward_energy: onward.energy,
+            };
+            Some((option, budget))
+        };
+        let drives = nearest(estimator, context, &self.chargers);
+        let (options, budgets): (Vec<StopOption>, Vec<PlanBudget>) = drives.into_iter().filter_map(option).unzip();
+        let limits = StopLimits { charge, floor: self.floor(useful_charge), until: *until };
+        let stop = plan_stop(limits, &options, |charger, from| forecast.known_time(charger, from, *until))?;
+        let mut both = options.iter().zip(budgets);
+        let budget = both.find_map(|(option, budget)| (option.charger == stop.charger).then_some(budget))?;
+        Some((stop, budget))
+    }
+
     /// Creates the reserve of a robot that may use these chargers.
     pub(crate) fn new(chargers: BTreeSet<PlaceId>, limits: BidLimits) -> ChargerReserve {
-        ChargerReserve { chargers, limits }
+        ChargerReserve { chargers, limits, stops: None }
     }
 
     /// Checks whether a robot can reach a charger with this charge, from the place of `end`. A charge within
@@ -46,7 +101,7 @@ impl ChargerReserve {
         estimator: &Estimator,
         end: &EstimateContext,
     ) -> Result<(), RefusalReason> {
-        let reserve = self.limits.charge_floor(useful_charge).get();
+        let reserve = self.floor(useful_charge).get();
         if remaining <= reserve {
             return Ok(());
         }

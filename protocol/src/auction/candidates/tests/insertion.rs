@@ -130,7 +130,8 @@ impl Worker {
             let mission = format!("m-{number}-{index}").parse().unwrap();
             let role = RoleOfMission { mission, role: role(0) };
             let release = Seconds::ZERO;
-            PromisedRole { robot: robot(number), role, span: span(*work), slack: slack.map(seconds), release }
+            let (robot, span, slack, charges) = (robot(number), span(*work), slack.map(seconds), false);
+            PromisedRole { robot, role, span, slack, release, charges }
         };
         self.promised.iter().enumerate().filter(|_| self.is_called).map(promise).collect()
     }
