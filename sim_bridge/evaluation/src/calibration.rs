@@ -55,6 +55,8 @@ pub fn calibrate(observations: &[Observation], quantile: f64) -> Calibration {
         to: fit(to, quantile).collect(),
         from: fit(from, quantile).collect(),
         legs: fit(legs, quantile).map(|((from, to), factor)| LegFactor { from, to, factor }).collect(),
+        // Trials observe durations.
+        discharge: BTreeMap::new(),
     }
 }
 

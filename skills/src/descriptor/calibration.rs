@@ -72,6 +72,9 @@ pub struct Calibration {
     /// Factors of drives between two places.
     #[serde(default)]
     pub legs: Vec<LegFactor>,
+    /// Ratios of actual to estimated discharge rate, by skill. They multiply the energy beside the factors of durations.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub discharge: BTreeMap<TaskType, f64>,
 }
 
 impl Calibration {
@@ -88,6 +91,8 @@ impl Calibration {
                 format!("{key}: mean {mean}, sd {sd}, upper {upper}; {allowed}")
             })
             .collect();
+        let rates = self.discharge.iter().filter(|(_, ratio)| !(ratio.is_finite() && **ratio > 0.0));
+        errors.extend(rates.map(|(skill, ratio)| format!("discharge.{skill} is {ratio}, allowed is a number above 0")));
         if !(0.5..1.0).contains(&self.quantile) {
             errors.push(format!("quantile is {}, allowed is 0.5 to below 1", self.quantile));
         }
@@ -112,10 +117,15 @@ impl Calibration {
     /// Returns these descriptors with the factors, and with a reserve for the quantile.
     pub fn correct(self: &Arc<Calibration>, descriptors: DescriptorRegistry) -> DescriptorRegistry {
         let correct = |descriptor: Box<dyn SkillDescriptor>| -> Box<dyn SkillDescriptor> {
-            let is_observed = descriptor.destination().is_some() || self.skills.contains_key(descriptor.task_type());
-            // Tasks with a given duration are not corrected.
-            match is_observed && !descriptor.is_given() {
-                true => Box::new(Calibrated { inner: descriptor, calibration: Arc::clone(self) }),
+            let task_type = descriptor.task_type();
+            let is_observed = descriptor.destination().is_some() || self.skills.contains_key(task_type);
+            // The duration of tasks with a given duration is not corrected.
+            let corrects_time = is_observed && !descriptor.is_given();
+            match corrects_time || self.discharge.contains_key(task_type) {
+                true => {
+                    let calibration = Arc::clone(self);
+                    Box::new(Calibrated { inner: descriptor, calibration, corrects_time })
+                }
                 false => descriptor,
             }
         };
@@ -127,6 +137,8 @@ impl Calibration {
 struct Calibrated {
     inner: Box<dyn SkillDescriptor>,
     calibration: Arc<Calibration>,
+    /// The factors of durations hold.
+    corrects_time: bool,
 }
 
 impl SkillDescriptor for Calibrated {
@@ -152,12 +164,14 @@ impl SkillDescriptor for Calibrated {
         context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
-        let uncorrected = self.inner.estimate(task, context, environment)?;
+        let estimated = self.inner.estimate(task, context, environment)?;
+        let discharge = self.calibration.discharge.get(self.task_type()).copied().unwrap_or(1.0);
+        let uncorrected = Estimate { energy: estimated.energy * discharge, ..estimated };
         let factor = match self.destination() {
             Some(_) => self.calibration.leg_factor(self.task_type(), &context.place, &uncorrected.ends_at),
             None => self.calibration.skills.get(self.task_type()).copied(),
         };
-        let Some(factor) = factor else { return Ok(uncorrected) };
+        let Some(factor) = factor.filter(|_| self.corrects_time) else { return Ok(uncorrected) };
         let time = Seconds::new(uncorrected.time.get() * factor.mean).unwrap_or(uncorrected.time);
         let (energy, energy_sd) = (uncorrected.energy * factor.mean, uncorrected.energy * factor.sd);
         Ok(Estimate { time, energy, energy_sd, ends_at: uncorrected.ends_at })
@@ -254,6 +268,7 @@ mod tests {
             to: [(place("B"), factor(1.0))].into(),
             from: [(place("A"), factor(3.0))].into(),
             legs: vec![LegFactor { from: place("A"), to: place("B"), factor: factor(2.0) }],
+            discharge: BTreeMap::new(),
         })
     }
 
@@ -308,6 +323,11 @@ mod tests {
         close(estimate.energy_sd, 0.02 * 0.11_f64.sqrt());
         close(estimator.margin_sds(), 1.281_552);
         assert_eq!(estimator.estimate(&task("carry"), &context).unwrap(), estimate, "it is a drive, too");
+        let rates = Calibration { discharge: [(skill("navigation"), 1.5)].into(), ..(*learned()).clone() };
+        let measured = Arc::new(rates).correct(DescriptorRegistry::standard()).resolve(estimator.environment().clone());
+        let measured = measured.unwrap().estimate(&task("navigation"), &context).unwrap();
+        assert_eq!(measured.time, estimate.time);
+        assert!((measured.energy - 0.06).abs() < 1e-9, "{measured:?}");
         assert_eq!(estimator.estimate(&task("haul"), &context).unwrap(), estimate, "as is a drive of a domain file");
         let destination = |name| estimator.destination(&task(name));
         let drives = ["navigation", "carry", "disinfect", "follow_path"].map(|name| destination(name).is_some());

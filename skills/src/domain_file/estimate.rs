@@ -21,6 +21,8 @@ pub(super) struct DeclaredEstimate {
     parameters: BTreeMap<String, ParameterForm>,
     time_s: Formula,
     energy: Option<Formula>,
+    /// Multiple of the robot's discharge rate, for a task without an expression for its energy.
+    discharge: f64,
     ends_at: Option<String>,
     requires: Option<Requirement>,
     domain: Option<DomainReference>,
@@ -96,8 +98,8 @@ impl DeclaredEstimate {
             return Err(("ends_at", format!("{name} is no parameter of type place")));
         }
         let (parameters, ends_at) = (task.parameters.clone(), form.ends_at.clone());
-        let (task_type, requires, domain) = (task_type.clone(), None, None);
-        let estimate = DeclaredEstimate { task_type, parameters, time_s, energy, ends_at, requires, domain };
+        let (task_type, requires, domain, discharge) = (task_type.clone(), None, None, 1.0);
+        let estimate = DeclaredEstimate { task_type, parameters, time_s, energy, discharge, ends_at, requires, domain };
         let variables = estimate.example();
         for (key, number) in [("time_s", Some(&estimate.time_s)), ("energy", estimate.energy.as_ref())] {
             // The attributes of robots differ.
@@ -107,6 +109,11 @@ impl DeclaredEstimate {
             }
         }
         Ok(estimate)
+    }
+
+    /// Sets the multiple of the robot's discharge rate.
+    pub(super) fn with_discharge(self, discharge: f64) -> DeclaredEstimate {
+        DeclaredEstimate { discharge, ..self }
     }
 
     /// Adds the condition of the task type on its robot. `declared` are the readings of all domains.
@@ -333,9 +340,10 @@ impl SkillDescriptor for DeclaredEstimate {
             _ => context.place.clone(),
         };
         let mut estimate = Estimate::of_duration(time, context, ends_at);
-        if let Some(energy) = &self.energy {
-            estimate.energy = number(energy)?;
-        }
+        estimate.energy = match &self.energy {
+            Some(energy) => number(energy)?,
+            None => estimate.energy * self.discharge,
+        };
         Ok(estimate)
     }
 }

@@ -91,6 +91,10 @@ pub struct ActionForm {
     /// Repetition of a goal that fails for a reason that may pass.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub retry: Option<RetryForm>,
+    /// Discharge during a goal, as a multiple of the robot's usual discharge rate, 0 or more: 3 for an action that needs three
+    /// times the power of a drive. Estimates and the simulator use it. Default 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub discharge: Option<f64>,
     /// What the simulator does with a goal of the action.
     pub simulate: SimulatedAction,
 }
@@ -245,7 +249,8 @@ pub struct TaskForm {
     /// the robot's driver: `readings.tank_l >= litres`.
     #[serde(default)]
     pub requires: Option<String>,
-    /// Estimate of the cost. Default for a task with an `action`: the mean time that the simulator needs.
+    /// Estimate of the cost. Default for a task with an `action`: the mean time that the simulator needs, and the energy for
+    /// that time.
     #[serde(default)]
     pub estimate: Option<EstimateForm>,
 }
@@ -261,7 +266,7 @@ pub struct EstimateForm {
     /// Duration in seconds, as an expression.
     pub time_s: String,
     /// Energy as a share of a full battery, as an expression. Default: the time at the robot's discharge
-    /// rate.
+    /// rate, times the `discharge` of the task's `action`.
     #[serde(default)]
     pub energy: Option<String>,
     /// Parameter with the place at which the task ends. Default: where it begins.

@@ -363,6 +363,9 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
     {
         problems.push(problem(format!("{place}.retry.timeout_s"), "allowed are seconds of 0 or more"));
     }
+    if action.discharge.is_some_and(|multiple| !(0.0..=f64::MAX).contains(&multiple)) {
+        problems.push(problem(format!("{place}.discharge"), "allowed is a multiple of 0 or more"));
+    }
     problems.extend(cancel_problem(&place, action));
     problems.extend(move_problems(&place, action));
     problems.extend(result_problems(&place, &action.results));
@@ -554,6 +557,8 @@ fn estimate_of(
     };
     let compiled = DeclaredEstimate::compile(name, task, &estimate)
         .map_err(|(key, found)| problem(format!("tasks.{name}.estimate.{key}"), found))?;
+    let discharge = task.action.as_ref().and_then(|action| form.actions.get(action)?.discharge);
+    let compiled = compiled.with_discharge(discharge.unwrap_or(1.0));
     match &task.requires {
         Some(condition) => {
             compiled.requiring(condition, readings).map_err(|found| problem(format!("tasks.{name}.requires"), found))

@@ -75,6 +75,8 @@ impl World {
         let actions = systems_of_actions(&setup.actions, &systems);
         let mut state = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
         (state.chargers, state.charging_curve) = (setup.chargers.clone(), setup.charging_curve.clone());
+        let rates = setup.actions.iter().filter_map(|(name, action)| Some((name.clone(), action.discharge?)));
+        state.discharge_of_actions = rates.collect();
         (state.own_chassis, state.threads) = (setup.program.chassis(), setup.threads);
         state.insert_resource(HandoverCount::default());
         let mut world = World::with(state, systems, actions);

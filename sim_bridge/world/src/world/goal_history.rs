@@ -2,6 +2,7 @@
 
 use super::event_queue::TimerId;
 use super::system_access::SystemIndex;
+use consort_protocol::ids::ActionName;
 use consort_skills::actions::{Goal, GoalId, GoalStatus};
 use std::collections::VecDeque;
 
@@ -41,6 +42,11 @@ impl GoalHistory {
     /// Checks whether a goal is active.
     pub(crate) fn is_busy(&self) -> bool {
         self.active.is_some()
+    }
+
+    /// Returns the action of the active goal.
+    pub(crate) fn action(&self) -> Option<&ActionName> {
+        self.active.as_ref().map(|active| &active.goal.action)
     }
 
     /// Checks whether the active goal makes the robot leave its place or turn.

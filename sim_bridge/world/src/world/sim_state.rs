@@ -13,7 +13,7 @@ use crate::kinematics::NamedChassis;
 use crate::map::Map;
 use crate::space::WallGrid;
 use consort_protocol::charging_curve::ChargingCurve;
-use consort_protocol::ids::{PlaceId, RobotId};
+use consort_protocol::ids::{ActionName, PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Watts;
 use consort_skills::actions::{ActionError, BackendEvent};
@@ -61,6 +61,8 @@ pub struct SimState {
     pub(crate) chargers: BTreeMap<PlaceId, Option<Watts>>,
     /// Charging curve of all batteries.
     pub(crate) charging_curve: ChargingCurve,
+    /// Discharge during goals of actions, as multiples of the robots' rates.
+    pub(crate) discharge_of_actions: BTreeMap<ActionName, f64>,
     /// Chassis of the program itself.
     pub(crate) own_chassis: &'static [NamedChassis],
     /// Greatest number of threads that move robots with kinematics.
@@ -96,6 +98,7 @@ impl SimState {
             limits,
             chargers: BTreeMap::new(),
             charging_curve: ChargingCurve::default(),
+            discharge_of_actions: BTreeMap::new(),
             own_chassis: &[],
             threads: NonZeroUsize::MIN,
             queue: EventQueue::new(),

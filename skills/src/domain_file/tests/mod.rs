@@ -131,6 +131,25 @@ tasks:
     assert_eq!(negative, "the given task has `share` = \"-0.5\": allowed are finite numbers of 0 or more");
 }
 
+#[test]
+fn a_task_uses_the_discharge_of_its_action() {
+    let text = r#"
+domain: digging
+actions: { dig: { discharge: 3 }, look: { discharge: -1 } }
+tasks:
+  dig: { action: dig, parameters: { depth_m: { type: number } }, estimate: { time_s: "10.0 * depth_m" } }
+  scrape: { action: dig, estimate: { time_s: "10.0", energy: "0.5" } }
+"#;
+    let problem = check(text).unwrap_err();
+    assert_eq!(problem, ["actions.look.discharge: allowed is a multiple of 0 or more"]);
+    let domain = check(&text.replace("-1", "1")).unwrap();
+    let estimator = domain.extend_descriptors(DescriptorRegistry::new()).resolve(Environment::new()).unwrap();
+    let energy = |task: TaskSpec| estimator.estimate(&task, &robot()).unwrap().energy;
+    let dug = energy(task("dig", &[("depth_m", "2")]));
+    assert!((dug - 0.06).abs() < 1e-12, "{dug}: 20 s at three times 0.001 a second");
+    assert_eq!(energy(task("scrape", &[])), 0.5, "the energy is stated");
+}
+
 /// A robot refuses a task that was made with another content of the file.
 #[test]
 fn the_content_of_a_domain_is_compared_without_texts_for_people() {

@@ -1,7 +1,7 @@
 //! Charge as a function of time.
 //!
-//! While a robot has an active goal, its battery loses charge at the discharge rate, otherwise at
-//! that rate times the idle factor. Docked at a charger, it also gains charge: the power of the
+//! While a robot has an active goal, its battery loses charge at the discharge rate, times the multiple that
+//! the action declares; otherwise at that rate times the idle factor. Docked at a charger, it also gains charge: the power of the
 //! charger over the capacity of the battery, or the charging rate of the robot if either is unknown,
 //! as far as the charging curve permits. Between two such changes the charge is linear, so the instant
 //! at which it crosses the stopping share or reaches the next step of the curve is known in advance and
@@ -160,7 +160,7 @@ impl SimState {
         let docked = self.find::<Docked>(robot).is_some_and(|docked| docked.0);
         let now = self.now;
         let charge = self.get::<Battery>(robot).at(now).get();
-        let loss = self.get::<SimRobot>(robot).0.rate(working).get();
+        let loss = self.get::<SimRobot>(robot).0.rate(working).get() * self.discharge_multiple(robot, working);
         let full_gain = if docked { self.charging_rate(robot).get() } else { 0.0 };
         let curve = &self.charging_curve;
         let [above, below] = [curve.power_at(charge), curve.power_below(charge)].map(|power| loss - full_gain * power);
@@ -185,6 +185,15 @@ impl SimState {
         }
         let timer = next.map(|(time, number)| self.schedule(time, robot, number));
         self.get_mut::<Battery>(robot).timer = timer;
+    }
+
+    /// Returns the multiple of its discharge rate with which a robot performs its goal.
+    fn discharge_multiple(&self, robot: Entity, working: bool) -> f64 {
+        if !working || self.discharge_of_actions.is_empty() {
+            return 1.0;
+        }
+        let goals = self.get::<GoalHistory>(robot);
+        goals.action().and_then(|action| self.discharge_of_actions.get(action)).copied().unwrap_or(1.0)
     }
 
     /// Begins the next step of the charging curve.

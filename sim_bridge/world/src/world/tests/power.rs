@@ -2,7 +2,10 @@
 
 use super::*;
 use crate::map::{MapFile, PlaceEntry, PlaceKind};
+use consort_protocol::yaml;
 use consort_skills::actions::Wait;
+use consort_skills::domain_file::DomainFile;
+use std::collections::BTreeMap;
 
 fn weak(charge: f64) -> RobotSetup {
     RobotSetup { battery: BatteryShare::new(charge).unwrap(), ..carrier("r1", "Laboratory") }
@@ -21,6 +24,18 @@ fn a_goal_costs_its_time_at_the_rate_that_estimates_use() {
     assert!((charge(&world, "r1") - (1.0 - rate.over(Seconds::new(8.0).unwrap()))).abs() < 1e-12);
     world.advance(at(108.0));
     assert!((charge(&world, "r1") - (1.0 - 0.008 - 100.0 * 0.0001)).abs() < 1e-12, "a tenth when idle");
+}
+
+#[test]
+fn a_goal_discharges_the_battery_as_its_action_declares() {
+    let text = "domain: digging\nactions: { dig: { discharge: 3, simulate: { duration_s: [10, 10] } } }";
+    let domain = DomainFile::check(yaml::parse(text).unwrap(), &BTreeMap::new(), &[]).unwrap();
+    let mut world = World::new(hospital(1).domain(&domain).robot(carrier("r1", "Laboratory"))).unwrap();
+    let dig = serde_json::from_value(serde_json::json!({ "action": "dig", "parameters": {} })).unwrap();
+    run_to_success(&mut world, "r1", 1, dig);
+    assert!((charge(&world, "r1") - (1.0 - 10.0 * 0.003)).abs() < 1e-12, "{}", charge(&world, "r1"));
+    run_to_success(&mut world, "r1", 2, Goal::from(Wait { time: Seconds::new(10.0).unwrap() }));
+    assert!((charge(&world, "r1") - (1.0 - 10.0 * 0.004)).abs() < 1e-12, "{}", charge(&world, "r1"));
 }
 
 #[test]
