@@ -312,6 +312,42 @@ fn the_late_promise_of_a_held_robot_passes_to_another() {
     });
 }
 
+/// Submits the drive of a robot to a room, with an earliest start.
+async fn submit_drive(fleet: &Fleet, request: &str, room: &str, not_before: &str) -> MissionId {
+    let go = json!({ "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": room } });
+    let mission = json!({ "mission": "go", "roles": { "r1": { "kind": "managed" } }, "root": go });
+    let body = json!({ "mission": mission, "request": request, "not_before": not_before });
+    let answer = fleet.request_answered(ApiCall::Submit, &body).await;
+    slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {}: {answer}", fleet.seed)))
+}
+
+#[test]
+fn a_role_is_promised_ahead_of_the_earliest_start_of_its_mission() {
+    for_each_seed([84, 85], async |seed| {
+        let terms = PromiseTerms { ahead: Seconds::new(600.0).expect("a time"), ..PromiseTerms::default() };
+        let adjust = Box::new(move |node: &mut NodeSettings| node.fleet.promises = terms);
+        let robots = vec![RobotSpec::carrier("amber", "Dock")];
+        let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aba"], &[], adjust).await;
+        fleet.wait_for_coordinator().await;
+        let later = submit_drive(&fleet, "later", "IC Room 4", "1970-01-01T00:02:00Z").await;
+        fleet.wait_until("a promise", SOON, |fleet| has_promises(fleet, 1)).await;
+        let planned_ms =
+            |ledger: &Ledger| ledger.mission(&later)?.promised_roles().next().map(|(_, promise)| promise.planned_ms);
+        let planned_ms = fleet.ledger(planned_ms).flatten().expect("a promise");
+        assert!(planned_ms.abs_diff(120_000) <= 1_000, "seed {seed}: {planned_ms}");
+        // Meanwhile the robot does another role.
+        let now = submit_drive(&fleet, "now", "IC Room 3", "1970-01-01T00:00:00Z").await;
+        fleet.assert_completes(&now).await;
+        assert!(fleet.elapsed() < Duration::from_secs(110), "seed {seed}: {:?}", fleet.elapsed());
+        let has_begun = |what: &EventKind| matches!(what, EventKind::Started { mission, .. } if *mission == later);
+        assert!(!fleet.has_event(has_begun), "seed {seed}\n{}", fleet.event_log_text());
+        fleet.wait_until("the earliest start", 3 * SOON, |fleet| fleet.has_event(has_begun)).await;
+        let begun = fleet.event_log.times(has_begun)[0];
+        assert!(begun >= Duration::from_secs(119) && begun < Duration::from_secs(125), "seed {seed}: {begun:?}");
+        fleet.assert_completes(&later).await;
+    });
+}
+
 /// A robot is a little nearer to the room of the first mission, and much nearer to that of the second.
 #[test]
 fn missions_that_start_together_are_allocated_together() {
@@ -321,11 +357,7 @@ fn missions_that_start_together_are_allocated_together() {
         fleet.wait_for_coordinator().await;
         let mut missions: Vec<MissionId> = vec![];
         for (request, room) in [("first", "IC Room 4"), ("second", "IC Room 3")] {
-            let go = json!({ "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": room } });
-            let mission = json!({ "mission": "go", "roles": { "r1": { "kind": "managed" } }, "root": go });
-            let body = json!({ "mission": mission, "request": request, "not_before": "1970-01-01T00:02:00Z" });
-            let answer = fleet.request_answered(ApiCall::Submit, &body).await;
-            missions.push(slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {seed}: {answer}"))));
+            missions.push(submit_drive(&fleet, request, room, "1970-01-01T00:02:00Z").await);
         }
         let holders = |ledger: &Ledger| -> Vec<String> {
             let holder = |id| Some(ledger.mission(id)?.holders().into_values().next()?.to_string());

@@ -5,6 +5,7 @@ use crate::ids::{RequestId, TaskType};
 use crate::mission::{LostItem, Mission, ValueKind};
 use crate::plan::{Division, StepAction};
 use crate::schema::inline_schema;
+use crate::units::Seconds;
 use schemars::json_schema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -67,6 +68,14 @@ impl Submission {
     /// only a mission without an earliest start may.
     pub fn may_start(&self, now_ms: Option<u64>) -> bool {
         self.not_before_ms.is_none_or(|from_ms| now_ms.is_some_and(|now_ms| from_ms <= now_ms))
+    }
+}
+
+impl Submission {
+    /// Checks whether the mission may start within a time from now, in milliseconds since 1970, as [`may_start`](Self::may_start).
+    pub fn may_start_within(&self, now_ms: Option<u64>, within: Seconds) -> bool {
+        let within_ms = (within.get() * 1000.0) as u64;
+        self.may_start(now_ms.map(|now_ms| now_ms.saturating_add(within_ms)))
     }
 }
 

@@ -6,7 +6,7 @@ use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, LeaseMonitor};
 use consort_protocol::ledger::{Branch, RoleReturn};
-use consort_protocol::units::NodeTime;
+use consort_protocol::units::{NodeTime, Seconds};
 use std::collections::BTreeMap;
 
 /// Auction of a mission's open roles by this coordinator.
@@ -121,6 +121,8 @@ pub(super) struct SessionState<'a> {
     pub(super) spare_charge: &'a BTreeMap<RobotId, f64>,
     /// Maximum number of promises of a robot.
     pub(super) promises_max: u32,
+    /// Time before the earliest start of a mission from which its roles are promised.
+    pub(super) ahead: Seconds,
 }
 
 #[cfg(test)]

@@ -31,7 +31,8 @@ pub(super) fn call_for_roles(
         let call = entry.call_for_roles(roles, auction)?;
         let invitation = Invitation::of(&call.ensembles, &members);
         let promised = ledger.promised_roles(&call, delay_max, &invitation.robots, wall_ms);
-        let startable = call.roles.keys().filter(|role| entry.can_proceed(role)).cloned().collect();
+        let may_start = entry.submission.may_start(context.confirmed_ms);
+        let startable = call.roles.keys().filter(|role| may_start && entry.can_proceed(role)).cloned().collect();
         let until = |deadline_ms: u64| Seconds::new(deadline_ms.saturating_sub(wall_ms) as f64 / 1000.0).ok();
         let ends_within = entry.submission.deadline_ms.and_then(until);
         let releases = entry.releases(wall_ms).into_iter().filter(|(role, _)| call.roles.contains_key(role)).collect();

@@ -56,18 +56,28 @@ impl<'a> AuctionInputs<'a> {
                 call.roles.keys().map(|role| (role.clone(), of_role(role))).collect::<BTreeMap<_, _>>()
             };
             let queues = robot_queues(ledger, rounds, mission, again.as_ref().map(|again| &again.promised));
-            let can_proceed = |role: &&RoleId| entry.is_none_or(|entry| entry.can_proceed(role));
+            let may_start = entry.is_none_or(|entry| entry.submission.may_start(context.confirmed_ms));
+            let can_proceed = |role: &&RoleId| may_start && entry.is_none_or(|entry| entry.can_proceed(role));
+            let mut unavailable = unavailable_robots(ledger, &queues, mission);
+            if !may_start {
+                // The roles are promised only.
+                let invited = bids.invitation.robots.iter().chain(candidates.robots());
+                let robots = invited.chain(responses.iter().map(|response| &response.robot));
+                unavailable.extend(robots.map(|robot| (robot.clone(), too_early())));
+            }
             let restrictions = entry.map(MissionEntry::restrictions).unwrap_or_default();
             AuctionInputs {
                 responses: restrict_replies(responses, &restrictions),
                 candidates: candidates.restricted(&restrictions),
-                unavailable: unavailable_robots(ledger, &queues, mission),
+                unavailable,
                 unpromisable: unpromisable_robots(ledger, mission),
                 queues,
                 startable: call.roles.keys().filter(can_proceed).cloned().collect(),
                 failed: of_roles(&MissionEntry::excluded),
                 released: of_roles(&MissionEntry::former_robots),
-                may_wait: is_overdue || entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
+                may_wait: is_overdue
+                    || !may_start
+                    || entry.is_some_and(|entry| entry.assigned_roles().next().is_some()),
                 energy: entry.and_then(|entry| entry.energy_budget(call)),
             }
         })
@@ -175,6 +185,11 @@ impl<'a> AuctionInputs<'a> {
         outcome.record.add_not_asked(self.candidates.entries(&self.unavailable));
         Ok(outcome)
     }
+}
+
+/// Returns the reason for which no robot gets a role of a mission now that may start later.
+fn too_early() -> RefusalReason {
+    RefusalReason::NotEligible { why: "the mission may start later".to_owned(), permanent: false }
 }
 
 /// Returns the number of robots to ask next: as many as were asked before, since each call takes time.

@@ -25,7 +25,7 @@ use crate::robot_driver::PersonRequestState;
 use bytes::Bytes;
 use consort_bus::tasks::Tasks;
 use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus, reply};
-use consort_protocol::auction::AuctionId;
+use consort_protocol::auction::{AuctionId, PromiseTerms};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
@@ -336,6 +336,7 @@ impl LeaderSession {
     fn pending_actions(&mut self, scope: Scope<'_>, now: NodeTime) -> Vec<CoordinatorAction> {
         let confirmed_ms = self.confirmed_ms();
         let LeaderSession { context, auctions, held_roles, failing, .. } = self;
+        context.confirmed_ms = confirmed_ms;
         context.read_ledger(|ledger| {
             let mut lease_monitor = context.lease_monitor.lock();
             match scope {
@@ -355,9 +356,16 @@ impl LeaderSession {
             let unfit = &unfit_robots(ledger, scope, knowledge, context.has_all_records(now));
             let AuctionSettings { promises, limits, .. } = &context.settings.auctions;
             let spare_charge = &spare_charges(ledger, scope, knowledge, limits);
-            let promises_max = promises.promises_max;
-            let state =
-                SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
+            let PromiseTerms { promises_max, ahead, .. } = *promises;
+            let state = SessionState {
+                lease_monitor: &lease_monitor,
+                rounds,
+                notified,
+                unfit,
+                spare_charge,
+                promises_max,
+                ahead,
+            };
             let actions = pending_actions(ledger, &state, scope, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
             actions

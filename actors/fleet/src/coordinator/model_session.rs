@@ -9,7 +9,7 @@ use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Epoch, LeaseMonitor, LeaseTerms};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 use consort_protocol::message::{Report, ReportReply};
-use consort_protocol::units::NodeTime;
+use consort_protocol::units::{NodeTime, Seconds};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -73,6 +73,7 @@ impl ModelSession {
             unfit: &unfit,
             spare_charge: &spare_charge,
             promises_max: 0,
+            ahead: Seconds::ZERO,
         };
         pending_actions(&self.ledger, &state, Scope::All, now, None)
     }

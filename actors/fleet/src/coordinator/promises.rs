@@ -54,7 +54,8 @@ pub(super) fn promises_due(
         // A role that a robot has returned for now exceeds the limit by one.
         let is_displaced = *before > *promises_max && entry.submission.priority < *highest;
         *before += 1;
-        let (can_start, is_free) = (entry.can_proceed(role), !taken.contains(&robot.robot));
+        let can_start = entry.can_proceed(role) && entry.submission.may_start(now_ms);
+        let is_free = !taken.contains(&robot.robot);
         let is_idle = is_free || waiting.contains_key(&robot.robot);
         let spare = spare_charge.get(&robot.robot);
         let charges_first = robot.charging.as_ref().is_some_and(|stop| has_to_charge(stop, spare));
@@ -158,6 +159,7 @@ mod tests {
     use consort_protocol::ids::{MissionId, RoleId};
     use consort_protocol::lease::{LeaseMonitor, LeaseTerms};
     use consort_protocol::ledger::Command;
+    use consort_protocol::units::Seconds;
 
     #[derive(Clone, Copy)]
     struct Case {
@@ -177,7 +179,8 @@ mod tests {
         let unfit = &unfit.iter().map(|robot| (robot.parse().unwrap(), "judged dead".to_owned())).collect();
         let spare_charge = &spare.map(|spare| ("lab-arm".parse().unwrap(), spare)).into_iter().collect();
         let lease_monitor = &LeaseMonitor::new(LeaseTerms::default());
-        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
+        let ahead = Seconds::ZERO;
+        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
         promises_due(ledger, Scope::All, &state, Some(NOW_MS), |_| is_due)
     }
 
@@ -256,7 +259,8 @@ mod tests {
         let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
         let spare_charge = &BTreeMap::from([("lab-arm".parse().unwrap(), 0.3)]);
         let (lease_monitor, promises_max) = (&LeaseMonitor::new(LeaseTerms::default()), 16);
-        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
+        let ahead = Seconds::ZERO;
+        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
         let late = promises_due(&log.0, Scope::All, &state, Some(CHARGING_LATE_MS), |_| true);
         assert!(matches!(&late[..], [CoordinatorAction::AwardPromised(role)] if role.mission == next), "{late:?}");
     }

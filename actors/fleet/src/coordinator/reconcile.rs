@@ -35,7 +35,7 @@ pub(super) fn pending_actions(
     now: NodeTime,
     confirmed_ms: Option<u64>,
 ) -> Vec<CoordinatorAction> {
-    let SessionState { lease_monitor, rounds, notified, .. } = state;
+    let SessionState { lease_monitor, rounds, notified, ahead, .. } = state;
     let is_notice_due = |awarded: &AwardedRole| {
         let notified = notified.get(&(awarded.epoch, awarded.role.clone()));
         notified.is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL)
@@ -53,7 +53,8 @@ pub(super) fn pending_actions(
             Some(RoundPhase::BackingOff { until, .. }) => *until <= now,
             Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_)) => false,
         };
-        if due && entry.submission.may_start(confirmed_ms) && can_be_auctioned(entry, lease_monitor, now) {
+        if due && entry.submission.may_start_within(confirmed_ms, *ahead) && can_be_auctioned(entry, lease_monitor, now)
+        {
             actions.push(CoordinatorAction::CallForBids(entry.id.clone()));
         }
         for (role, held, holder) in entry.held_roles() {
@@ -155,13 +156,14 @@ mod tests {
     use consort_protocol::ids::RobotId;
     use consort_protocol::lease::LeaseTerms;
     use consort_protocol::ledger::{ChangeCursor, MissionChanges};
+    use consort_protocol::units::Seconds;
     use std::collections::BTreeMap;
 
     fn actions(ledger: &Ledger, scope: Scope<'_>) -> Vec<CoordinatorAction> {
         let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
         let (lease_monitor, spare_charge) = (&LeaseMonitor::new(LeaseTerms::default()), &BTreeMap::new());
-        let promises_max = 16;
-        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max };
+        let (promises_max, ahead) = (16, Seconds::ZERO);
+        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
         pending_actions(ledger, &state, scope, NodeTime::ZERO, None)
     }
 

@@ -41,6 +41,8 @@ pub(super) struct SessionContext {
     pub(super) since: NodeTime,
     pub(super) lease_monitor: SharedLeaseMonitor,
     pub(super) open_replies: OpenReplies,
+    /// Time of day that a majority of the voters confirmed at the latest reconciliation, in milliseconds since 1970.
+    pub(super) confirmed_ms: Option<u64>,
     pub(super) tasks: Tasks,
 }
 
@@ -53,7 +55,16 @@ impl SessionContext {
     ) -> SessionContext {
         let since = settings.parts.clock.now();
         let lease_monitor = SharedLeaseMonitor::new(settings.lease_terms);
-        SessionContext { settings, mailbox, term, since, lease_monitor, open_replies: OpenReplies::default(), tasks }
+        SessionContext {
+            settings,
+            mailbox,
+            term,
+            since,
+            lease_monitor,
+            open_replies: OpenReplies::default(),
+            confirmed_ms: None,
+            tasks,
+        }
     }
 
     /// Returns the time of the node's clock.

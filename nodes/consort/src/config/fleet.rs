@@ -189,6 +189,10 @@ pub struct AuctionConfig {
     /// Minimum gain for which a promised role passes to another robot, in seconds of the objective. More: fewer changes. Default
     /// 60.
     pub gain_s: u32,
+    /// Time before the earliest start of a mission (`not_before`) from which its roles are promised, in seconds. Longer: the
+    /// robots are known earlier, and keep themselves free; their bids are less certain. Default 0: roles are auctioned at the
+    /// earliest start.
+    pub ahead_s: u32,
     /// What robots minimise when they insert a role among their promised roles, and the coordinator when it chooses among
     /// bids: `earliest_end` (default) for the sum of the times at which roles end, `least_energy`, or `weighted` for the
     /// sum of both.
@@ -253,7 +257,7 @@ impl Default for LimitsConfig {
 
 impl Default for AuctionConfig {
     fn default() -> Self {
-        let PromiseTerms { promises_max: promises, delay_max, late_max, gain_min, .. } = PromiseTerms::default();
+        let PromiseTerms { promises_max: promises, delay_max, late_max, gain_min, ahead, .. } = PromiseTerms::default();
         let whole = |time: Seconds| time.get().round() as u32;
         AuctionConfig {
             window_ms: None,
@@ -262,6 +266,7 @@ impl Default for AuctionConfig {
             delay_s: whole(delay_max),
             late_s: whole(late_max),
             gain_s: whole(gain_min),
+            ahead_s: whole(ahead),
             objective: ObjectiveName::default(),
             battery_s: 3600,
             candidates: CandidateSettings::DEFAULT_COUNT,
@@ -279,6 +284,7 @@ impl AuctionConfig {
             delay_max: seconds(self.delay_s),
             late_max: seconds(self.late_s),
             gain_min: seconds(self.gain_s),
+            ahead: seconds(self.ahead_s),
             objective: match self.objective {
                 ObjectiveName::EarliestEnd => Objective::EarliestEnd,
                 ObjectiveName::LeastEnergy => Objective::LeastEnergy,
@@ -403,6 +409,7 @@ impl ConfigFile for FleetConfig {
         within("auction.delay_s", self.auction.delay_s.into(), 0, PLANNED_S_MAX.into());
         within("auction.late_s", self.auction.late_s.into(), 1, PLANNED_S_MAX.into());
         within("auction.gain_s", self.auction.gain_s.into(), 1, PLANNED_S_MAX.into());
+        within("auction.ahead_s", self.auction.ahead_s.into(), 0, PLANNED_S_MAX.into());
         within("auction.battery_s", self.auction.battery_s.into(), 1, 1_000_000);
         within("auction.candidates", self.auction.candidates as u64, 0, 1_000_000);
         let LeaseConfig { lease_ms, grace_ms } = self.lease;

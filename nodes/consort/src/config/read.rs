@@ -182,7 +182,7 @@ mod tests {
             messages::<FleetConfig>(text),
             [
                 "f.toml:1:1: unknown key `nam` in a fleet file; allowed: name, map, calibration, bootstrap_expect, \
-                 timing, voters, planned_nodes, dead_after_ms, link_lease_ms, stall_after_s, domains, missions, dashboards, limits, requests, history, lease, auction, charging, zones, alarms, ensemble; did you mean `name`?",
+                 timing, voters, planned_nodes, dead_after_ms, link_lease_ms, stall_after_s, domains, missions, dashboards, limits, requests, history, lease, auction, charging, zones, alarms, device, ensemble; did you mean `name`?",
                 "f.toml:4:1: unknown key `lase_ms` in a fleet file; allowed: lease_ms, grace_ms; did you mean `lease_ms`?",
                 "f.toml:6:14: 3 is not a battery share: allowed is a number from 0 (empty) to 1 (full)",
             ]
@@ -213,7 +213,7 @@ mod tests {
     #[test]
     fn limits_of_promises_are_checked() {
         let text = "[auction]\nhorizon_s = 0\ndelay_s = 700000\nlate_s = 0\ngain_s = 0\n\
-                    objective = \"weighted\"\nbattery_s = 0\n";
+                    ahead_s = 700000\nobjective = \"weighted\"\nbattery_s = 0\n";
         assert_eq!(
             messages::<FleetConfig>(text),
             [
@@ -221,6 +221,7 @@ mod tests {
                 "f.toml: auction.delay_s is 700000, allowed is 0 to 604800",
                 "f.toml: auction.late_s is 0, allowed is 1 to 604800",
                 "f.toml: auction.gain_s is 0, allowed is 1 to 604800",
+                "f.toml: auction.ahead_s is 700000, allowed is 0 to 604800",
                 "f.toml: auction.battery_s is 0, allowed is 1 to 1000000",
             ]
         );

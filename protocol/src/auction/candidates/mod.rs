@@ -72,6 +72,11 @@ impl Candidates {
         Cow::Owned(restricted)
     }
 
+    /// Returns the robots.
+    pub fn robots(&self) -> impl Iterator<Item = &RobotId> {
+        self.0.keys()
+    }
+
     /// Removes robots that are asked.
     pub fn remove(&mut self, asked: &BTreeSet<RobotId>) {
         self.0.retain(|robot, _| !asked.contains(robot));

@@ -39,6 +39,8 @@ pub struct PromiseTerms {
     pub late_max: Seconds,
     /// Minimum gain for which a promised role passes to another robot, in seconds of the objective. Default 60 s.
     pub gain_min: Seconds,
+    /// Time before the earliest start of a mission from which its roles are promised; 0 for none. Default 0.
+    pub ahead: Seconds,
 }
 
 impl Default for PromiseTerms {
@@ -51,6 +53,7 @@ impl Default for PromiseTerms {
             objective: Objective::default(),
             late_max: seconds(300.0),
             gain_min: seconds(60.0),
+            ahead: Seconds::ZERO,
         }
     }
 }

@@ -130,8 +130,8 @@ impl MissionEntry {
         self.roles.get(role).is_some_and(|held| held.ended.is_empty()) && !self.can_proceed(role)
     }
 
-    /// Returns the estimated times until roles can begin, by what others do before, at a time in milliseconds since 1970.
-    /// Roles that can begin, and those for which nothing is known, are left out.
+    /// Returns the estimated times until roles can begin, by the earliest start of the mission and by what others do before, at a
+    /// time in milliseconds since 1970. Roles that can begin, and those for which nothing is known, are left out.
     pub fn releases(&self, now_ms: u64) -> BTreeMap<RoleId, Seconds> {
         let estimate = |id: &RoleId| {
             let holder = self.roles.get(id)?.holder.as_ref()?;
@@ -146,9 +146,12 @@ impl MissionEntry {
         let plans: BTreeMap<RoleId, EstimatedPlan<'_>> = plans.map(estimated).collect();
         let sent: BTreeSet<Signal> = self.roles.keys().flat_map(|role| self.signals_to(role)).collect();
         let starts = earliest_starts(&plans, |signal| sent.contains(signal));
+        let earliest_ms = self.submission.not_before_ms.unwrap_or_default();
         let starts = starts.into_iter().filter_map(|(role, start_s)| {
+            let start_s = start_s.max(earliest_ms as f64 / 1000.0);
             let release = Seconds::new(start_s - now_ms as f64 / 1000.0).ok()?;
-            (release > Seconds::ZERO && !self.can_proceed(&role)).then_some((role, release))
+            let waits = earliest_ms > now_ms || !self.can_proceed(&role);
+            (release > Seconds::ZERO && waits).then_some((role, release))
         });
         starts.collect()
     }

@@ -256,6 +256,12 @@ fn a_promised_role_is_released_when_the_roles_before_it_are_planned_to_end() {
     assert_eq!([0, 5_000, 30_000].map(|now_ms| release_at(&log, now_ms)), [20.0, 15.0, 0.0]);
     log.end(first, "cart");
     assert_eq!(release_at(&log, 5_000), 0.0, "the cart has ended early");
+    log.0.missions.get_mut(first).unwrap().submission.not_before_ms = Some(40_000);
+    assert_eq!(
+        [0, 30_000, 40_000].map(|now_ms| release_at(&log, now_ms)),
+        [40.0, 10.0, 0.0],
+        "its mission starts later"
+    );
 }
 
 #[test]

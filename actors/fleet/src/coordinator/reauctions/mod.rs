@@ -77,7 +77,7 @@ impl Reauctions {
         let may_call = self.called_at.is_none_or(|at| now.since(at) >= CALL_INTERVAL);
         let (mut known, mut candidates) = (BTreeSet::new(), vec![]);
         for (entry, role, promise) in ledger.promises_in_order() {
-            let can_proceed = entry.can_proceed(role);
+            let can_proceed = entry.can_proceed(role) && entry.submission.may_start(confirmed_ms);
             let key = (promise.epoch, role.clone());
             let first = PromiseTimes { startable_since: None, called_at: now, calls: 0, has_rival: false };
             let changes = entry.unconfirmed_releases(role);
