@@ -348,6 +348,10 @@ fn a_robot_is_promised_a_role_after_a_planned_stop_at_a_charger() {
         assert_eq!(stop.charger.as_str(), CHARGER, "seed {seed}");
         // From 19.7 % on, 0.4 % a second.
         assert!(start >= stop.time && start.get() > 170.0 && start.get() < 300.0, "seed {seed}: {start}");
+        let reply = fleet.request_answered(ApiCall::Explain, &json!({ "mission": mission })).await;
+        let lines = reply["text"].as_array().cloned().unwrap_or_default();
+        let explains = |line: &Value| line.as_str().is_some_and(|line| line.contains(", after charging at Dock"));
+        assert!(lines.iter().any(explains), "seed {seed}: {reply}");
         let has_begun = |event: &EventKind| matches!(event, EventKind::Started { .. });
         fleet.wait_until("the award", SOON, |fleet| fleet.has_event(has_begun)).await;
         assert_eq!(connections(&fleet), ["fern"], "seed {seed}");

@@ -1,7 +1,7 @@
 //! Views of missions.
 
 use super::{readable, readable_or_default};
-use crate::auction::{AuctionRecord, Explanation, RoleOfMission};
+use crate::auction::{AuctionRecord, ChargingStop, Explanation, RoleOfMission};
 use crate::ids::{EnsembleId, MissionId, RequestId, RobotId, RoleId, TaskId, TaskType};
 use crate::ledger::{Branch, HeldItem, MissionState, Priority, RolePhase, RoleRelease};
 use crate::mission::{RoleKind, TaskNode, TaskOrder};
@@ -213,7 +213,8 @@ pub struct RoleView {
 /// Planned start of a promised role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct PromiseView {
-    /// Time at which its robot is estimated to be free for it, in milliseconds since 1970.
+    /// Time at which its robot is estimated to begin it, in milliseconds since 1970: the robot is free, has charged if it has to,
+    /// and the roles before have done what the role waits for.
     pub planned_at_ms: u64,
     /// Time by which roles that the robot has inserted before it delay it, in seconds. The planned time contains it.
     pub delayed_s: Seconds,
@@ -221,6 +222,9 @@ pub struct PromiseView {
     pub can_start: bool,
     /// What the robot does before, in this order: the role that it holds, and other promised roles.
     pub after: Vec<RoleOfMission>,
+    /// Stop at a charger that the robot makes before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub charging: Option<ChargingStop>,
 }
 
 /// A step of a role's plan.

@@ -186,10 +186,12 @@ fn release_text(release: &RoleRelease) -> String {
 
 /// Returns a text like `arm is promised to gorse, which is free for it at about 2026-11-27T14:05:00Z, after r1 of m-1`.
 fn promise_text(RoleView { role, holder, promise, .. }: &RoleView) -> Option<String> {
-    let (robot, PromiseView { planned_at_ms, can_start, after, .. }) = (holder.as_ref()?, promise.as_ref()?);
+    let (robot, PromiseView { planned_at_ms, can_start, after, charging, .. }) = (holder.as_ref()?, promise.as_ref()?);
     let at = time_text(*planned_at_ms)?;
     let after: Vec<String> =
         after.iter().map(|RoleOfMission { mission, role }| format!("{role} of {mission}")).collect();
+    let charging = charging.iter().map(|stop| format!("charging at {}", stop.charger));
+    let after: Vec<String> = after.into_iter().chain(charging).collect();
     let after = if after.is_empty() { String::new() } else { format!(", after {}", after.join(", ")) };
     let wait = if *can_start { "" } else { "; the role waits for other roles" };
     Some(format!("{role} is promised to {robot}, which is free for it at about {at}{after}{wait}"))

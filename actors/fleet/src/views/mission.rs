@@ -127,6 +127,7 @@ fn role_view(ledger: &Ledger, entry: &MissionEntry, (id, role): (&RoleId, &RoleE
             delayed_s: promise.delayed,
             can_start: entry.can_proceed(id),
             after: ledger.roles_before(&entry.id, id, promise),
+            charging: promise.charging.clone(),
         }),
     }
 }
