@@ -38,6 +38,7 @@ impl ChargingSetup {
                 chargers,
                 parking: BTreeSet::new(),
                 curve: ChargingCurve::default(),
+                swap: None,
             },
             power: Watts::new(power_w).expect("a power"),
             capacity: WattHours::new(Self::CAPACITY_WH).expect("a capacity"),

@@ -237,6 +237,19 @@ impl Fleet {
         Fleet::hospital_with(seed, members, stations, vec![], options).await
     }
 
+    /// Starts the same hospital with chargers and this domain, and with changed node settings.
+    pub async fn hospital_with_charging_domain(
+        seed: u64,
+        members: Vec<RobotSpec>,
+        stations: &[&str],
+        (charging, domain): (ChargingSetup, DomainFile),
+        adjust: AdjustNode,
+    ) -> Fleet {
+        let extensions = Extensions::default().with_domain("domain.yaml", domain);
+        let options = NodeOptions { adjust, extensions, charging: Some(charging), ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, vec![], options).await
+    }
+
     /// Starts the hospital, open or closed.
     pub(crate) async fn hospital_with(
         seed: u64,

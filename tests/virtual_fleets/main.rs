@@ -2,6 +2,7 @@
 
 mod alarms;
 mod answers;
+mod battery_swaps;
 mod building;
 mod canceling;
 mod candidates;

@@ -149,6 +149,9 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         Diagnostics(problems.into_iter().map(|problem| Diagnostic::for_file("", problem)).collect())
     })?;
     let missions = mission_files::of_fleet(&config.missions, &domain, &domains::library(extensions)?)?;
+    if let Some(problem) = config.charging.as_ref().and_then(|charging| charging.swap_problem(&missions)) {
+        return Err(Diagnostic::for_file("", problem).into());
+    }
     Ok(FleetSettings {
         fleet: config.name.clone(),
         ensembles: Arc::new(ensembles),

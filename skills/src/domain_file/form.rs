@@ -305,6 +305,9 @@ pub struct SimulatedAction {
     /// cannot move it is rejected, or fails at its end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moves: Option<SimulatedMove>,
+    /// True if the robot has a full battery when a goal succeeds: a person has swapped it. Default false.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub renews_battery: bool,
 }
 
 /// Move of an item by a simulated goal.
@@ -389,6 +392,7 @@ impl Default for SimulatedAction {
             feedback: BTreeMap::new(),
             effects: BTreeMap::new(),
             moves: None,
+            renews_battery: false,
         }
     }
 }

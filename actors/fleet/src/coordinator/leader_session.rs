@@ -2,6 +2,7 @@
 
 use super::actions::{CoordinatorAction, SessionState};
 use super::auctions::Auctions;
+use super::battery_swaps::BatterySwaps;
 use super::change_feed::ChangeFeed;
 use super::charger_leases::ChargerDelivery;
 use super::ensemble_members::EnsembleMembers;
@@ -80,6 +81,7 @@ pub(super) struct LeaderSession {
     orders: OrderDelivery,
     chargers: ChargerDelivery,
     schedules: Schedules,
+    swaps: BatterySwaps,
     /// The voter change in progress.
     voter_change: Tasks,
     /// Missions with a proposed failure, with the time of the proposal.
@@ -121,6 +123,7 @@ impl LeaderSession {
             orders: OrderDelivery::new(&context),
             chargers: ChargerDelivery::default(),
             schedules: Schedules::default(),
+            swaps: BatterySwaps::default(),
             autopilot: Autopilot::new(settings.autopilot, yielded),
             clocks: VoterClocks::default(),
             early_requests: vec![],
@@ -307,6 +310,7 @@ impl LeaderSession {
         self.auctions.clear(&mut self.context);
         self.people.follow(&mut self.context, (changes, scope), now, confirmed_ms);
         self.submit_occurrences(now, confirmed_ms);
+        self.swaps.follow(&mut self.context, now, confirmed_ms);
     }
 
     /// Calls for bids for a promised role, if that is due.

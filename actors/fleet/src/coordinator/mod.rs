@@ -20,6 +20,7 @@ mod alarm_requests;
 mod api;
 mod auctioneer;
 mod auctions;
+mod battery_swaps;
 mod candidates;
 mod change_feed;
 mod charger_leases;

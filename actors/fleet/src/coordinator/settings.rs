@@ -3,6 +3,7 @@
 use super::rate_limit::RequestLimits;
 use crate::autopilot::AutopilotSettings;
 use crate::events::EventPublisher;
+use crate::robot::ChargingSettings;
 use consort_bus::SharedBus;
 use consort_bus::clock::Clock;
 use consort_bus::wire_version::WireVersion;
@@ -34,6 +35,8 @@ pub(crate) struct CoordinatorSettings {
     pub(crate) missions: Arc<NamedMissions>,
     /// The alarms that a request may raise.
     pub(crate) alarms: Arc<BTreeMap<AlarmId, AlarmPlan>>,
+    /// Charging in the fleet, if robots charge by themselves, or people swap their batteries.
+    pub(crate) charging: Option<Arc<ChargingSettings>>,
     /// Limits of accepted requests and missions.
     pub(crate) request_limits: RequestLimits,
     /// Limits of the ledger's history of ended missions.

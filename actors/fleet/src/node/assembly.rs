@@ -336,6 +336,7 @@ impl Assembly {
             domain: Arc::clone(&self.fleet.domain),
             missions: Arc::clone(&self.fleet.missions),
             alarms: Arc::clone(&self.fleet.alarms),
+            charging: self.fleet.charging.clone(),
             request_limits: self.fleet.request_limits,
             history_limits: self.fleet.history_limits,
             lease_terms: self.fleet.lease_terms,

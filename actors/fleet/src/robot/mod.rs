@@ -62,7 +62,7 @@ mod worker_record;
 pub(crate) use actor::{Robot, RobotMessage};
 pub use bidder::{BidContext, Bidder, PresentWork};
 pub(crate) use charging::RobotCharging;
-pub use charging::{ChargeThresholds, Charger, ChargerReserve, ChargingSettings};
+pub use charging::{BatterySwap, ChargeThresholds, Charger, ChargerReserve, ChargingSettings};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub(crate) use energy_check::pricing_context;
 pub use sequencer::{AlternativeProgress, OwnProgress, Sequencer, SequencerAction, StepRef};

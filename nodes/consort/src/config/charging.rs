@@ -1,10 +1,11 @@
 //! Charging in the fleet file.
 
-use consort_fleet::robot::{ChargeThresholds, Charger, ChargingSettings};
+use consort_fleet::robot::{BatterySwap, ChargeThresholds, Charger, ChargingSettings};
 use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ensemble::Eligibility;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{BatteryShare, Watts};
+use consort_skills::missions::NamedMissions;
 use consort_text::AllowedNames;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,21 @@ pub struct ChargingConfig {
     /// defaults.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub charger: Vec<ChargerConfig>,
+    /// Swaps of batteries by people, in place of chargers. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub swap: Option<SwapConfig>,
+}
+
+/// `[charging.swap]`: a person swaps the battery of a robot whose charge is less than `below`. Such robots use no chargers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SwapConfig {
+    /// Name of the mission that brings the robot to the swap place, where it asks a person: a mission of the fleet with the
+    /// parameter `robot`, its name.
+    pub mission: String,
+    /// Condition on the robots whose batteries are swapped, in CEL, as for chargers. Default: all robots.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eligible: Option<String>,
 }
 
 /// `[[charging.charger]]`: a charger.
@@ -59,7 +75,7 @@ impl Default for ChargingConfig {
         let share = |share| BatteryShare::new(share).expect("a default from 0 to 1");
         let (below, until) = (share(0.3), share(0.9));
         let curve = ChargingCurve::default();
-        ChargingConfig { below, until, opportunistic: None, parking: vec![], curve, charger: vec![] }
+        ChargingConfig { below, until, opportunistic: None, parking: vec![], curve, charger: vec![], swap: None }
     }
 }
 
@@ -80,6 +96,10 @@ impl ChargingConfig {
             problems.push(format!(
                 "charging.opportunistic is {top_up}, allowed is {below} (charging.below) to {until} (charging.until)"
             ));
+        }
+        let swap = self.swap.as_ref().and_then(|swap| swap.eligible.as_deref());
+        if let Some(Err(problem)) = swap.map(Eligibility::compile) {
+            problems.push(format!("charging.swap: eligible: {problem}"));
         }
         let mut seen = BTreeSet::new();
         let again = self.parking.iter().filter(|place| !seen.insert(*place));
@@ -123,7 +143,7 @@ impl ChargingConfig {
         let mut all: BTreeMap<PlaceId, ChargerConfig> =
             chargers.into_iter().map(|place| (place.clone(), of_map(place))).collect();
         all.extend(self.charger.iter().map(|charger| (charger.place.clone(), charger.clone())));
-        if all.is_empty() {
+        if all.is_empty() && self.swap.is_none() {
             let problem = "charging: the fleet has no charger; declare [[charging.charger]] with a place, or places of kind \
                            charger on the map";
             return Err(vec![problem.to_owned()]);
@@ -143,6 +163,20 @@ impl ChargingConfig {
             chargers: chargers.into_iter().map(charger).collect(),
             parking: self.parking.iter().cloned().collect(),
             curve: self.curve.clone(),
+            swap: self.swap.clone().map(|SwapConfig { mission, eligible }| BatterySwap { mission, eligible }),
+        }
+    }
+
+    /// Returns the problem of the mission in which batteries are swapped, if any.
+    pub(crate) fn swap_problem(&self, missions: &NamedMissions) -> Option<String> {
+        let swap = &self.swap.as_ref()?.mission;
+        match missions.offered().find(|offered| offered.mission.as_str() == swap) {
+            Some(offered) if offered.parameters.contains_key("robot") => None,
+            Some(_) => Some(format!("charging.swap.mission: the mission {swap:?} lacks the parameter `robot`")),
+            None => {
+                let allowed = AllowedNames::suggest_for(swap, missions.offered().map(|offered| offered.mission));
+                Some(format!("charging.swap.mission: the fleet has no mission {swap:?}; {allowed}"))
+            }
         }
     }
 }
@@ -180,6 +214,23 @@ mod tests {
         }
         let wrong = config(&format!("{charger}'robot.plug == 1'")).validate();
         assert!(wrong[0].starts_with("charging.charger Dock: eligible: "), "{wrong:?}");
+    }
+
+    #[test]
+    fn the_mission_of_swaps_is_one_of_the_fleet_with_the_parameter_robot() {
+        let problem = |mission: &str| {
+            let config = config(&format!("[swap]\nmission = {mission:?}"));
+            config.swap_problem(&NamedMissions::default()).unwrap()
+        };
+        assert_eq!(
+            problem("lab-samples"),
+            "charging.swap.mission: the mission \"lab-samples\" lacks the parameter `robot`"
+        );
+        let unknown = problem("lab-sample");
+        assert!(unknown.starts_with("charging.swap.mission: the fleet has no mission \"lab-sample\"; "), "{unknown}");
+        let wrong = config("[swap]\nmission = \"swap\"\neligible = 'robot.plug == 1'");
+        assert!(wrong.validate()[0].starts_with("charging.swap: eligible: "), "{:?}", wrong.validate());
+        assert_eq!(wrong.chargers(&BTreeSet::new(), &BTreeSet::new()).unwrap(), [], "no charger is needed");
     }
 
     #[test]

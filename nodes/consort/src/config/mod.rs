@@ -37,7 +37,7 @@ pub(crate) use alarms::alarm_plans;
 pub use alarms::{AlarmConfig, PartConfig};
 pub use archive::ArchiveConfig;
 pub use bus::{BusConfig, RelaySetting, trust_files};
-pub use charging::{ChargerConfig, ChargingConfig};
+pub use charging::{ChargerConfig, ChargingConfig, SwapConfig};
 pub use fleet::{AuctionConfig, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, ObjectiveName, RequestsConfig};
 pub(crate) use fleet::{DEFAULT_FLEET, zone_problems};
 pub use node::{CommonConfig, NodeFile};

@@ -77,6 +77,8 @@ impl World {
         (state.chargers, state.charging_curve) = (setup.chargers.clone(), setup.charging_curve.clone());
         let rates = setup.actions.iter().filter_map(|(name, action)| Some((name.clone(), action.discharge?)));
         state.discharge_of_actions = rates.collect();
+        let renewing = setup.actions.iter().filter(|(_, action)| action.simulate.renews_battery);
+        state.renewing_actions = renewing.map(|(name, _)| name.clone()).collect();
         (state.own_chassis, state.threads) = (setup.program.chassis(), setup.threads);
         state.insert_resource(HandoverCount::default());
         let mut world = World::with(state, systems, actions);

@@ -49,6 +49,11 @@ impl GoalHistory {
         self.active.as_ref().map(|active| &active.goal.action)
     }
 
+    /// Returns the action of an ended goal that is still stored.
+    pub(crate) fn ended_action(&self, id: GoalId) -> Option<&ActionName> {
+        self.ended.iter().rev().find(|ended| ended.id == id).map(|ended| &ended.goal.action)
+    }
+
     /// Checks whether the active goal makes the robot leave its place or turn.
     pub(crate) fn moves_robot(&self) -> bool {
         self.active.as_ref().is_some_and(|active| active.executed.moves_robot())

@@ -18,7 +18,7 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::Watts;
 use consort_skills::actions::{ActionError, BackendEvent};
 use hecs::{Component, Entity, Fetch, Query, QueryMut, Ref, RefMut};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::num::NonZeroUsize;
 
 /// An entry of the event queue.
@@ -63,6 +63,8 @@ pub struct SimState {
     pub(crate) charging_curve: ChargingCurve,
     /// Discharge during goals of actions, as multiples of the robots' rates.
     pub(crate) discharge_of_actions: BTreeMap<ActionName, f64>,
+    /// Actions that give a robot a full battery.
+    pub(crate) renewing_actions: BTreeSet<ActionName>,
     /// Chassis of the program itself.
     pub(crate) own_chassis: &'static [NamedChassis],
     /// Greatest number of threads that move robots with kinematics.
@@ -99,6 +101,7 @@ impl SimState {
             chargers: BTreeMap::new(),
             charging_curve: ChargingCurve::default(),
             discharge_of_actions: BTreeMap::new(),
+            renewing_actions: BTreeSet::new(),
             own_chassis: &[],
             threads: NonZeroUsize::MIN,
             queue: EventQueue::new(),

@@ -65,6 +65,32 @@ pub struct ChargingSettings {
     pub parking: BTreeSet<PlaceId>,
     /// Charging curve of the robots' batteries.
     pub curve: ChargingCurve,
+    /// Swaps of batteries by people; `None` without any.
+    pub swap: Option<BatterySwap>,
+}
+
+/// Swaps of batteries by people. The robots do not charge at chargers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BatterySwap {
+    /// Name of the mission that brings a robot, its parameter `robot`, to a person who swaps its battery.
+    pub mission: String,
+    /// Condition on the robots whose batteries are swapped, in CEL; `None` for all robots.
+    pub eligible: Option<String>,
+}
+
+impl ChargingSettings {
+    /// Checks whether people swap the battery of a robot with this record.
+    pub(crate) fn swaps(&self, robot: &RobotId, worker: &RobotKnowledge) -> bool {
+        let meets = |swap: &BatterySwap| {
+            let condition = swap.eligible.as_ref();
+            condition.is_none_or(|text| Eligibility::check_text(text, robot, worker).is_ok())
+        };
+        drives_on_battery(worker) && self.swap.as_ref().is_some_and(meets)
+    }
+}
+
+fn drives_on_battery(worker: &RobotKnowledge) -> bool {
+    worker.speed.is_some() && worker.discharge.get() > 0.0
 }
 
 impl ChargingSettings {
@@ -128,14 +154,15 @@ impl ChargingForecast {
 
 impl RobotCharging {
     /// Returns the charging of a robot with this record, and with a battery of this capacity, if it is known. Returns
-    /// `None` for a robot without battery, for a robot that does not drive, and without a charger that it may use.
+    /// `None` for a robot without battery, for a robot that does not drive, for one whose battery people swap, and without a
+    /// charger that it may use.
     pub(crate) fn of(
         settings: &ChargingSettings,
         robot: &RobotId,
         worker: &RobotKnowledge,
         capacity: Option<WattHours>,
     ) -> Option<RobotCharging> {
-        if worker.speed.is_none() || worker.discharge.get() == 0.0 {
+        if !drives_on_battery(worker) || settings.swaps(robot, worker) {
             return None;
         }
         let may_use = |charger: &&Charger| {

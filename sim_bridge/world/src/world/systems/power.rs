@@ -22,7 +22,7 @@ use crate::world::system_access::{ComponentType, SystemTimer};
 use crate::world::systems::docking::Docked;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
-use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus};
 use hecs::Entity;
 
 /// State of charge below which a robot stops: 5 %, as in the published evaluation (thesis 4.1.2).
@@ -117,7 +117,14 @@ impl System for Power {
     fn on_event(&self, state: &mut SimState, event: &WorldEvent) {
         let (robot, working) = match event {
             WorldEvent::GoalStarted { robot, .. } => (robot, true),
-            WorldEvent::GoalEnded { robot, .. } => (robot, false),
+            WorldEvent::GoalEnded { robot, id, status } => {
+                if let (Some(robot), GoalStatus::Succeeded(_)) = (state.robots.get(robot).copied(), status)
+                    && state.renews_battery(robot, *id)
+                {
+                    state.renew_battery(robot);
+                }
+                (robot, false)
+            }
             WorldEvent::Docked { robot, .. } => {
                 if let Some(robot) = state.robots.get(robot).copied() {
                     let working = state.get::<GoalHistory>(robot).is_busy();
@@ -147,14 +154,22 @@ impl World {
     /// Gives a robot a full battery. A robot that stood with an empty battery can move again.
     pub fn replace_battery(&mut self, robot: &RobotId) {
         let Some(robot) = self.state.robots.get(robot).copied() else { return };
-        self.run_as(&Power, |state| {
-            state.get_mut::<Battery>(robot).able = true;
-            state.set_charge(robot, BatteryShare::FULL);
-        });
+        self.run_as(&Power, |state| state.renew_battery(robot));
     }
 }
 
 impl SimState {
+    /// Checks whether an ended goal gives its robot a full battery.
+    fn renews_battery(&self, robot: Entity, goal: GoalId) -> bool {
+        let goals = self.get::<GoalHistory>(robot);
+        goals.ended_action(goal).is_some_and(|action| self.renewing_actions.contains(action))
+    }
+
+    fn renew_battery(&mut self, robot: Entity) {
+        self.get_mut::<Battery>(robot).able = true;
+        self.set_charge(robot, BatteryShare::FULL);
+    }
+
     /// Changes the discharge rate at the start or end of a goal.
     fn set_working(&mut self, robot: Entity, working: bool) {
         let docked = self.find::<Docked>(robot).is_some_and(|docked| docked.0);

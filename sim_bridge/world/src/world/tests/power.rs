@@ -39,6 +39,21 @@ fn a_goal_discharges_the_battery_as_its_action_declares() {
 }
 
 #[test]
+fn a_goal_that_renews_the_battery_fills_it_when_it_succeeds() {
+    let text = "domain: swaps\nactions: { renew: { simulate: { renews_battery: true } }, fail: { simulate: \
+                { renews_battery: true, failure_rate: 1 } } }";
+    let domain = DomainFile::check(yaml::parse(text).unwrap(), &BTreeMap::new(), &[]).unwrap();
+    let mut world = World::new(hospital(1).domain(&domain).robot(weak(0.3))).unwrap();
+    let goal =
+        |action: &str| serde_json::from_value(serde_json::json!({ "action": action, "parameters": {} })).unwrap();
+    world.start(&robot("r1"), GoalId(1), goal("fail"));
+    world.advance(at(5.0));
+    assert!(charge(&world, "r1") < 0.3, "{}", charge(&world, "r1"));
+    run_to_success(&mut world, "r1", 2, goal("renew"));
+    assert_eq!(charge(&world, "r1"), 1.0);
+}
+
+#[test]
 fn a_failed_battery_stops_its_robot_at_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
     let goal = drive_goal(&world, "Laboratory Corridor");

@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 fn settings(chargers: Vec<Charger>) -> ChargingSettings {
     let (parking, curve) = (BTreeSet::new(), ChargingCurve::default());
-    ChargingSettings { thresholds: thresholds(), chargers, parking, curve }
+    ChargingSettings { thresholds: thresholds(), chargers, parking, curve, swap: None }
 }
 
 /// Returns the charging of a robot in a fleet with these chargers.

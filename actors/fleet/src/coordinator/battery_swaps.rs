@@ -1,0 +1,134 @@
+//! Battery swaps: the coordinator submits the mission in which a person swaps the battery of a robot.
+//!
+//! A robot with low charge that does not charge at chargers waits for a person. Its mission is requested once: the id of the
+//! request contains the robot and the minute, and no further mission is requested while one for the robot is active. The
+//! charge must have been low for some seconds without such a mission, since the record of a robot may be older than the end of
+//! its mission.
+
+use super::session_context::SessionContext;
+use super::submission::{Definitions, SubmitError, prepare};
+use crate::robot::ChargingSettings;
+use consort_protocol::api::{MissionSource, SubmitRequest};
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::ledger::{Command, Ledger, Submission};
+use consort_protocol::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tracing::warn;
+
+/// Parameter of the mission that names the robot.
+const ROBOT: &str = "robot";
+
+/// Interval at which the records of robots are examined. Raised: a robot waits longer.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Time for which the charge has been low before a swap is requested. Raised: a robot waits longer. A guess: a record arrives
+/// within seconds.
+const LOW_TIME: Duration = Duration::from_secs(10);
+
+/// Priority of the mission: only this robot does it, and it can do little else.
+const PRIORITY: i64 = 100;
+
+/// Robots of a session whose batteries have to be swapped.
+#[derive(Default)]
+pub(super) struct BatterySwaps {
+    /// Robots with low charge and without an active mission for it, and since when.
+    low_since: BTreeMap<RobotId, NodeTime>,
+    /// Time of the latest examination.
+    checked_at: Option<NodeTime>,
+}
+
+impl BatterySwaps {
+    /// Requests the missions that are due. `now_ms` is the time of day that a majority of the voters confirms, in milliseconds
+    /// since 1970.
+    pub(super) fn follow(&mut self, context: &mut SessionContext, now: NodeTime, now_ms: Option<u64>) {
+        let (Some(charging), Some(now_ms)) = (context.settings.charging.clone(), now_ms) else { return };
+        let Some(swap) = &charging.swap else { return };
+        if self.checked_at.is_some_and(|at| now.since(at) < CHECK_INTERVAL) {
+            return;
+        }
+        self.checked_at = Some(now);
+        let low = low_robots(context, &charging);
+        let missions_max = context.settings.request_limits.missions_max;
+        let (requested, has_room) = context.read_ledger(|ledger| {
+            (requested_swaps(ledger, &swap.mission), missions_max == 0 || !ledger.has_active(missions_max))
+        });
+        for robot in self.due(low.difference(&requested).cloned().collect(), now) {
+            match submission(&robot, &swap.mission, context, now_ms) {
+                Ok(submission) if has_room => context.propose(Command::Submit(Box::new(submission))),
+                Ok(_) => {}
+                Err(problem) => warn!(%robot, %problem, "cannot request a swap of the battery"),
+            }
+        }
+    }
+
+    /// Returns the robots that have been among those with low charge for long enough.
+    fn due(&mut self, low: BTreeSet<RobotId>, now: NodeTime) -> Vec<RobotId> {
+        self.low_since.retain(|robot, _| low.contains(robot));
+        for robot in low {
+            self.low_since.entry(robot).or_insert(now);
+        }
+        let due = self.low_since.iter().filter(|(_, since)| now.since(**since) >= LOW_TIME);
+        due.map(|(robot, _)| robot.clone()).collect()
+    }
+}
+
+/// Returns the robots in contact whose batteries are swapped, and whose charge is low.
+fn low_robots(context: &SessionContext, charging: &ChargingSettings) -> BTreeSet<RobotId> {
+    let knowledge = &context.settings.parts.knowledge;
+    let is_low = |robot: &RobotId, worker: &RobotKnowledge| {
+        let is_in_service = !matches!(worker.availability, Availability::OutOfService { .. });
+        is_in_service && worker.battery < charging.thresholds.below && charging.swaps(robot, worker)
+    };
+    let low: Vec<NodeId> = knowledge.read(|base| {
+        let known = base.iter().filter(|(node, known)| {
+            let worker = known.record.knowledge.robot.as_ref();
+            worker.is_some_and(|worker| is_low(&RobotId::from(NodeId::clone(node)), worker))
+        });
+        known.map(|(node, _)| node.clone()).collect()
+    });
+    low.into_iter().filter(|node| knowledge.is_alive(node)).map(RobotId::from).collect()
+}
+
+/// Returns the robots with an active mission of this name.
+fn requested_swaps(ledger: &Ledger, mission: &str) -> BTreeSet<RobotId> {
+    let swaps = ledger.active_missions().into_iter().map(|entry| &entry.submission);
+    let swaps = swaps.filter(|submission| submission.mission.name.as_str() == mission);
+    swaps.filter_map(|submission| submission.parameters.get(ROBOT)?.parse().ok()).collect()
+}
+
+fn submission(
+    robot: &RobotId,
+    mission: &str,
+    context: &SessionContext,
+    now_ms: u64,
+) -> Result<Submission, SubmitError> {
+    let settings = &context.settings;
+    let definitions = Definitions { missions: &settings.missions, domain: &settings.domain };
+    let mut request = SubmitRequest::of(MissionSource::Named(mission.to_owned()));
+    request.parameters.insert(ROBOT.to_owned(), robot.to_string());
+    request.priority = PRIORITY;
+    let id = format!("swap-{robot}-{}", now_ms / 60_000);
+    prepare(request, definitions, now_ms, id, format!("the low charge of {robot}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_swap_is_due_once_the_charge_has_been_low_for_a_while() {
+        let robots = |names: &[&str]| names.iter().map(|name| name.parse().unwrap()).collect::<BTreeSet<RobotId>>();
+        let mut swaps = BatterySwaps::default();
+        let mut due = |low: &[&str], at_s: u64| {
+            let due = swaps.due(robots(low), NodeTime::ZERO + Duration::from_secs(at_s));
+            due.iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        assert!(due(&["ada"], 0).is_empty());
+        assert_eq!(due(&["ada", "bob"], 10), ["ada"]);
+        assert!(due(&["bob"], 11).is_empty(), "the mission of ada is active");
+        assert_eq!(due(&["ada", "bob"], 20), ["bob"], "the record of ada may be older than the end of its mission");
+        assert_eq!(due(&["ada"], 30), ["ada"]);
+    }
+}
