@@ -22,9 +22,9 @@ pub struct EstimatedPlan<'a> {
 /// Times at which signals are sent, in seconds.
 type SendTimes<'a> = BTreeMap<&'a Signal, f64>;
 
-impl<'a> EstimatedPlan<'a> {
+impl EstimatedPlan<'_> {
     /// Returns the begin and the end of each step, if the robot begins the first one at a time.
-    fn steps(&self, begin_s: f64, sent: &SendTimes<'a>) -> Vec<(f64, f64)> {
+    fn steps(&self, begin_s: f64, sent: &SendTimes<'_>) -> Vec<(f64, f64)> {
         let mut steps: Vec<(f64, f64)> = Vec::with_capacity(self.plan.steps.len());
         for (index, step) in self.plan.steps.iter().enumerate() {
             let before = step.after.iter().filter_map(|before| steps.get(*before as usize));
@@ -108,11 +108,8 @@ mod tests {
         );
         let lift = chain("lift", vec![StepAction::Wait(signal("arm", "lift")), task("lift")]);
         let plan = |plan, begin_s| EstimatedPlan { plan, begin_s, durations_s: vec![10.0, 5.0, 0.0] };
-        let roles = [
-            (role("cart"), plan(&cart, begin_s)),
-            (role("arm"), plan(&arm, 0.0)),
-            (role("lift"), plan(&lift, 0.0)),
-        ];
+        let roles =
+            [(role("cart"), plan(&cart, begin_s)), (role("arm"), plan(&arm, 0.0)), (role("lift"), plan(&lift, 0.0))];
         earliest_starts(&roles.into(), |signal| is_sent && signal.from == role("cart")).into_values().collect()
     }
 
