@@ -11,6 +11,10 @@ mod shift;
 use consort_tests::chaos::{RunConfig, RunOutcome, Schedule, SeedSweep};
 use std::thread;
 
+/// Virtual fleets allocate many small messages.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn jobs() -> usize {
     thread::available_parallelism().map_or(1, Into::into)
 }

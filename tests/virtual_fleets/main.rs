@@ -56,3 +56,7 @@ mod takeover_of_holders;
 mod task_failures;
 mod views;
 mod voters;
+
+/// Virtual fleets allocate many small messages.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
