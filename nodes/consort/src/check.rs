@@ -119,13 +119,13 @@ fn check_kind(
         FileKind::Fleet => {
             let (fleet, extensions) = fleet_file(path, extensions)?;
             wiring::fleet_settings(&fleet, extensions)?;
-            wiring::fleet_skill_resources(&fleet, extensions)?;
+            wiring::fleet_skill_resources(&fleet, None, extensions)?;
             Ok(fleet.name.to_string())
         }
         FileKind::Robot => {
             let (robot, fleet, extensions): (RobotConfig, _, _) = node_file(path, extensions)?;
             wiring::fleet_settings(&fleet, extensions)?;
-            let equipment = wiring::fleet_skill_resources(&fleet, extensions)?;
+            let equipment = wiring::fleet_skill_resources(&fleet, robot.graph.as_deref(), extensions)?;
             wiring::worker(&robot, &equipment.places)?;
             describe_node(robot, &fleet)
         }

@@ -256,15 +256,29 @@ pub(crate) fn skill_resources(floor: &LoadedMap, extensions: Extensions) -> Resu
     Ok(SkillResources { domain, places: topology.places.clone(), estimator: Arc::new(estimator), library })
 }
 
-/// Builds the estimator and the skills of robots on the fleet's map, with learned corrections.
+/// Returns the map for robots of a navigation graph; `None`: all lanes.
+fn of_graph(floor: LoadedMap, graph: Option<&str>) -> Result<LoadedMap, Diagnostics> {
+    let Some(graph) = graph else { return Ok(floor) };
+    let graphs = floor.map.as_ref().map(Map::graphs).unwrap_or_default();
+    let Some(map) = floor.map.as_ref().filter(|_| graphs.contains(graph)) else {
+        let allowed = AllowedNames::suggest_for(graph, &graphs);
+        let what = format!("graph: {graph:?} is not a navigation graph of the fleet's map; {allowed}");
+        return Err(Diagnostic::for_file("", what).into());
+    };
+    Ok(LoadedMap { topology: map.topology_of(Some(graph)), map: floor.map })
+}
+
+/// Builds the estimator and the skills of robots on the fleet's map, with learned corrections. The robots drive on the
+/// lanes of a navigation graph; `None`: on all lanes.
 ///
 /// # Errors
-/// [`Diagnostics`] of the map, or of the calibration.
+/// [`Diagnostics`] of the map, of the graph, or of the calibration.
 pub(crate) fn fleet_skill_resources(
     fleet: &FleetConfig,
+    graph: Option<&str>,
     extensions: Extensions,
 ) -> Result<SkillResources, Diagnostics> {
-    let equipment = skill_resources(&map_loader::load(&fleet.map)?, extensions)?;
+    let equipment = skill_resources(&of_graph(map_loader::load(&fleet.map)?, graph)?, extensions)?;
     let Some(file) = &fleet.calibration else { return Ok(equipment) };
     let descriptors = calibrated_descriptors(fleet, extensions)?;
     let estimator = descriptors.resolve(equipment.estimator.environment().clone());
@@ -282,7 +296,13 @@ pub(crate) fn robot_node(
     incarnation: NodeIncarnation,
     extensions: Extensions,
 ) -> Result<NodeSettings, Diagnostics> {
-    robot_node_with(&fleet_skill_resources(fleet, extensions)?, robot, fleet, incarnation, extensions)
+    robot_node_with(
+        &fleet_skill_resources(fleet, robot.graph.as_deref(), extensions)?,
+        robot,
+        fleet,
+        incarnation,
+        extensions,
+    )
 }
 
 /// Builds a robot's node, with shared skill resources.

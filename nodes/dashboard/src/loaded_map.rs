@@ -4,6 +4,7 @@ use consort_protocol::view::{LaneView, LevelView, MapBounds, MapView, PlaceView}
 use consort_skills::environment::TopologicalMap;
 use consort_world::map::{DEFAULT_LEVEL, Map, MapError};
 use serde_json::Value;
+use std::collections::BTreeSet;
 
 /// A loaded map.
 #[derive(Debug, Clone)]
@@ -41,6 +42,7 @@ impl LoadedMap {
             length_m: edge.length_m,
             one_way: edge.one_way,
             speed_limit_mps: None,
+            graphs: BTreeSet::new(),
         });
         let poses = || self.topology.places.values();
         let (west, south) = poses().fold((f64::INFINITY, f64::INFINITY), |(x, y), pose| (x.min(pose.x), y.min(pose.y)));

@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Map of a fleet, under the names used in map files.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -74,6 +75,9 @@ pub struct LaneView {
     pub one_way: bool,
     /// Highest allowed speed, in metres per second.
     pub speed_limit_mps: Option<f64>,
+    /// Navigation graphs with this lane; absent: all of them.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub graphs: BTreeSet<String>,
 }
 
 /// Door of a map.

@@ -3,7 +3,7 @@
 use crate::drawing::{Drawing, map_name_from_path};
 use crate::read_error::ReadError;
 use crate::settings::{ImportOptions, MapFormat};
-use crate::{drawio, rmf};
+use crate::{drawio, lif, rmf};
 use consort_world::map::{Map, MapError, MapFile, limits};
 use std::path::Path;
 
@@ -32,6 +32,9 @@ pub enum ImportDiagnostic {
     /// An error in a building of Open-RMF.
     #[error(transparent)]
     Building(#[from] rmf::RmfDiagnostic),
+    /// An error in a layout.
+    #[error(transparent)]
+    Layout(#[from] lif::LifDiagnostic),
 }
 
 fn lines(file: &str, diagnostics: &[ImportDiagnostic]) -> String {
@@ -77,7 +80,7 @@ pub fn read(text: &str, file: &str) -> Result<Map, ImportError> {
 ///
 /// # Errors
 /// [`MapError::TooLarge`] and [`MapError::Syntax`]; [`ImportError::Invalid`] for errors in a
-/// drawing or a building.
+/// drawing, a building or a layout.
 pub fn parse(text: &str, file: &str, options: &ImportOptions) -> Result<Drawing, ImportError> {
     if text.len() > limits::FILE_BYTES {
         return Err(MapError::TooLarge { file: file.to_owned(), bytes: text.len() as u64 }.into());
@@ -86,6 +89,7 @@ pub fn parse(text: &str, file: &str, options: &ImportOptions) -> Result<Drawing,
     match MapFormat::of(file) {
         MapFormat::Drawing => drawio::read(text, &name, options).map_err(|error| ImportError::foreign(file, error)),
         MapFormat::Building => rmf::read(text, &name, options).map_err(|error| ImportError::foreign(file, error)),
+        MapFormat::Layout => lif::read(text, &name).map_err(|error| ImportError::foreign(file, error)),
         MapFormat::Json | MapFormat::Yaml => Ok(MapFile::parse(text, file)?.into()),
     }
 }

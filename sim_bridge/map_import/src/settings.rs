@@ -7,6 +7,8 @@ pub enum MapFormat {
     Yaml,
     /// Our own form as JSON: `.json`.
     Json,
+    /// A layout of the Layout Interchange Format: `.lif`, `.lif.json`.
+    Layout,
     /// A drawing of diagrams.net: `.drawio`, `.xml`.
     Drawing,
     /// A building of Open-RMF: `.building.yaml`, `.building.yml`.
@@ -22,6 +24,8 @@ impl MapFormat {
             MapFormat::Drawing
         } else if ends(&[".building.yaml", ".building.yml"]) {
             MapFormat::Building
+        } else if ends(&[".lif", ".lif.json"]) {
+            MapFormat::Layout
         } else if ends(&[".json"]) {
             MapFormat::Json
         } else {
@@ -29,9 +33,9 @@ impl MapFormat {
         }
     }
 
-    /// Checks whether the format is a drawing or an Open-RMF building.
+    /// Checks whether the format is a drawing, an Open-RMF building or a layout.
     pub fn is_foreign(self) -> bool {
-        matches!(self, MapFormat::Drawing | MapFormat::Building)
+        matches!(self, MapFormat::Drawing | MapFormat::Building | MapFormat::Layout)
     }
 }
 
@@ -41,7 +45,7 @@ pub struct ImportOptions {
     /// Metres per unit of a drawing, or per pixel of an Open-RMF building; above 0. Default: the
     /// scale in the file, and for a drawing without scale `METRES_PER_UNIT`.
     pub scale_m: Option<f64>,
-    /// Navigation graph to read from an Open-RMF building. Default: the graph with the lowest
-    /// number.
+    /// Navigation graph to read from an Open-RMF building. Default: all graphs; each lane then names its
+    /// graphs, if there are several.
     pub graph: Option<i64>,
 }

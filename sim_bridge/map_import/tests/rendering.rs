@@ -32,12 +32,12 @@ fn texts(svg: &str) -> BTreeSet<String> {
 #[test]
 fn levels_doors_lifts_limits_and_robots_are_drawn() {
     let svg = drawing_of(OFFICE, "office.building.yaml");
-    assert_eq!(counts(&svg, &["level", "door", "lift", "one-way", "item", "place"]), [2, 1, 2, 2, 1, 10]);
+    assert_eq!(counts(&svg, &["level", "door", "lift", "one-way", "item", "place"]), [2, 2, 2, 2, 1, 12]);
     let texts = texts(&svg);
     for name in ["L2 (4.5 m)", "pantry_door", "lift_1", "0.5 m/s", "tiny1", "reception", "charger"] {
         assert!(texts.contains(name), "{name}: {texts:?}");
     }
-    assert!(texts.contains("meeting – lobby (L2), 14.58 m, one way, facing backward"), "{texts:?}");
+    assert!(texts.contains("meeting – lobby (L2), 14.58 m, one way, graph 0, facing backward"), "{texts:?}");
 }
 
 #[test]

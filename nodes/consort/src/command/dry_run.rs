@@ -145,7 +145,7 @@ fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<(AssumedFleet, A
     set(&mut config.map, args.map.clone());
     config.limits.time_s = args.time_limit_s.or(config.limits.time_s);
     set(&mut config.limits.charge_min, args.charge_min);
-    let (mut equipment, limits) = (fleet_skill_resources(&config, extensions)?, limits(&config));
+    let (mut equipment, limits) = (fleet_skill_resources(&config, None, extensions)?, limits(&config));
     let (charging, ensembles, missions) = match &args.fleet {
         Some(_) => {
             let settings = fleet_settings(&config, extensions)?;

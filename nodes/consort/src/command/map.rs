@@ -17,8 +17,8 @@ use std::process::Stdio;
 /// Draw, check and convert maps
 ///
 /// Reads maps in Consort's own format (YAML, JSON), drawings of diagrams.net by the conventions of
-/// HMR Sim (`.drawio`, `.xml`) and buildings of Open-RMF (`.building.yaml`), detected by the file's
-/// extension. The same files are accepted wherever a map is configured: `map = "…"` in a fleet or
+/// HMR Sim (`.drawio`, `.xml`), buildings of Open-RMF (`.building.yaml`) and layouts in the Layout
+/// Interchange Format of VDMA (`.lif`, `.lif.json`), detected by the file's extension. The same files are accepted wherever a map is configured: `map = "…"` in a fleet or
 /// world file, and `--map`.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
@@ -36,7 +36,9 @@ A drawing (.drawio, .xml): shapes of type `POI` are places, named by `tag`, and 
 unless the page (`metres_per_unit` in *Edit Data* with nothing selected) or --scale sets it.
 
 A building (.building.yaml): vertices at lanes are places. The length of a pixel follows from the level's measurements, unless
---scale sets it. Lanes of the lowest graph are read, unless --graph selects another.")]
+--scale sets it. Lanes of all navigation graphs are read, unless --graph selects one; a robot's file names its graph.
+
+A layout (.lif, .lif.json): nodes are places, edges are lanes, types of vehicles are navigation graphs.")]
 pub struct Args {
     #[command(subcommand)]
     what: What,
@@ -60,8 +62,9 @@ enum What {
     },
     /// Check maps and list their content
     ///
-    /// Prints `ok` and the content, with a note for everything that was left out or assumed; or
-    /// each problem with file, position and allowed values.
+    /// Prints `ok` and the content, with a note for everything that was left out or assumed, and for
+    /// each dead end in which robots cannot pass each other; or each problem with file, position and
+    /// allowed values: also places that cannot be reached, or that have no way back.
     Check {
         /// The map files, or names of bundled maps
         #[arg(required = true, value_name = "FILE")]
@@ -111,7 +114,7 @@ struct Reading {
     /// Metres per unit of a drawing or pixel of a building, instead of the file's value
     #[arg(long, value_name = "METRES", value_parser = scale)]
     scale: Option<f64>,
-    /// The navigation graph of an Open-RMF building. Default: the graph with the lowest number
+    /// Read a single navigation graph of an Open-RMF building. Default: all
     #[arg(long, value_name = "NUMBER")]
     graph: Option<i64>,
 }
@@ -200,6 +203,9 @@ fn check(files: &[PathBuf], reading: &Reading) -> Result<(), Failure> {
             Ok((drawing, map)) => {
                 for note in &drawing.notes {
                     output::line(format_args!("{}: note: {note}", file.display()))?;
+                }
+                for dead_end in map.dead_ends() {
+                    output::line(format_args!("{}: note: {dead_end}", file.display()))?;
                 }
                 output::line(format_args!("{}: ok, {}", file.display(), contents(&drawing, &map)))?;
             }

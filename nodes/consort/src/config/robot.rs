@@ -22,6 +22,10 @@ pub struct RobotConfig {
     pub name: RobotId,
     /// Its place until the driver has reported.
     pub place: PlaceId,
+    /// The navigation graph on whose lanes it drives, as `"0"`: the map names the graphs of its lanes. Default: none, and
+    /// it drives on all lanes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub graph: Option<String>,
     /// The task types of its skills.
     pub skills: BTreeSet<TaskType>,
     /// Its attributes, as `section = "icu"`: booleans, numbers or texts that conditions of ensembles and
@@ -98,6 +102,7 @@ impl RobotConfig {
         RobotConfig {
             name,
             place,
+            graph: None,
             skills,
             attributes: Attributes::default(),
             speed_mps: None,

@@ -50,7 +50,7 @@ impl VirtualFleet {
             network,
             scenario: scenario.clone(),
             extensions,
-            equipment: wiring::fleet_skill_resources(&scenario.fleet, extensions)?,
+            equipment: wiring::fleet_skill_resources(&scenario.fleet, None, extensions)?,
             nodes: BTreeMap::new(),
             world: shared,
             started: Instant::now(),

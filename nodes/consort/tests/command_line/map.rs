@@ -21,8 +21,13 @@ fn check_summarizes_maps_of_every_format_and_lists_omissions() {
     for expected in [
         "hospital: ok, hospital: 1 level, 32 places, 31 lanes".to_owned(),
         format!("{clinic}: ok, clinic: 1 level, 11 places, 11 lanes, 1 door, 1 robot, 1 object, 1 person"),
-        format!("{office}: note: only lanes of graph 0 are read; lanes of graph 1 are ignored"),
-        format!("{office}: ok, office: 2 levels, 10 places, 9 lanes, 1 door, 1 lift, 1 robot"),
+        format!(
+            "{office}: note: the lanes belong to graphs 0, 1; the file of a robot names its graph, as `graph = \"0\"`"
+        ),
+        format!(
+            "{office}: note: place \"base\" is at a dead end: on the 2 lanes from \"L1 vertex 5\" (20.0 m) no two robots can pass each other"
+        ),
+        format!("{office}: ok, office: 2 levels, 12 places, 10 lanes, 2 doors, 1 lift, 1 robot"),
     ] {
         assert!(ran.out.lines().any(|line| line == expected), "{expected:?} is missing in\n{}", ran.out);
     }
@@ -80,12 +85,8 @@ fn convert_writes_an_equivalent_map_in_our_format() {
             ran.err
         );
         let checked = run(&["map", "check", &out]);
-        assert_eq!(
-            checked.out,
-            format!("{out}: ok, clinic: 1 level, 11 places, 11 lanes, 1 door\n"),
-            "{}",
-            checked.err
-        );
+        let expected = format!("{out}: ok, clinic: 1 level, 11 places, 11 lanes, 1 door\n");
+        assert!(checked.out.ends_with(&expected), "{}{}", checked.out, checked.err);
     }
     let text = run(&["map", "convert", &clinic, "--scale", "0.04"]).out;
     let near = run(&["map", "convert", &clinic]).out;
@@ -139,11 +140,29 @@ fn a_map_of_any_format_is_accepted_everywhere() {
     let ran = run(&["check", &a, &b, &clinic, &office]);
     let expected = format!(
         "{a}: ok, a world: 1 robot, 0 people\n{b}: ok, a world: 1 robot, 0 people\n\
-         {clinic}: ok, a map: 11 places, 11 ways\n{office}: ok, a map: 10 places, 10 ways\n"
+         {clinic}: ok, a map: 11 places, 11 ways\n{office}: ok, a map: 12 places, 11 ways\n"
     );
     assert_eq!((ran.code, ran.out), (Some(0), expected), "{}", ran.err);
     let wrong = test_file("drawn_wrong.toml", &world(&clinic, "Ward 3"));
     let ran = run(&["check", &wrong]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.out.contains("\"Ward 3\""), "{}", ran.out);
+}
+
+#[test]
+fn a_robot_drives_on_a_navigation_graph_of_the_map() {
+    let office = sample("office.building.yaml");
+    let robot = |graph: &str| {
+        format!(
+            "name = \"crane\"\nplace = \"crane_a\"\ngraph = {graph:?}\nskills = [\"navigation\"]\nspeed_mps = 1.0\n\
+             [fleet]\nmap = {office:?}\n"
+        )
+    };
+    let (good, wrong) = (test_file("crane.toml", &robot("1")), test_file("wrong_crane.toml", &robot("7")));
+    let ran = run(&["check", &good]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let ran = run(&["check", &wrong]);
+    assert_eq!(ran.code, Some(1));
+    let expected = "graph: \"7\" is not a navigation graph of the fleet's map; allowed: 0, 1";
+    assert!(ran.out.contains(expected), "{}", ran.out);
 }

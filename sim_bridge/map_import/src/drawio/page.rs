@@ -143,7 +143,7 @@ impl<'a> PageReader<'a> {
             Some(Err(text)) => return self.report(cell, CellError::unknown_place_kind(text)),
         };
         let yaw_rad = round(yaw_deg.to_radians());
-        let entry = PlaceEntry { name, kind, x_m, y_m, yaw_rad, level: self.level.clone() };
+        let entry = PlaceEntry { name, kind, x_m, y_m, yaw_rad, level: self.level.clone(), dock: None };
         self.places.push((cell, entry, outline.centre));
     }
 

@@ -78,6 +78,7 @@ pub(super) fn lane_of(level: &Level, lane: &Edge) -> Result<LaneEntry, EntryErro
         one_way: both != Some(true),
         speed_limit_mps: limit.filter(|limit| *limit > 0.0),
         facing: facing.flatten(),
+        graphs: BTreeSet::new(),
     })
 }
 

@@ -1,4 +1,4 @@
-//! Reads a building: chooses the graph, aligns the levels, names the places, and adds the entries
+//! Reads a building: chooses the graphs, aligns the levels, names the places, and adds the entries
 //! of each level to the map.
 
 use super::coordinates::{self, CoordinateSystem, LevelTransform, Point};
@@ -7,10 +7,11 @@ use super::level::{Level, between, ends, graph_of, lane_of, level_named, level_o
 use super::lifts;
 use super::raw::{self, Building, Edge, parameter};
 use crate::drawing::{Drawing, DrawnRobot, round, to_map_name};
+use crate::lanes;
 use crate::read_error::ReadError;
 use crate::settings::ImportOptions;
 use consort_world::map::render::DrawnItem;
-use consort_world::map::{DoorEntry, LevelEntry, PlaceEntry, PlaceKind, intersection};
+use consort_world::map::{DEFAULT_LEVEL, DoorEntry, LaneEntry, LevelEntry, PlaceEntry, PlaceKind, intersection};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -34,6 +35,8 @@ pub(crate) fn read(text: &str, name: &str, options: &ImportOptions) -> Result<Dr
 struct Reader {
     drawing: Drawing,
     diagnostics: Vec<RmfDiagnostic>,
+    /// True if lanes name their graphs.
+    has_several_graphs: bool,
 }
 
 impl Reader {
@@ -53,8 +56,8 @@ impl Reader {
         if levels.is_empty() {
             return Err(whole(EntryError::NoLevels));
         }
-        let graph = self.graph(&levels, options).map_err(whole)?;
-        if let Some(graph) = graph {
+        self.check_graphs(&levels, options).map_err(whole)?;
+        if let Some(graph) = options.graph {
             for level in &mut levels {
                 level.lanes.retain(|lane| graph_of(lane).is_ok_and(|of| of == graph));
             }
@@ -66,12 +69,15 @@ impl Reader {
         for level in &levels {
             self.level(level, several, system);
         }
+        if self.has_several_graphs {
+            self.drawing.map.lanes = lanes::join(std::mem::take(&mut self.drawing.map.lanes));
+        }
         lifts::read(building, system, &levels, &mut self.drawing, &mut self.diagnostics);
         Ok(())
     }
 
-    /// Returns the graph to read; `None` if the lanes are invalid.
-    fn graph(&mut self, levels: &[Level], options: &ImportOptions) -> Result<Option<i64>, EntryError> {
+    /// Checks the graphs of the lanes.
+    fn check_graphs(&mut self, levels: &[Level], options: &ImportOptions) -> Result<(), EntryError> {
         let mut known = BTreeSet::new();
         let sound = self.diagnostics.is_empty();
         for level in levels {
@@ -84,24 +90,22 @@ impl Reader {
                 }
             }
         }
-        let list = |known: &BTreeSet<i64>| known.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
-        match (options.graph, known.first()) {
-            (_, None) if sound && self.diagnostics.is_empty() => Err(EntryError::NoLanes),
-            (_, None) => Ok(None),
-            (Some(graph), _) if !known.contains(&graph) => Err(EntryError::UnknownGraph { graph, known: list(&known) }),
-            (Some(graph), _) => Ok(Some(graph)),
-            (None, Some(first)) => {
-                let first = *first;
-                known.remove(&first);
-                if !known.is_empty() {
-                    let others = list(&known);
-                    self.drawing
-                        .notes
-                        .push(format!("only lanes of graph {first} are read; lanes of graph {others} are ignored"));
-                }
-                Ok(Some(first))
-            }
+        if known.is_empty() {
+            return if sound && self.diagnostics.is_empty() { Err(EntryError::NoLanes) } else { Ok(()) };
         }
+        let list = known.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
+        match options.graph {
+            Some(graph) if !known.contains(&graph) => return Err(EntryError::UnknownGraph { graph, known: list }),
+            None if known.len() > 1 => {
+                self.has_several_graphs = true;
+                let note = format!(
+                    "the lanes belong to graphs {list}; the file of a robot names its graph, as `graph = \"0\"`"
+                );
+                self.drawing.notes.push(note);
+            }
+            _ => {}
+        }
+        Ok(())
     }
 
     /// Computes the transform of each level.
@@ -209,6 +213,7 @@ impl Reader {
         let level_name = several.then(|| level.name.to_owned());
         for (vertex, name) in &level.places {
             let ((x_m, y_m), kind) = (at(*vertex), self.kind(level, *vertex));
+            let dock = self.dock(level, *vertex);
             self.drawing.map.places.push(PlaceEntry {
                 name: name.clone(),
                 kind,
@@ -216,16 +221,21 @@ impl Reader {
                 y_m,
                 yaw_rad: 0.0,
                 level: level_name.clone(),
+                dock,
             });
         }
         for lane in &level.lanes {
             match lane_of(level, lane) {
-                Ok(lane) => self.drawing.map.lanes.push(lane),
+                Ok(entry) => {
+                    let graph = graph_of(lane).ok().filter(|_| self.has_several_graphs);
+                    let graphs = graph.map(|graph| graph.to_string()).into_iter().collect();
+                    self.drawing.map.lanes.push(LaneEntry { graphs, ..entry });
+                }
                 Err(error) => self.report(format!("level {:?}, lane {}", level.name, lane.number), error),
             }
         }
         for door in &level.doors {
-            self.door(level, door, at);
+            self.door(level, door, level_name.clone(), at);
         }
         for (number, vertex) in level.vertices.iter().enumerate() {
             if let Some(name) = vertex.parameters.get("spawn_robot_name").and_then(raw::text) {
@@ -252,7 +262,7 @@ impl Reader {
         };
         let charges = flag("is_charger") == Some(true);
         let parks = flag("is_parking_spot") == Some(true);
-        let docks = vertex.parameters.get("dock_name").and_then(Value::as_str).is_some_and(|name| !name.is_empty());
+        let docks = self.dock(level, number).is_some();
         match (charges, parks || docks, vertex.name.is_empty()) {
             (true, _, _) => PlaceKind::Charger,
             (false, true, _) => PlaceKind::Dock,
@@ -261,7 +271,13 @@ impl Reader {
         }
     }
 
-    fn door(&mut self, level: &Level, door: &Edge, at: impl Fn(usize) -> Point) {
+    /// Returns the name by which drivers know the dock or the charger at a vertex.
+    fn dock(&self, level: &Level, number: usize) -> Option<String> {
+        let name = level.vertices[number].parameters.get("dock_name").and_then(Value::as_str)?;
+        (!name.is_empty()).then(|| name.to_owned())
+    }
+
+    fn door(&mut self, level: &Level, door: &Edge, level_name: Option<String>, at: impl Fn(usize) -> Point) {
         let here = || format!("level {:?}, door {}", level.name, door.number);
         let name = match parameter(&door.parameters, "name", "[1, name]", raw::text) {
             Ok(Some(name)) if !name.is_empty() => name,
@@ -274,11 +290,14 @@ impl Reader {
             intersection(from, to, a, b).is_some()
         });
         let on: Vec<_> = across.map(|lane| between(level, lane)).collect();
+        // Only a door without lanes names its level.
+        let mut drawn_on = None;
         if on.is_empty() {
-            self.drawing.notes.push(format!("{} ({name:?}) is ignored: no lane leads through it", here()));
-            return;
+            self.drawing.notes.push(format!("{} ({name:?}) is only drawn: no lane leads through it", here()));
+            drawn_on = Some(level_name.unwrap_or_else(|| DEFAULT_LEVEL.to_owned()));
         }
-        self.drawing.map.doors.push(DoorEntry { name, on, span: Some((a, b)), ..DoorEntry::default() });
+        let door = DoorEntry { name, on, span: Some((a, b)), level: drawn_on, ..DoorEntry::default() };
+        self.drawing.map.doors.push(door);
     }
 
     fn robot(
@@ -297,6 +316,10 @@ impl Reader {
         };
         let first = level.lanes.iter().find(|lane| lane.ends.contains(&number));
         let kind = vertex.parameters.get("spawn_robot_type").and_then(raw::text);
+        let at_lanes = level.lanes.iter().filter(|lane| lane.ends.contains(&number));
+        let graphs: BTreeSet<i64> = at_lanes.filter_map(|lane| graph_of(lane).ok()).collect();
+        let graph = graphs.first().filter(|_| self.has_several_graphs && graphs.len() == 1).map(i64::to_string);
+        let kind = kind.map(|kind| ("robot_type".to_owned(), kind));
         let item = DrawnItem {
             id: format!("{} vertex {number}", level.name),
             kind: "robot".to_owned(),
@@ -305,7 +328,7 @@ impl Reader {
             x_m,
             y_m,
             yaw_rad: round(first.map_or(0.0, heading)),
-            attributes: kind.into_iter().map(|kind| ("robot_type".to_owned(), kind)).collect(),
+            attributes: kind.into_iter().chain(graph.map(|graph| ("graph".to_owned(), graph))).collect(),
             ..DrawnItem::default()
         };
         self.drawing.robots.push(DrawnRobot { item, ..DrawnRobot::default() });

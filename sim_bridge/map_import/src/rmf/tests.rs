@@ -4,6 +4,7 @@ use crate::{Drawing, ImportError, ImportOptions, parse, read};
 use consort_protocol::ids::PlaceId;
 use consort_world::map::{Facing, Map, MapError, PlaceKind};
 use proptest::prelude::*;
+use std::collections::BTreeSet;
 
 const OFFICE: &str = include_str!("../../maps/office.building.yaml");
 
@@ -42,9 +43,9 @@ fn the_sample_is_a_valid_map_with_two_levels() {
     let levels: Vec<_> = map.levels().iter().map(|level| (level.name.as_str(), level.elevation_m)).collect();
     assert_eq!(levels, [("L1", 0.0), ("L2", 4.5)]);
     let names: Vec<&str> = map.places().iter().map(|place| place.id.as_str()).collect();
-    let lower = ["reception", "L1 vertex 5", "lobby (L1)", "L1 vertex 7", "pantry", "base"];
+    let lower = ["reception", "L1 vertex 5", "lobby (L1)", "L1 vertex 7", "pantry", "base", "crane_a", "crane_b"];
     let upper = ["desks", "meeting", "lobby (L2)", "L2 vertex 7"];
-    assert_eq!(names, [&lower[..], &upper[..]].concat(), "only vertices at lanes of the graph are places");
+    assert_eq!(names, [&lower[..], &upper[..]].concat(), "only vertices at lanes are places");
     assert_eq!(map.place(&id("base")).unwrap().kind, PlaceKind::Charger);
     assert_eq!(map.place(&id("L1 vertex 5")).unwrap().kind, PlaceKind::Corridor);
 }
@@ -95,13 +96,14 @@ fn lanes_keep_their_directions_limits_and_headings() {
 #[test]
 fn doors_are_on_crossing_lanes_and_lifts_stop_at_places_in_the_cabin() {
     let map = office();
-    let [door] = map.doors() else { panic!("{:?}", map.doors()) };
+    let [door, window] = map.doors() else { panic!("{:?}", map.doors()) };
+    assert_eq!((window.name.as_str(), window.lanes.len()), ("window", 0), "kept for drawing");
     assert_eq!((door.name.as_str(), door.lanes.as_slice()), ("pantry_door", &[(id("L1 vertex 5"), id("pantry"))][..]));
     assert_eq!(door.span, Some(((18.5, -19.0), (21.5, -19.0))));
     let [lift] = map.lifts() else { panic!("{:?}", map.lifts()) };
     assert_eq!((lift.name.as_str(), lift.stops.as_slice()), ("lift_1", &[id("L1 vertex 7"), id("L2 vertex 7")][..]));
     let notes = drawn(OFFICE, &ImportOptions::default()).notes.join("\n");
-    for errors in ["\"window\"", "\"goods\"", "only lanes of graph 0 are read; lanes of graph 1 are ignored"] {
+    for errors in ["\"window\"", "\"goods\"", "the lanes belong to graphs 0, 1"] {
         assert!(notes.contains(errors), "{errors}: {notes}");
     }
 }
@@ -130,6 +132,42 @@ fn a_vertex_may_name_its_lift_and_a_level_needs_lift_doors() {
     let invalid = diagnostics(&named.replace("[1, lift_1]", "[1, lift_2]"));
     let errors = "level \"L2\", vertex 5: lift_cabin: there is no lift \"lift_2\"; did you mean \"lift_1\"?";
     assert_eq!(invalid, [format!("map bad.building.yaml: {errors}")]);
+}
+
+#[test]
+fn all_graphs_are_read_and_robots_drive_on_their_own() {
+    let map = office();
+    assert_eq!(map.graphs(), BTreeSet::from(["0", "1"]));
+    let crane = map.lane(&id("crane_a"), &id("crane_b")).unwrap();
+    assert_eq!((crane.is_in(Some("0")), crane.is_in(Some("1")), crane.is_in(None)), (false, true, true));
+    let edges = |graph| map.topology_of(graph).edges.len();
+    assert_eq!((edges(Some("0")), edges(Some("1")), edges(None)), (10, 2, 11), "with the ride by lift");
+    let cut = OFFICE.replace("[14, 15, { bidirectional: [4, true]", "[14, 15, { bidirectional: [4, false]");
+    assert_eq!(
+        diagnostics(&cut),
+        ["map bad.building.yaml: place \"crane_b\" cannot be left for the rest of graph \"1\""]
+    );
+}
+
+#[test]
+fn a_lane_of_two_graphs_is_a_lane_of_both() {
+    let both = OFFICE.replace(
+        "      - [14, 15, {",
+        "      - [4, 5, { graph_idx: [2, 1] }]\n      - [5, 4, { graph_idx: [2, 1] }]\n      - [14, 15, {",
+    );
+    let both = both.replace(
+        "      - [14, 15, {",
+        "      - [14, 4, { bidirectional: [4, true], graph_idx: [2, 1] }]\n      - [14, 15, {",
+    );
+    let map = read(&both, "office.building.yaml").unwrap();
+    let lane = map.lane(&id("reception"), &id("L1 vertex 5")).unwrap();
+    assert!(lane.two_way && lane.graphs == BTreeSet::from(["0", "1"].map(str::to_owned)), "{lane:?}");
+    let robot = &drawn(OFFICE, &ImportOptions::default()).robots[0];
+    assert_eq!(robot.item.attributes["graph"], "0");
+    let dock = OFFICE.replace("{ is_charger: [4, true],", "{ is_charger: [4, true], dock_name: [1, bay-3],");
+    let map = read(&dock, "office.building.yaml").unwrap();
+    let base = map.place(&id("base")).unwrap();
+    assert_eq!((base.kind, base.dock.as_deref()), (PlaceKind::Charger, Some("bay-3")));
 }
 
 #[test]

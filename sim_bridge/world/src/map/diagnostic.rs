@@ -95,17 +95,23 @@ pub enum MapDiagnostic {
         /// The lane.
         lane: LaneName,
     },
-    /// A place is not connected with the rest of the map.
-    #[error("place {:?} {disconnection} the rest of the map", place.as_str())]
+    /// A place is not connected with the rest of the map, or of a navigation graph.
+    #[error("place {:?} {disconnection} the rest of {}", place.as_str(), part(.graph.as_ref()))]
     Disconnected {
         /// The place.
         place: PlaceId,
         /// The missing direction.
         disconnection: Disconnection,
+        /// The graph on which it is missing, if the map has several.
+        graph: Option<String>,
     },
     /// An error in a level, a door or a lift.
     #[error("{0}")]
     Structure(#[from] BuildingDiagnostic),
+}
+
+fn part(graph: Option<&String>) -> String {
+    graph.map_or_else(|| "the map".to_owned(), |graph| format!("graph {graph:?}"))
 }
 
 /// An error in a level, a door or a lift.
@@ -145,11 +151,13 @@ pub enum BuildingDiagnostic {
         /// Greatest allowed value.
         max: f64,
     },
-    /// The level of a place does not exist.
-    #[error("place {place:?}: there is no level {level:?}{hint}")]
+    /// The level of a place or a door does not exist.
+    #[error("{what} {name:?}: there is no level {level:?}{hint}")]
     UnknownLevel {
-        /// The place with this level.
-        place: String,
+        /// `place` or `door`.
+        what: &'static str,
+        /// The place or the door.
+        name: String,
         /// The name as written.
         level: String,
         /// Suggestion of a level name, in words; may be empty.

@@ -3,6 +3,7 @@
 use super::model::{Facing, PlaceKind};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Upper limits of a map file. They are ample for a hospital; they keep a faulty file from filling
 /// the memory.
@@ -83,6 +84,9 @@ pub struct PlaceEntry {
     /// Its level; default: the first level.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub level: Option<String>,
+    /// Name by which drivers know the dock or the charger here; default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dock: Option<String>,
 }
 
 /// A lane in a map file.
@@ -104,6 +108,10 @@ pub struct LaneEntry {
     /// keeps that heading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub facing: Option<Facing>,
+    /// Navigation graphs with this lane: a robot whose file names a graph drives on its lanes only. Default:
+    /// the lane belongs to all graphs.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub graphs: BTreeSet<String>,
 }
 
 /// An automatic door in a map file.
@@ -112,7 +120,8 @@ pub struct LaneEntry {
 pub struct DoorEntry {
     /// Its name.
     pub name: String,
-    /// The lanes through the door, each given by its two ends.
+    /// The lanes through the door, each given by its two ends. None for a door that is only drawn: it has a
+    /// `level` and a `span`.
     pub on: Vec<(String, String)>,
     /// Seconds from closed to open, and from open to closed.
     #[serde(default = "opening_s")]
@@ -120,11 +129,14 @@ pub struct DoorEntry {
     /// Its two posts, as (x, y) in metres; default: across the middle of each lane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub span: Option<((f64, f64), (f64, f64))>,
+    /// Level of a door without lanes. A door with lanes is on their level.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level: Option<String>,
 }
 
 impl Default for DoorEntry {
     fn default() -> Self {
-        DoorEntry { name: String::new(), on: Vec::new(), opening_s: opening_s(), span: None }
+        DoorEntry { name: String::new(), on: Vec::new(), opening_s: opening_s(), span: None, level: None }
     }
 }
 

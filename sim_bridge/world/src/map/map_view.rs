@@ -19,7 +19,7 @@ impl Map {
     }
 
     /// Builds a map from its view; `from` names the source in errors. A view does not contain the
-    /// required headings on lanes, so the map has none. A place of an unknown kind gets
+    /// required headings on lanes and the names of docks, so the map has none. A place of an unknown kind gets
     /// [`PlaceKind::Other`].
     ///
     /// # Errors
@@ -35,19 +35,21 @@ impl Map {
         }
         let place = |PlaceView { name, kind, x_m, y_m, yaw_rad, level }: PlaceView| {
             let kind = PlaceKind::ALL.into_iter().find(|known| known.as_str() == kind).unwrap_or_default();
-            PlaceEntry { name, kind, x_m, y_m, yaw_rad, level: Some(level) }
+            PlaceEntry { name, kind, x_m, y_m, yaw_rad, level: Some(level), dock: None }
         };
-        let lane = |LaneView { between, length_m, one_way, speed_limit_mps }: LaneView| LaneEntry {
+        let lane = |LaneView { between, length_m, one_way, speed_limit_mps, graphs }: LaneView| LaneEntry {
             between,
             length_m: Some(length_m),
             one_way,
             speed_limit_mps,
             facing: None,
+            graphs,
         };
-        let door = |DoorView { name, on, posts, opening_s, .. }: DoorView| {
+        let door = |DoorView { name, on, posts, opening_s, level }: DoorView| {
             // A door at several positions has no posts of its own.
             let span = posts.first().copied().filter(|_| posts.len() == 1);
-            DoorEntry { name, on, opening_s, span }
+            let level = level.filter(|_| on.is_empty());
+            DoorEntry { name, on, opening_s, span, level }
         };
         let lift = |LiftView { name, stops, capacity, opening_s, speed_mps }: LiftView| LiftEntry {
             name,
@@ -84,13 +86,14 @@ impl Map {
             length_m: lane.length.get(),
             one_way: !lane.two_way,
             speed_limit_mps: lane.speed_limit.map(|limit| limit.get()),
+            graphs: lane.graphs.clone(),
         };
         let door = |door: &Door| DoorView {
             name: door.name.clone(),
             on: door.lanes.iter().map(|(from, to)| (from.to_string(), to.to_string())).collect(),
             posts: self.door_posts(door),
             opening_s: door.opening.get(),
-            level: door.lanes.first().and_then(|(from, _)| self.level_of(from)).map(name),
+            level: Some(name(door.level)),
         };
         let lift = |lift: &Lift| LiftView {
             name: lift.name.clone(),

@@ -20,6 +20,7 @@
 //! doors:                        # optional: automatic doors, with the lanes through them
 //!   - { name: Door 1, on: [[Ward Corridor, Room 1]], opening_s: 3.0 }
 //!   # span: [[x, y], [x, y]] gives the two posts; without it the door stands in the middle of its lane
+//!   # - { name: Window, on: [], level: first, span: [[0, 0], [1, 0]] }   (without lanes: only drawn)
 //! lifts:                        # optional: a robot that enters at a stop may leave at any other stop
 //!   - { name: Lift A, stops: [Ward Corridor, Hall], capacity: 1, opening_s: 3.0, speed_mps: 1.0 }
 //! ```
@@ -27,12 +28,15 @@
 //! The kinds of place are `room`, `lab`, `corridor`, `dock`, `charger` and `other`. The opening
 //! times, the capacity and the speed in the example are the defaults. Reading a file reports *all*
 //! its errors, each with the file and the position; an existing [`Map`] is valid: every place can
-//! be reached from every other place, by lanes and lifts.
+//! be reached from every other place, by lanes and lifts. Lanes may name navigation graphs
+//! (`graphs: ["0", "1"]`); robots whose files name a graph drive on its lanes only. Then the places
+//! of each graph can be reached from each other.
 //!
 //! The crate `consort-map-import` reads foreign formats as well. [`render`] draws a map.
 
 mod building;
 mod check;
+mod dead_ends;
 mod diagnostic;
 mod file;
 mod map_view;
@@ -44,6 +48,7 @@ mod tests;
 mod topology;
 
 pub use building::intersection;
+pub use dead_ends::DeadEnd;
 pub use diagnostic::{BuildingDiagnostic, Disconnection, LaneName, MapDiagnostic};
 pub use file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapFile, PlaceEntry, limits};
 pub(crate) use model::PlaceIndex;

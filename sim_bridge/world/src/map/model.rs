@@ -5,7 +5,7 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Purpose of a place.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
@@ -60,6 +60,8 @@ pub struct MapPlace {
     pub pose: Pose,
     /// Level of the place.
     pub level: LevelIndex,
+    /// Name by which drivers know the dock or the charger at the place.
+    pub dock: Option<String>,
 }
 
 /// A straight connection of two places on which robots drive.
@@ -78,6 +80,15 @@ pub struct Lane {
     /// Required heading of a robot that drives from `from` to `to`, if any. From `to` to `from` it
     /// is the opposite heading relative to the lane.
     pub facing: Option<Facing>,
+    /// Navigation graphs with this lane; empty: all of them.
+    pub graphs: BTreeSet<String>,
+}
+
+impl Lane {
+    /// Checks whether robots of a graph drive on the lane. A robot without a graph drives on all lanes.
+    pub fn is_in(&self, graph: Option<&str>) -> bool {
+        graph.is_none_or(|graph| self.graphs.is_empty() || self.graphs.contains(graph))
+    }
 }
 
 /// Name of the only level of a map without levels.
@@ -96,19 +107,21 @@ pub struct MapLevel {
     pub elevation_m: f64,
 }
 
-/// An automatic door across its lanes (at least 1).
+/// An automatic door across its lanes, or a door that is only drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Door {
     /// Its name, unique among the doors.
     pub name: String,
     /// The lanes through the door, each given by its ends in the order of the lane; all on the same
-    /// level.
+    /// level. Empty for a door that is only drawn.
     pub lanes: Vec<(PlaceId, PlaceId)>,
     /// Time from closed to open, and from open to closed.
     pub opening: Seconds,
     /// The two posts, as (x, y) in metres. `None` if the map gives none; the door then stands in
     /// the middle of each lane.
     pub span: Option<((f64, f64), (f64, f64))>,
+    /// Level of the door.
+    pub level: LevelIndex,
 }
 
 /// A door on a lane, with its position in driving direction.
@@ -204,6 +217,11 @@ impl Map {
     /// Returns all lanes, in the order of the file.
     pub fn lanes(&self) -> &[Lane] {
         &self.lanes
+    }
+
+    /// Returns the names of all navigation graphs. Empty if all robots drive on all lanes.
+    pub fn graphs(&self) -> BTreeSet<&str> {
+        self.lanes.iter().flat_map(|lane| &lane.graphs).map(String::as_str).collect()
     }
 
     /// Returns the walls of all levels as polylines of (x, y) in metres.

@@ -17,6 +17,12 @@ const RIDE_MIN_M: f64 = 0.001;
 impl Map {
     /// Returns the places, the lanes and, between places without a lane, the rides by lift.
     pub fn topology(&self) -> TopologicalMap {
+        self.topology_of(None)
+    }
+
+    /// Returns the topology for robots of a navigation graph: all places, and the lanes of the graph. `None`: all
+    /// lanes.
+    pub fn topology_of(&self, graph: Option<&str>) -> TopologicalMap {
         let places = self.places.iter().map(|place| (place.id.clone(), place.pose)).collect();
         let lane = |lane: &Lane| Edge {
             a: lane.from.clone(),
@@ -24,7 +30,8 @@ impl Map {
             length_m: lane.length.get(),
             one_way: !lane.two_way,
         };
-        let edges = self.lanes.iter().map(lane).chain(self.rides());
+        let lanes = self.lanes.iter().filter(|lane| lane.is_in(graph));
+        let edges = lanes.map(lane).chain(self.rides());
         TopologicalMap { places, edges: edges.collect() }
     }
 

@@ -60,14 +60,20 @@ pub(super) fn check_levels(file: &MapFile, map: &mut Map, diagnostics: &mut Diag
     }
 }
 
-/// Returns the level of a place.
-pub(super) fn check_level_of(place: &str, level: Option<&str>, map: &Map, diagnostics: &mut Diagnostics) -> LevelIndex {
+/// Returns the level of a place or a door.
+pub(super) fn check_level_of(
+    what: &'static str,
+    name: &str,
+    level: Option<&str>,
+    map: &Map,
+    diagnostics: &mut Diagnostics,
+) -> LevelIndex {
     let Some(level) = level else { return LevelIndex::default() };
     map.level_named(level).unwrap_or_else(|| {
         let hint = did_you_mean(level, map.levels.iter().map(|level| level.name.as_str()));
         report(
             diagnostics,
-            BuildingDiagnostic::UnknownLevel { place: place.to_owned(), level: level.to_owned(), hint },
+            BuildingDiagnostic::UnknownLevel { what, name: name.to_owned(), level: level.to_owned(), hint },
         );
         LevelIndex::default()
     })
@@ -96,7 +102,8 @@ fn add_door(entry: &DoorEntry, map: &mut Map, file: &MapFile, diagnostics: &mut 
             check_number(subject, "a corner of span", corner, EXTENT, diagnostics);
         }
     }
-    if entry.on.is_empty() {
+    let is_drawn_only = entry.on.is_empty() && entry.span.is_some() && entry.level.is_some();
+    if entry.on.is_empty() && !is_drawn_only {
         report(diagnostics, BuildingDiagnostic::DoorOnNoLane { door: entry.name.clone() });
     }
     let (mut lanes_through_door, mut lanes_seen) = (Vec::new(), BTreeSet::new());
@@ -119,6 +126,8 @@ fn add_door(entry: &DoorEntry, map: &mut Map, file: &MapFile, diagnostics: &mut 
     if diagnostics.len() > before {
         return;
     }
+    let drawn_on = || check_level_of("door", &entry.name, entry.level.as_deref(), map, diagnostics);
+    let level = lanes_through_door.first().and_then(|(lane, _)| level(*lane)).unwrap_or_else(drawn_on);
     let (index, mut lanes) = (map.doors.len(), Vec::new());
     for (lane, ends) in lanes_through_door {
         let (from, to) = (map.lanes[lane].from.clone(), map.lanes[lane].to.clone());
@@ -136,7 +145,7 @@ fn add_door(entry: &DoorEntry, map: &mut Map, file: &MapFile, diagnostics: &mut 
         lanes.push((from, to));
     }
     let opening = Seconds::new(entry.opening_s).expect("checked above");
-    map.doors.push(Door { name: entry.name.clone(), lanes, opening, span: entry.span });
+    map.doors.push(Door { name: entry.name.clone(), lanes, opening, span: entry.span, level });
 }
 
 /// Checks whether the file contains this lane, valid or not.

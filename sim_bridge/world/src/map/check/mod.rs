@@ -98,8 +98,8 @@ fn place(entry: &PlaceEntry, map: &mut Map, diagnostics: &mut Vec<MapDiagnostic>
         Ok(id) => {
             map.by_name.insert(id.clone(), PlaceIndex(map.places.len()));
             let pose = Pose::new(entry.x_m, entry.y_m, entry.yaw_rad);
-            let level = building::check_level_of(&entry.name, entry.level.as_deref(), map, diagnostics);
-            map.places.push(MapPlace { id, kind: entry.kind, pose, level });
+            let level = building::check_level_of("place", &entry.name, entry.level.as_deref(), map, diagnostics);
+            map.places.push(MapPlace { id, kind: entry.kind, pose, level, dock: entry.dock.clone() });
         }
     }
 }
@@ -157,5 +157,6 @@ fn lane(entry: &LaneEntry, map: &mut Map, file: &MapFile, diagnostics: &mut Vec<
         map.by_ends.insert((to, from), index);
     }
     let [from, to] = [from, to].map(|end| map.place_at(end).id.clone());
-    map.lanes.push(Lane { from, to, length, two_way, speed_limit, facing: entry.facing });
+    let graphs = entry.graphs.clone();
+    map.lanes.push(Lane { from, to, length, two_way, speed_limit, facing: entry.facing, graphs });
 }

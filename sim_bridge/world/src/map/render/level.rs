@@ -107,6 +107,10 @@ impl<'a> LevelDrawing<'a> {
         if let Some(limit) = lane.speed_limit {
             title.push_str(&format!(", at most {} m/s", limit.get()));
         }
+        if !lane.graphs.is_empty() {
+            let graphs: Vec<&str> = lane.graphs.iter().map(String::as_str).collect();
+            title.push_str(&format!(", graph {}", graphs.join(", ")));
+        }
         if let Some(facing) = lane.facing {
             title.push_str(&format!(", facing {facing:?}").to_lowercase());
         }
@@ -143,8 +147,7 @@ impl<'a> LevelDrawing<'a> {
     fn doors(&mut self) {
         let map = self.map;
         for door in map.doors() {
-            let here = |place| map.level_of(place) == Some(self.level);
-            if !door.lanes.first().is_some_and(|(from, _)| here(from)) {
+            if door.level != self.level {
                 continue;
             }
             for (a, b) in map.door_posts(door) {

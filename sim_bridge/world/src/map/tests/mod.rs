@@ -28,7 +28,15 @@ fn diagnostics(text: &str) -> Vec<String> {
 fn a_lane_is_two_way_and_straight_by_default() {
     let map = read(WARD, "ward.yaml").unwrap();
     let length = Metres::new(5.0).unwrap();
-    let lane = Lane { from: place("A"), to: place("B"), length, two_way: true, speed_limit: None, facing: None };
+    let lane = Lane {
+        from: place("A"),
+        to: place("B"),
+        length,
+        two_way: true,
+        speed_limit: None,
+        facing: None,
+        graphs: Default::default(),
+    };
     assert_eq!(map.lanes(), std::slice::from_ref(&lane));
     assert_eq!(map.lane(&place("B"), &place("A")), Some(&lane));
     assert_eq!(map.place(&place("B")).unwrap().pose, Pose::new(3.0, 4.0, 1.5));

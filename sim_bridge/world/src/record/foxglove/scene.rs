@@ -91,8 +91,7 @@ pub(super) fn door(map: &Map, name: &str, open: bool, at: Time) -> SceneUpdate {
 
 fn leaf(map: &Map, door: &Door, open: bool, at: Time) -> SceneEntity {
     let mut drawn = entity(&door.name, at);
-    let level = door.lanes.first().and_then(|(from, _)| map.level_of(from)).unwrap_or_default();
-    let z = elevation_m(map, level) + 0.05;
+    let z = elevation_m(map, door.level) + 0.05;
     let colour = if open { OPEN } else { DOOR };
     let posts = map.door_posts(door).into_iter().flat_map(|(a, b)| [a, b]).map(|(x, y)| Vector3::new(x, y, z));
     drawn.lines = vec![line(2, DOOR_M, posts, colour)];
