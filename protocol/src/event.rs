@@ -3,7 +3,9 @@
 
 use crate::auction::{AuctionRecord, Bid};
 use crate::cause::CauseClass;
-use crate::ids::{AlarmId, ClusterId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, ScheduleId, TaskId};
+use crate::ids::{
+    AlarmId, ClusterId, DeviceId, EnsembleId, MissionId, NodeId, PlaceId, RobotId, RoleId, ScheduleId, TaskId,
+};
 use crate::lease::{EndReason, Epoch};
 use crate::ledger::{Alarm, MapPart, MissionState, Priority, RobotOrder, RobotOrders};
 use crate::message::FailureKind;
@@ -139,6 +141,22 @@ pub enum EventKind {
     ChargerFreed {
         /// Place of the charger.
         charger: PlaceId,
+        /// The robot that had the lease.
+        robot: RobotId,
+        /// Cause.
+        cause: String,
+    },
+    /// The coordinator has leased a device of the building to a robot.
+    DeviceLeased {
+        /// The device.
+        device: DeviceId,
+        /// The robot.
+        robot: RobotId,
+    },
+    /// The lease of a device has ended.
+    DeviceFreed {
+        /// The device.
+        device: DeviceId,
         /// The robot that had the lease.
         robot: RobotId,
         /// Cause.
@@ -461,6 +479,8 @@ impl EventKind {
             EventKind::ClosureChanged { .. } => "closure_changed",
             EventKind::ChargerLeased { .. } => "charger_leased",
             EventKind::ChargerFreed { .. } => "charger_freed",
+            EventKind::DeviceLeased { .. } => "device_leased",
+            EventKind::DeviceFreed { .. } => "device_freed",
             EventKind::OccurrenceSubmitted { .. } => "occurrence_submitted",
             EventKind::BidsRequested { .. } => "bids_requested",
             EventKind::Bid { .. } => "bid",
@@ -534,6 +554,8 @@ impl EventKind {
             | EventKind::ClosureChanged { .. }
             | EventKind::ChargerLeased { .. }
             | EventKind::ChargerFreed { .. }
+            | EventKind::DeviceLeased { .. }
+            | EventKind::DeviceFreed { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. } => None,
         }
@@ -563,6 +585,12 @@ mod tests {
             EventKind::ChargerLeased { charger: "Dock".parse().unwrap(), robot: "ada".parse().unwrap() },
             EventKind::ChargerFreed {
                 charger: "Dock".parse().unwrap(),
+                robot: "ada".parse().unwrap(),
+                cause: String::new(),
+            },
+            EventKind::DeviceLeased { device: "lift".parse().unwrap(), robot: "ada".parse().unwrap() },
+            EventKind::DeviceFreed {
+                device: "lift".parse().unwrap(),
                 robot: "ada".parse().unwrap(),
                 cause: String::new(),
             },

@@ -149,6 +149,8 @@ names! {
     ScheduleId, "schedule", SLUG;
     /// Alarm, as named in the fleet file (`fire`).
     AlarmId, "alarm", SLUG;
+    /// Device of the building, as named in the fleet file (`front-door`).
+    DeviceId, "device", SLUG;
     /// Role within a mission (`r1`, `lab_arm`, `clerk`).
     RoleId, "role", SLUG;
     /// Task within a mission; unique in its tree.

@@ -48,6 +48,7 @@ pub mod cause;
 pub mod chargers;
 pub mod charging_curve;
 pub mod codec;
+pub mod devices;
 pub mod ensemble;
 pub mod event;
 pub mod expression;

@@ -32,6 +32,15 @@ pub fn standard_domain() -> &'static DomainFile {
     &STANDARD
 }
 
+/// Returns the actions of the drivers of devices of a building.
+pub fn device_domain() -> &'static DomainFile {
+    static DEVICES: LazyLock<DomainFile> = LazyLock::new(|| {
+        let form: DomainForm = yaml::parse(include_str!("../domains/devices.yaml")).expect("it is tested");
+        DomainFile::check(form, &BTreeMap::new(), &[]).expect("it is tested")
+    });
+    &DEVICES
+}
+
 impl DomainFile {
     /// Checks a domain that is used with the standard domain and the `known` domains. `trees` contains the texts
     /// of the [tree files](DomainForm::tree_files), by name.

@@ -397,6 +397,7 @@ impl Fleet {
             mains_powered: stationary,
             robot,
             driver_server: None,
+            devices: vec![],
             observer: Some(Arc::new(self.event_log.clone())),
             record_signer: None,
         }

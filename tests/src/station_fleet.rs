@@ -108,6 +108,7 @@ impl StationFleet {
             mains_powered: fixed,
             robot: None,
             driver_server: None,
+            devices: vec![],
             observer: None,
             record_signer: None,
         };

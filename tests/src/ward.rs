@@ -31,6 +31,7 @@ pub(crate) fn ward(ensembles: Vec<EnsembleSpec>, bootstrap_expect: usize) -> Fle
         domain: Arc::new(hospital().with_ensembles(ensembles.names().cloned())),
         missions: Arc::default(),
         alarms: Arc::new(alarms()),
+        devices: Arc::default(),
         ensembles: Arc::new(ensembles),
         limits: BidLimits::default(),
         charging: None,

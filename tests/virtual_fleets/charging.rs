@@ -1,10 +1,10 @@
 //! Robots that charge by themselves.
 
+use crate::support::visit;
 use consort_bus::Bus as _;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::auction::{BidVerdict, RefusalReason};
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::Charging;
 use consort_skills::actions::RobotBackend as _;
@@ -51,19 +51,6 @@ async fn fleet(seed: u64, robots: Vec<RobotSpec>, below: f64) -> Fleet {
     let mut fleet = Fleet::hospital_with_chargers(seed, robots, &stations, setup(below), Box::new(|_| ())).await;
     fleet.wait_for_coordinator().await;
     fleet
-}
-
-/// Submits a mission that visits rooms in their order.
-async fn submit(fleet: &Fleet, rooms: &[&str]) -> MissionId {
-    let visit = |(number, room): (usize, &&str)| {
-        json!({ "task": format!("visit_{number}"), "type": "navigation", "roles": ["r1"], "parameters": { "to": room },
-            "reaches": { "location": room } })
-    };
-    let visits: Vec<Value> = rooms.iter().enumerate().map(visit).collect();
-    let root = json!({ "task": "round", "method": "sequential", "tasks": visits });
-    let mission = json!({ "mission": "round", "roles": { "r1": { "kind": "managed" } }, "root": root });
-    let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
-    slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
 }
 
 fn battery(fleet: &Fleet, robot: &str) -> f64 {
@@ -114,7 +101,7 @@ fn a_fleet_serves_missions_that_need_more_than_its_batteries() {
         let expected = json!({ "below": BELOW, "until": UNTIL, "opportunistic": null, "chargers": [CHARGER] });
         assert_eq!(view["fleet"]["charging"], expected, "seed {seed}");
         for _ in 0..MISSIONS {
-            let mission = submit(&fleet, &ROOMS).await;
+            let mission = visit(&fleet, &ROOMS).await;
             fleet.assert_completes(&mission).await;
         }
         assert!(!connections(&fleet).is_empty(), "seed {seed}\n{}", fleet.event_log_text());
@@ -313,7 +300,7 @@ fn an_award_ends_charging() {
         // A drive from the charger to the room (36 m) and back needs 12 %, and the reserve is 8 %.
         let mut fleet = fleet(seed, vec![carrier("fern", CHARGER, BELOW - 0.01)], BELOW).await;
         fleet.wait_until("a connection", SOON, |fleet| is_connected(fleet, "fern")).await;
-        let mission = submit(&fleet, &ROOMS[..1]).await;
+        let mission = visit(&fleet, &ROOMS[..1]).await;
         fleet.assert_completes(&mission).await;
         let drives_off = |event: &InWorld| matches!(event, InWorld::Docked { docked: false, .. });
         assert!(fleet.journal().iter().any(|entry| drives_off(&entry.event)), "seed {seed}: it was connected");
@@ -331,7 +318,7 @@ fn a_robot_is_promised_a_role_after_a_planned_stop_at_a_charger() {
         let adjust = Box::new(|_: &mut NodeSettings| ());
         let mut fleet = Fleet::hospital_with_chargers(seed, robots, &["aster"], charging, adjust).await;
         fleet.wait_for_coordinator().await;
-        let mission = submit(&fleet, &ROOMS).await;
+        let mission = visit(&fleet, &ROOMS).await;
         let is_promised = |event: &EventKind| match event {
             EventKind::Awarded { promised, .. } => promised.values().any(|robot| robot.as_str() == "fern"),
             _ => false,
@@ -368,7 +355,7 @@ fn a_bid_needs_the_way_to_a_charger() {
         // The drive leaves 12 %, of which 6 % are left at the charger.
         let battery = DRIVE_M / SPEED_MPS * DISCHARGE + 0.12;
         let mut fleet = fleet(seed, vec![carrier("fern", ROOMS[1], battery)], 0.2).await;
-        let mission = submit(&fleet, &ROOMS[..1]).await;
+        let mission = visit(&fleet, &ROOMS[..1]).await;
         let verdict = |fleet: &Fleet| {
             fleet.events().into_iter().find_map(|event| match event {
                 EventKind::Closed { record, .. } if record.auction.mission == mission => {

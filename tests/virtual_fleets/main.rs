@@ -16,6 +16,7 @@ mod deadlines;
 mod decommission;
 mod decommission_of_robots;
 mod determinism;
+mod devices;
 mod energy_bounds;
 mod exchange;
 mod false_coordinator;

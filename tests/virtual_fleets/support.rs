@@ -72,6 +72,19 @@ pub(crate) async fn drive_to_room(fleet: &mut Fleet, room: &str) -> (MissionId, 
     (mission, carrier)
 }
 
+/// Submits a mission that visits rooms in their order.
+pub(crate) async fn visit(fleet: &Fleet, rooms: &[&str]) -> MissionId {
+    let visit = |(number, room): (usize, &&str)| {
+        json!({ "task": format!("visit_{number}"), "type": "navigation", "roles": ["r1"], "parameters": { "to": room },
+            "reaches": { "location": room } })
+    };
+    let visits: Vec<Value> = rooms.iter().enumerate().map(visit).collect();
+    let root = json!({ "task": "round", "method": "sequential", "tasks": visits });
+    let mission = json!({ "mission": "round", "roles": { "r1": { "kind": "managed" } }, "root": root });
+    let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission })).await;
+    slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
+}
+
 /// Asserts that a mission of this room completes under its first award.
 pub(crate) async fn assert_completes_by(fleet: &mut Fleet, mission: &MissionId, room: &str, carrier: &str) {
     fleet.assert_completes(mission).await;

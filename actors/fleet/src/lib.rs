@@ -10,6 +10,8 @@ mod api_help;
 pub mod autopilot;
 mod charger_users;
 pub mod coordinator;
+mod device_host;
+mod device_reports;
 mod ensemble_exchange;
 pub mod events;
 mod followed_coordinator;

@@ -18,7 +18,7 @@ impl StateMachine for Ledger {
             Command::Award { .. }
             | Command::AwardPromised { .. }
             | Command::MovePromise(_)
-            | Command::LeaseCharger { .. } => true,
+            | Command::LeaseResource { .. } => true,
             Command::Submit(_)
             | Command::Defer { .. }
             | Command::Accept { .. }
@@ -47,7 +47,7 @@ impl StateMachine for Ledger {
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
             | Command::ChangeAlarms { .. }
-            | Command::FreeCharger { .. }
+            | Command::FreeResource { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_)
             | Command::Bootstrap { .. } => false,

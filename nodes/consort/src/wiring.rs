@@ -2,8 +2,8 @@
 //! demo's virtual fleet uses the virtual bus.
 
 use crate::config::{
-    self, BusConfig, ChargerConfig, ChargingConfig, FleetConfig, LinkRole, RobotConfig, StationConfig, WorldConfig,
-    zone_problems,
+    self, BusConfig, ChargerConfig, ChargingConfig, DeviceDriverConfig, FleetConfig, LinkRole, RobotConfig,
+    StationConfig, WorldConfig, zone_problems,
 };
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
@@ -13,22 +13,25 @@ use consort_bus::ZenohSettings;
 use consort_bus::clock::Clock;
 use consort_bus::zenoh_bus::{LinkTrust, Mode};
 use consort_dashboard::loaded_map::LoadedMap;
-use consort_driver::{DriverEndpoint, DriverSetting, EndpointError, ProcessDriver, RobotStart};
+use consort_driver::{Contract, DriverEndpoint, DriverSetting, EndpointError, ProcessDriver, RobotStart};
 use consort_fleet::autopilot;
 use consort_fleet::coordinator::{CandidateSettings, RequestLimits};
-use consort_fleet::node::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
+use consort_fleet::node::{DevicePart, DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
 use consort_protocol::ensemble::Ensembles;
-use consort_protocol::ids::{FleetId, NodeId, PlaceId};
+use consort_protocol::ids::{FleetId, NodeId, PlaceId, RobotId};
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
 use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, Seconds};
 use consort_protocol::versions::VersionRange;
 use consort_protocol::view::MapView;
 use consort_raft::StoreIdentity;
 use consort_raft::store::{DurableStore, NodeStore, Quarantine, StoreOwner};
+use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::{Calibration, DescriptorRegistry, ESTIMATOR_VERSION, Estimator};
+use consort_skills::domain::device_domain;
 use consort_skills::domain_file::DomainFile;
 use consort_skills::environment::{Environment, Passages, Routes, TopologicalMap};
 use consort_skills::extensions::Extensions;
@@ -36,6 +39,7 @@ use consort_skills::library::SkillLibrary;
 use consort_skills::skill::member_value_errors;
 use consort_text::AllowedNames;
 use consort_world::SharedWorld;
+use consort_world::device::{DeviceSwitch, SimulatedDevice};
 use consort_world::map::{Map, PlaceKind};
 use consort_world::world::{World, WorldSetup};
 use rand::TryRng;
@@ -148,6 +152,9 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
     let alarms = config::alarm_plans(&config.alarms, &domain).map_err(|problems| {
         Diagnostics(problems.into_iter().map(|problem| Diagnostic::for_file("", problem)).collect())
     })?;
+    let devices = config::devices(&config.device, &domain).map_err(|problems| {
+        Diagnostics(problems.into_iter().map(|problem| Diagnostic::for_file("", problem)).collect())
+    })?;
     let missions = mission_files::of_fleet(&config.missions, &domain, &domains::library(extensions)?)?;
     if let Some(problem) = config.charging.as_ref().and_then(|charging| charging.swap_problem(&missions)) {
         return Err(Diagnostic::for_file("", problem).into());
@@ -158,6 +165,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         domain: Arc::new(domain),
         missions: Arc::new(missions),
         alarms: Arc::new(alarms),
+        devices: Arc::new(devices),
         limits: limits(config),
         charging,
         promises: config.auction.promise_terms(),
@@ -390,11 +398,39 @@ pub fn station_node(
     extensions: Extensions,
 ) -> Result<NodeSettings, Diagnostics> {
     let StationConfig { stationary, mains_powered, may_vote, .. } = *station;
-    Ok(NodeSettings {
-        stationary,
-        mains_powered,
-        ..bare_node(station.name.clone(), fleet, incarnation, may_vote, extensions)?
-    })
+    let bare = bare_node(station.name.clone(), fleet, incarnation, may_vote, extensions)?;
+    let devices = station.device.iter().map(|device| device_part(device, &bare.fleet)).collect::<Result<_, _>>()?;
+    Ok(NodeSettings { stationary, mains_powered, devices, ..bare })
+}
+
+/// Builds the driver of a device: a program, a socket, or a simulated device.
+///
+/// # Errors
+/// [`Diagnostics`] if the fleet file does not declare the device, the setting is invalid, or the program does not exist.
+fn device_part(config: &DeviceDriverConfig, fleet: &FleetSettings) -> Result<DevicePart, Diagnostics> {
+    let of = |problem: &dyn Display| Diagnostic::for_file("", format!("device {}: {problem}", config.name));
+    let Some(device) = fleet.devices.get(&config.name) else {
+        let declared = fleet.devices.iter().map(|device| &device.name);
+        let allowed = AllowedNames::suggest_for(config.name.as_str(), declared);
+        return Err(of(&format!("the fleet file declares no such device; {allowed}")).into());
+    };
+    let robot = RobotId::new(config.name.as_str()).map_err(|problem| of(&problem))?;
+    let driver: Box<dyn RobotBackend> = match config.driver.clone() {
+        None => {
+            let moving = Seconds::new(f64::from(config.simulated_s)).map_err(|problem| of(&problem))?;
+            Box::new(SimulatedDevice::new(robot, moving, DeviceSwitch::default()))
+        }
+        Some(driver) => {
+            let endpoint = DriverEndpoint::try_from(driver).map_err(|problem| of(&problem))?;
+            endpoint.check_exists().map_err(|problem| of(&problem))?;
+            // A driver starts at a place; that of a device is the first place that it guards.
+            let places = device.pairs().map(|(place, _)| (place, Pose::default())).collect::<BTreeMap<_, _>>();
+            let place = places.keys().next().cloned().ok_or_else(|| of(&"it guards nothing"))?;
+            let start = RobotStart { robot, place, charge: BatteryShare::FULL, places };
+            Box::new(ProcessDriver::new(start, endpoint, Contract::new([device_domain()])))
+        }
+    };
+    Ok(DevicePart { device: config.name.clone(), driver })
 }
 
 /// Builds a node with a simulated world, and returns the world for inspection.
@@ -472,6 +508,7 @@ fn bare_node(
         mains_powered: false,
         robot: None,
         driver_server: None,
+        devices: vec![],
         observer: None,
         record_signer: None,
     })

@@ -68,6 +68,10 @@ pub fn describe_event(event: &Event) -> EventText {
         EventKind::ChargerFreed { charger, robot, cause } => {
             normal("charger", format!("{charger} is no longer leased to {robot}: {cause}"))
         }
+        EventKind::DeviceLeased { device, robot } => normal("device", format!("{device} is leased to {robot}")),
+        EventKind::DeviceFreed { device, robot, cause } => {
+            normal("device", format!("{device} is no longer leased to {robot}: {cause}"))
+        }
         EventKind::OccurrenceSubmitted { schedule, due_ms, mission } => {
             normal("schedule", format!("{schedule} submitted {mission}, due {}", time_in_zone(*due_ms, "UTC")))
         }

@@ -24,22 +24,22 @@ pub use queue::ChargerQueue;
 use crate::ids::{PlaceId, RobotId};
 use crate::knowledge::{ChargerClaim, Charging};
 use crate::lease::Epoch;
-use crate::ledger::ChargerLease;
+use crate::ledger::ResourceLease;
 use crate::units::{BatteryShare, NodeTime, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::time::Duration;
 
 /// Interval of the notices to a robot that has not claimed the leased charger, and of repeated proposals.
-const REPEAT_INTERVAL: Duration = Duration::from_millis(500);
+pub(crate) const REPEAT_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Time after the grant within which the robot must claim the charger. Raised: a charger is idle for longer if the robot
 /// has meanwhile received a role. A guess: some notices may be lost.
-const ANSWER_MAX: Duration = Duration::from_secs(10);
+pub(crate) const ANSWER_MAX: Duration = Duration::from_secs(10);
 
 /// Time for which a robot must be gone before its lease ends. Raised: the charger of a lost robot is idle for longer. A
 /// guess: a coordinator that has just started may lack its record.
-const GONE_MAX: Duration = Duration::from_secs(5);
+pub(crate) const GONE_MAX: Duration = Duration::from_secs(5);
 
 /// Time that a robot has to come to its charger, in addition to a multiple of its estimate. A guess: other robots and
 /// doors delay it.
@@ -190,7 +190,7 @@ impl ChargerLeases {
     /// Returns the actions that are due. `leases` are those of the ledger, and `robots` all robots with a record.
     pub fn due(
         &mut self,
-        leases: &BTreeMap<PlaceId, ChargerLease>,
+        leases: &BTreeMap<PlaceId, ResourceLease>,
         robots: &[ChargerUser],
         now: NodeTime,
     ) -> Vec<ChargerAction> {
@@ -201,7 +201,7 @@ impl ChargerLeases {
         actions
     }
 
-    fn forget(&mut self, leases: &BTreeMap<PlaceId, ChargerLease>, now: NodeTime) {
+    fn forget(&mut self, leases: &BTreeMap<PlaceId, ResourceLease>, now: NodeTime) {
         let in_force: BTreeSet<Epoch> = leases.values().map(|lease| lease.epoch).collect();
         self.followed.retain(|epoch, _| in_force.contains(epoch));
         self.proposed.retain(|charger, (_, at)| !leases.contains_key(charger) && now.since(*at) < REPEAT_INTERVAL);
@@ -210,7 +210,7 @@ impl ChargerLeases {
 
     fn follow(
         &mut self,
-        leases: &BTreeMap<PlaceId, ChargerLease>,
+        leases: &BTreeMap<PlaceId, ResourceLease>,
         robots: &[ChargerUser],
         now: NodeTime,
     ) -> Vec<ChargerAction> {
@@ -239,7 +239,7 @@ impl ChargerLeases {
     /// Leases the free chargers to the robots that need them most.
     fn grant(
         &mut self,
-        leases: &BTreeMap<PlaceId, ChargerLease>,
+        leases: &BTreeMap<PlaceId, ResourceLease>,
         robots: &[ChargerUser],
         now: NodeTime,
     ) -> Vec<ChargerAction> {
@@ -322,7 +322,7 @@ impl FollowedLease {
 }
 
 /// Checks whether something is due that was last done at this time, and records that it is done now.
-fn is_due(last: &mut Option<NodeTime>, now: NodeTime) -> bool {
+pub(crate) fn is_due(last: &mut Option<NodeTime>, now: NodeTime) -> bool {
     let due = last.is_none_or(|at| now.since(at) >= REPEAT_INTERVAL);
     if due {
         *last = Some(now);

@@ -53,8 +53,8 @@ fn free(name: &str, cause: EndOfLease) -> ChargerAction {
 }
 
 /// Returns the leases of a ledger in which `P` is leased to the robot.
-fn leased(name: &str) -> BTreeMap<PlaceId, ChargerLease> {
-    BTreeMap::from([(place("P"), ChargerLease { robot: robot(name), epoch: epoch(5), since_ms: 0 })])
+fn leased(name: &str) -> BTreeMap<PlaceId, ResourceLease> {
+    BTreeMap::from([(place("P"), ResourceLease { robot: robot(name), epoch: epoch(5), since_ms: 0 })])
 }
 
 fn granted(robots: &[ChargerUser]) -> Vec<ChargerAction> {

@@ -1,6 +1,7 @@
 //! Content of a record: the abilities and the state of a node and of its robot.
 
 use super::attributes::Attributes;
+use super::devices::DeviceKnowledge;
 use crate::bounds::{self, ELEMENTS_MAX};
 use crate::ids::{ClusterId, MissionId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
@@ -30,6 +31,8 @@ pub struct Knowledge {
     pub supported_versions: VersionRange,
     /// Robot of the node, if it is a robot's node.
     pub robot: Option<RobotKnowledge>,
+    /// Devices of the building.
+    pub devices: DeviceKnowledge,
 }
 
 impl Availability {
@@ -52,6 +55,7 @@ impl Knowledge {
             leaving: false,
             supported_versions: VersionRange::OWN,
             robot,
+            devices: Default::default(),
         }
     }
 

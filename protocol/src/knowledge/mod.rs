@@ -8,6 +8,7 @@
 mod attributes;
 mod base;
 mod content;
+mod devices;
 mod digest;
 mod motion;
 mod record;
@@ -15,6 +16,7 @@ mod record;
 pub use attributes::Attributes;
 pub use base::{KnowledgeBase, KnownRecord};
 pub use content::{AWAITED_MAX, Availability, ChargerClaim, Charging, Knowledge, RobotKnowledge};
+pub use devices::{DeviceClaim, DeviceClaims, DeviceKnowledge, DeviceReport, DeviceState};
 pub use digest::{Digest, DigestScope};
 pub use motion::{Motion, MotionUpdate};
 pub use record::{Proof, Record, RecordStamp};

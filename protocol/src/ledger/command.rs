@@ -8,6 +8,7 @@ use super::history_limits::HistoryLimits;
 use super::map_part::MapPart;
 use super::mission_order::{MissionCancelation, MissionChange};
 use super::person_request::{PersonAnswer, PersonRequestId, TaskQuestion};
+use super::resource_lease::Resource;
 use super::robot_order::OrderRequest;
 use super::schedule::{Schedule, SchedulePause};
 use super::speed_limit::SpeedLimitChange;
@@ -319,19 +320,19 @@ pub enum Command {
         /// The change, with the person who requests it.
         order: OrderRequest<MissionChange>,
     },
-    /// Leases a charger to a robot.
-    LeaseCharger {
-        /// Place of the charger.
-        charger: PlaceId,
+    /// Leases a charger or a device to a robot.
+    LeaseResource {
+        /// The charger or the device.
+        resource: Resource,
         /// The robot.
         robot: RobotId,
         /// Time of the grant in milliseconds since 1970; 0 if it is unknown.
         at_ms: u64,
     },
-    /// Ends the lease of a charger.
-    FreeCharger {
-        /// Place of the charger.
-        charger: PlaceId,
+    /// Ends the lease of a charger or a device.
+    FreeResource {
+        /// The charger or the device.
+        resource: Resource,
         /// Position of the grant.
         epoch: Epoch,
     },
@@ -395,8 +396,8 @@ impl Command {
             | Command::ChangeClosures { .. }
             | Command::ChangeSpeedLimits { .. }
             | Command::ChangeAlarms { .. }
-            | Command::LeaseCharger { .. }
-            | Command::FreeCharger { .. }
+            | Command::LeaseResource { .. }
+            | Command::FreeResource { .. }
             | Command::RaiseWireVersion { .. }
             | Command::SetHistoryLimits(_) => None,
         }

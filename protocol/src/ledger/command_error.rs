@@ -1,16 +1,16 @@
 //! Errors of commands of the ledger.
 
 use super::branch::Branch;
-use super::charger_lease::CHARGER_LEASES_BYTES_MAX;
 use super::closure::CLOSURES_BYTES_MAX;
 use super::entry::MissionState;
 use super::mission_order::ReassignProblem;
 use super::person_request::PersonRequestId;
+use super::resource_lease::{RESOURCE_LEASES_BYTES_MAX, Resource};
 use super::robot_order::ORDERS_BYTES_MAX;
 use super::schedule::Schedule;
 use super::speed_limit::SPEED_LIMITS_BYTES_MAX;
 use crate::auction::RobotRestriction;
-use crate::ids::{ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId};
+use crate::ids::{ItemId, MissionId, RequestId, RobotId, RoleId, ScheduleId};
 use crate::lease::Epoch;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -274,23 +274,23 @@ pub enum CommandError {
         /// The restriction.
         restriction: RobotRestriction,
     },
-    /// The charger is leased, or the robot has the lease of another charger.
-    #[error("{charger} is leased to {robot}")]
-    ChargerLeased {
-        /// The charger that is leased.
-        charger: PlaceId,
+    /// The resource is leased, or the robot has the lease of another charger.
+    #[error("{resource} is leased to {robot}")]
+    ResourceLeased {
+        /// The charger or the device that is leased.
+        resource: Resource,
         /// The robot that has the lease.
         robot: RobotId,
     },
-    /// The charger has no lease of this grant; common for repeated commands.
-    #[error("{charger} has no lease of epoch {epoch}")]
-    NoChargerLease {
-        /// The charger.
-        charger: PlaceId,
+    /// The resource has no lease of this grant; common for repeated commands.
+    #[error("{resource} has no lease of epoch {epoch}")]
+    NoResourceLease {
+        /// The charger or the device.
+        resource: Resource,
         /// Position of the grant.
         epoch: Epoch,
     },
-    /// The leases of chargers exceed their size limit.
-    #[error("the leases of chargers would take more than {} bytes", CHARGER_LEASES_BYTES_MAX)]
-    ChargerLeasesFull,
+    /// The leases of chargers and devices exceed their size limit.
+    #[error("the leases of chargers and devices would take more than {} bytes", RESOURCE_LEASES_BYTES_MAX)]
+    ResourceLeasesFull,
 }

@@ -4,11 +4,11 @@
 //! the ledger has the layout of that version, and its nodes can return to an earlier program.
 
 use super::audit_trail::AuditTrail;
-use super::charger_lease::ChargerLease;
 use super::history::{HISTORY_SINCE, History};
 use super::order_book::OrderBook;
+use super::resource_lease::{Resource, ResourceLease};
 use super::schedule::ScheduleEntry;
-use crate::ids::{PlaceId, ScheduleId};
+use crate::ids::ScheduleId;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeMap;
@@ -27,8 +27,8 @@ pub(super) struct VersionedPart {
     pub(super) orders: OrderBook,
     /// Requests of people; empty without a history.
     pub(super) trail: AuditTrail,
-    /// Leases of chargers; empty without a history.
-    pub(super) chargers: BTreeMap<PlaceId, ChargerLease>,
+    /// Leases of chargers and devices; empty without a history.
+    pub(super) leases: BTreeMap<Resource, ResourceLease>,
 }
 
 impl Serialize for VersionedPart {
@@ -36,8 +36,8 @@ impl Serialize for VersionedPart {
         match &self.history {
             None => (self.wire,).serialize(serializer),
             Some(history) => {
-                let VersionedPart { wire, schedules, orders, trail, chargers, .. } = self;
-                (wire, history, schedules, orders, trail, chargers).serialize(serializer)
+                let VersionedPart { wire, schedules, orders, trail, leases, .. } = self;
+                (wire, history, schedules, orders, trail, leases).serialize(serializer)
             }
         }
     }
@@ -67,7 +67,7 @@ impl<'de> Visitor<'de> for PartVisitor {
         let schedules = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(2, &self))?;
         let orders = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(3, &self))?;
         let trail = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(4, &self))?;
-        let chargers = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(5, &self))?;
-        Ok(VersionedPart { wire, history: Some(history), schedules, orders, trail, chargers })
+        let leases = parts.next_element()?.ok_or_else(|| A::Error::invalid_length(5, &self))?;
+        Ok(VersionedPart { wire, history: Some(history), schedules, orders, trail, leases })
     }
 }

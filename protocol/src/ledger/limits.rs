@@ -6,12 +6,11 @@
 //! | a command | a message, checked when it is proposed; its texts and auction record are shortened |
 //! | the request of a mission | [`Submission::BYTES_MAX`] |
 //! | a mission | about 128 KiB: the request, an auction record, 16 releases, a cause, 16 KiB of outcomes, and the requests to people: an open one of 1 KiB and an open question of 1 KiB for each role, and 16 closed ones of 1 KiB; orders of people about roles, at most 0.5 KiB for each role |
-//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], orders to robots, closures, speed limits and alarms ([`ORDERS_BYTES_MAX`], [`CLOSURES_BYTES_MAX`], [`SPEED_LIMITS_BYTES_MAX`], [`ALARMS_BYTES_MAX`], [`ORDER_REQUESTS_BYTES_MAX`]), the audit trail ([`AUDIT_BYTES_MAX`]), and leases of chargers ([`CHARGER_LEASES_BYTES_MAX`]) |
+//! | the ledger | [`UNENDED_MAX`] missions that have not ended, the history ([`HistoryLimits`]), [`Schedule::MAX`] schedules of [`Schedule::BYTES_MAX`], orders to robots, closures, speed limits and alarms ([`ORDERS_BYTES_MAX`], [`CLOSURES_BYTES_MAX`], [`SPEED_LIMITS_BYTES_MAX`], [`ALARMS_BYTES_MAX`], [`ORDER_REQUESTS_BYTES_MAX`]), the audit trail ([`AUDIT_BYTES_MAX`]), and leases of chargers and devices ([`RESOURCE_LEASES_BYTES_MAX`]) |
 
 use super::alarm::{ALARMS_BYTES_MAX, AlarmChange};
 use super::apply::Ledger;
 use super::audit_trail::AUDIT_BYTES_MAX;
-use super::charger_lease::CHARGER_LEASES_BYTES_MAX;
 use super::closure::{CLOSURES_BYTES_MAX, ClosureChange};
 use super::command::Command;
 use super::command_error::CommandError;
@@ -19,6 +18,7 @@ use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
 use super::order_book::ORDER_REQUESTS_BYTES_MAX;
 use super::person_request::PERSON_BYTES_MAX;
+use super::resource_lease::RESOURCE_LEASES_BYTES_MAX;
 use super::robot_order::{ORDERS_BYTES_MAX, OrderChange};
 use super::schedule::Schedule;
 use super::speed_limit::{SPEED_LIMITS_BYTES_MAX, SpeedLimitChange};
@@ -43,7 +43,7 @@ const _: () = assert!(
         + ALARMS_BYTES_MAX
         + ORDER_REQUESTS_BYTES_MAX
         + AUDIT_BYTES_MAX
-        + CHARGER_LEASES_BYTES_MAX
+        + RESOURCE_LEASES_BYTES_MAX
         < codec::RECORD_BYTES_MAX,
     "a snapshot of a full ledger can be stored"
 );
@@ -126,8 +126,8 @@ impl Command {
             | Command::SkipOccurrences { .. }
             | Command::ExpireOrders { .. }
             | Command::EndOrders { .. }
-            | Command::LeaseCharger { .. }
-            | Command::FreeCharger { .. }
+            | Command::LeaseResource { .. }
+            | Command::FreeResource { .. }
             | Command::SetHistoryLimits(_) => {}
         }
         self

@@ -31,7 +31,7 @@
 //!
 //! People reassign and pin roles (the module `role_orders`).
 //!
-//! Chargers are leased to robots (the module `chargers`).
+//! Chargers and devices are leased to robots (the module `resources`).
 //!
 //! Waiting missions are served by priority, deadline and age (the module `service_order`).
 //!
@@ -50,8 +50,6 @@ mod apply;
 mod audit;
 mod audit_trail;
 mod branch;
-mod charger_lease;
-mod chargers;
 mod closure;
 mod command;
 mod command_error;
@@ -72,6 +70,8 @@ mod order_book;
 mod people;
 mod person_request;
 mod promises;
+mod resource_lease;
+mod resources;
 mod robot_order;
 mod robot_orders;
 mod role_orders;
@@ -88,7 +88,6 @@ pub use alarm::{Alarm, AlarmChange, AlarmPlan, AlarmResponse, alarm_size_problem
 pub use apply::Ledger;
 pub use audit_trail::{AuditAction, AuditEntry};
 pub use branch::Branch;
-pub use charger_lease::ChargerLease;
 pub use closure::{Closure, ClosureChange};
 pub use command::{Command, CommandOutcome, PromiseMove};
 pub use command_error::CommandError;
@@ -103,6 +102,7 @@ pub use person_request::{
     AnswerContent, FinalAnswer, NOTE_BYTES_MAX, PersonAnswer, PersonQuestion, PersonRequestEntry, PersonRequestId,
     PersonRequestIdError, PersonRequestPhase, Postponement, RequestEscalation, RequestSubject, TaskQuestion,
 };
+pub use resource_lease::{Resource, ResourceLease};
 pub use robot_order::{OrderChange, OrderRequest, RobotOrder, RobotOrders};
 pub use schedule::{MissedOccurrences, Occurrence, Schedule, ScheduleEntry, SchedulePause, ScheduleRule};
 pub use service_order::{ServiceRank, service_order};

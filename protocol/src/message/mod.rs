@@ -25,7 +25,9 @@ use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
 use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
-use crate::ledger::{Alarm, AlarmResponse, Closure, HeldItem, Ledger, MapPart, RobotOrder, SpeedLimit, TaskQuestion};
+use crate::ledger::{
+    Alarm, AlarmResponse, Closure, HeldItem, Ledger, MapPart, Resource, RobotOrder, SpeedLimit, TaskQuestion,
+};
 use crate::mission::ROLES_MAX;
 use crate::mission::TaskOutcomes;
 use crate::plan::{Signal, StepIndex};
@@ -196,10 +198,10 @@ pub enum AwardNotice {
         #[serde(deserialize_with = "bounds::text")]
         cause: String,
     },
-    /// The robot has the lease of a charger.
-    ChargerLeased {
-        /// Place of the charger.
-        charger: PlaceId,
+    /// The robot has the lease of a charger or a device.
+    Leased {
+        /// The charger or the device.
+        resource: Resource,
         /// Position of the grant.
         epoch: Epoch,
     },
@@ -213,7 +215,7 @@ impl AwardNotice {
             AwardNotice::Revoked { epoch, .. }
             | AwardNotice::GiveWay { epoch, .. }
             | AwardNotice::Return { epoch, .. }
-            | AwardNotice::ChargerLeased { epoch, .. } => *epoch,
+            | AwardNotice::Leased { epoch, .. } => *epoch,
             AwardNotice::Orders(orders) => orders.as_of,
         }
     }

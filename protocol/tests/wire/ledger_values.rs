@@ -10,8 +10,8 @@ use consort_protocol::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, R
 use consort_protocol::ledger::{
     AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, CommandError, CommandOutcome,
     HeldItem, HistoryLimits, MissedOccurrences, MissionCancelation, MissionChange, MissionState, OrderChange,
-    OrderRequest, PersonAnswer, PersonRequestId, Priority, PromiseMove, RecoveryBranch, Schedule, SchedulePause,
-    ScheduleRule, SpeedLimitChange, Submission,
+    OrderRequest, PersonAnswer, PersonRequestId, Priority, PromiseMove, RecoveryBranch, Resource, Schedule,
+    SchedulePause, ScheduleRule, SpeedLimitChange, Submission,
 };
 use consort_protocol::mission::{NumberRange, ValueKind};
 use consort_protocol::plan::Division;
@@ -315,12 +315,13 @@ pub(crate) fn command() -> impl Strategy<Value = Command> {
             .prop_map(|(robots, order)| Command::OrderRobots { robots, order }),
         any::<u64>().prop_map(|now_ms| Command::ExpireOrders { now_ms }),
         btree_set(name(), 0..3).prop_map(|robots| Command::EndOrders { robots }),
-        (place(), name(), any::<u64>()).prop_map(|(charger, robot, at_ms)| Command::LeaseCharger {
-            charger,
+        (place(), name(), any::<u64>()).prop_map(|(charger, robot, at_ms)| Command::LeaseResource {
+            resource: Resource::Charger(charger),
             robot,
             at_ms
         }),
-        (place(), epoch()).prop_map(|(charger, epoch)| Command::FreeCharger { charger, epoch }),
+        (name(), epoch())
+            .prop_map(|(device, epoch)| Command::FreeResource { resource: Resource::Device(device), epoch }),
         order_request(btree_map(name(), places(), 0..3).prop_map(|missions| MissionCancelation { missions }))
             .prop_map(|order| Command::CancelMissions { order }),
         (name(), order_request(mission_change()))

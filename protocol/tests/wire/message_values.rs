@@ -3,7 +3,7 @@
 use crate::values::*;
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::lease::{Award, DeclineReason, EndReason, RoleHolder};
-use consort_protocol::ledger::{PersonQuestion, TaskQuestion};
+use consort_protocol::ledger::{PersonQuestion, Resource, TaskQuestion};
 use consort_protocol::message::{
     AlarmNotice, AwardNotice, AwardReply, ClosureNotice, FailureKind, OrderNotice, OrdersNotice, QuestionAnswer,
     Report, ReportReply, SpeedLimitNotice, TaskFailure,
@@ -41,7 +41,8 @@ pub(crate) fn notice() -> impl Strategy<Value = AwardNotice> {
             repeat,
             cause
         }),
-        (place(), epoch()).prop_map(|(charger, epoch)| AwardNotice::ChargerLeased { charger, epoch }),
+        (place(), epoch())
+            .prop_map(|(charger, epoch)| AwardNotice::Leased { resource: Resource::Charger(charger), epoch }),
     ]
 }
 

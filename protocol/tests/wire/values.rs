@@ -244,6 +244,7 @@ pub(crate) fn record() -> impl Strategy<Value = Record> {
                     leaving,
                     supported_versions: speaks,
                     robot: worker,
+                    devices: Default::default(),
                 },
                 proof: proof.and_then(|(by, half)| Proof::new(Fingerprint(by), &[half, half].concat())),
             }

@@ -5,6 +5,7 @@
 //! over, batteries that run down. [`kinematics`] models how robots move. [`record`] writes
 //! recordings. This crate contains nothing about missions, auctions or coordinators.
 
+pub mod device;
 pub mod extend;
 pub mod kinematics;
 pub mod map;

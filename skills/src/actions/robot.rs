@@ -83,6 +83,16 @@ pub trait RobotActions {
         None
     }
 
+    /// Requests the way from a place to its neighbour from the devices of the building, and checks whether the robot may
+    /// drive it now. Repeated at each tick until the robot arrives.
+    fn request_way(&mut self, from: &PlaceId, to: &PlaceId) -> bool {
+        let _ = (from, to);
+        true
+    }
+
+    /// Ends the request of a way: the robot has arrived.
+    fn end_way(&mut self) {}
+
     /// Returns the newest value that a member of an ensemble has sent to the others. `None` if it is
     /// unknown: this robot is not a member, the value has not arrived, or it is too old.
     fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {

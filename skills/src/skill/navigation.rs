@@ -7,6 +7,9 @@
 //! A drive whose leg people close stops at once, and is planned again from there. If only people close
 //! the last route, the robot waits until they open it.
 //!
+//! A leg that devices of the building guard, as doors and lifts, starts once they confirm. Until then the robot waits at its
+//! place, and the route is planned again at each tick, since a device may meanwhile be unavailable.
+//!
 //! The goal of a leg contains the speed limit of people. If they lower it meanwhile, the robot stops, and drives the
 //! rest of the leg as another goal. While there are limits the route is planned again at each place, since they may have
 //! changed.
@@ -137,6 +140,10 @@ impl NavigateToPose {
         }
         let known_closed = closed(context);
         let from = context.actions().telemetry().map_or_else(|| place.clone(), |telemetry| telemetry.place.clone());
+        if !context.actions().request_way(&from, &place) {
+            self.must_plan = true;
+            return Ok(NodeStatus::Running);
+        }
         let speed_max = speed_limit(context, &from, &place);
         let drive = actions::NavigateToPose {
             speed_max_mps: speed_max,
@@ -161,13 +168,17 @@ impl NavigateToPose {
                 Ok(NodeStatus::Running)
             }
             Some(GoalStatus::Sent | GoalStatus::Executing(_)) => {
+                context.actions().request_way(&drive.from, &drive.to);
                 self.drive = Some(drive);
                 Ok(NodeStatus::Running)
             }
-            Some(GoalStatus::Succeeded(_)) => match self.detour.pop_front() {
-                Some(next) => self.start_next_leg(context, next),
-                None => Ok(NodeStatus::Success),
-            },
+            Some(GoalStatus::Succeeded(_)) => {
+                context.actions().end_way();
+                match self.detour.pop_front() {
+                    Some(next) => self.start_next_leg(context, next),
+                    None => Ok(NodeStatus::Success),
+                }
+            }
             Some(GoalStatus::Aborted(error)) if error.code == ErrorCode::Blocked => {
                 if closed(context).iter().any(|lane| !drive.known_closed.contains(lane)) {
                     return self.take_detour(context, &drive.known_closed, error);

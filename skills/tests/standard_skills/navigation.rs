@@ -209,6 +209,30 @@ fn a_drive_waits_while_people_have_closed_every_route() {
 }
 
 #[test]
+fn a_drive_waits_for_a_device_or_takes_another_route() {
+    let at_device = || {
+        let mut driver = ScriptedDriver::at("A");
+        driver.guard("B", "C");
+        let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
+        skill.tick(&mut driver);
+        driver.end_goal();
+        for _ in 0..5 {
+            assert_eq!(skill.tick(&mut driver), SkillStatus::Running);
+        }
+        assert_eq!(driver.sent(), ["drive B 10"], "it has not confirmed");
+        (driver, skill)
+    };
+    let (mut driver, mut skill) = at_device();
+    driver.admit();
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive B 10", "drive C 20"]);
+    let (mut driver, mut skill) = at_device();
+    driver.close("B", "C");
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    assert_eq!(driver.sent(), ["drive B 10", "drive A 0", "drive E 15", "drive C 20"]);
+}
+
+#[test]
 fn a_robot_leaves_a_closed_place() {
     let mut driver = ScriptedDriver::at("B");
     driver.close("B", "B");

@@ -16,6 +16,8 @@ pub(crate) struct ScriptedDriver {
     telemetry: Telemetry,
     /// Lanes and places that people have closed.
     closed_by_people: Vec<(PlaceId, PlaceId)>,
+    /// Ways that devices of the building have not admitted.
+    guarded: Vec<(PlaceId, PlaceId)>,
     /// Speed limits of people.
     limits: SpeedLimits,
     /// Results of goals, in order. Later goals succeed.
@@ -45,6 +47,7 @@ impl ScriptedDriver {
         ScriptedDriver {
             telemetry,
             closed_by_people: vec![],
+            guarded: vec![],
             limits: SpeedLimits::default(),
             script: VecDeque::new(),
             goals: Vec::new(),
@@ -64,6 +67,16 @@ impl ScriptedDriver {
         let lane = (place(a), place(b));
         self.closed_by_people.push(lane.clone());
         self.telemetry.closed.push(lane);
+    }
+
+    /// A device guards a way.
+    pub(crate) fn guard(&mut self, from: &str, to: &str) {
+        self.guarded.push((place(from), place(to)));
+    }
+
+    /// All devices admit the robot.
+    pub(crate) fn admit(&mut self) {
+        self.guarded.clear();
     }
 
     /// People limit the speed on a lane, and nowhere else.
@@ -203,6 +216,10 @@ impl RobotActions for ScriptedDriver {
 
     fn closed_by_people(&self) -> &[(PlaceId, PlaceId)] {
         &self.closed_by_people
+    }
+
+    fn request_way(&mut self, from: &PlaceId, to: &PlaceId) -> bool {
+        !self.guarded.contains(&(from.clone(), to.clone()))
     }
 
     fn take_completed(&mut self, goal: &Goal) -> Option<GoalResult> {

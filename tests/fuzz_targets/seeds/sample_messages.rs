@@ -20,8 +20,8 @@ use consort_protocol::lease::{Award, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
     AlarmChange, AlarmPlan, AlarmResponse, AnswerContent, Branch, ClosureChange, Command, Ledger, MapPart,
     MissedOccurrences, MissionCancelation, MissionChange, OrderChange, OrderRequest, PersonAnswer, PersonQuestion,
-    PersonRequestId, Priority, PromiseMove, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange, TaskQuestion,
-    Zone,
+    PersonRequestId, Priority, PromiseMove, Resource, Schedule, SchedulePause, ScheduleRule, SpeedLimitChange,
+    TaskQuestion, Zone,
 };
 use consort_protocol::message::{
     AlarmNotice, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClosureNotice, ClusterEnvelope,
@@ -109,6 +109,7 @@ fn record(owner: &str) -> Record {
         leaving: false,
         supported_versions: VersionRange { oldest: 1, newest: 1 },
         robot: Some(worker),
+        devices: Default::default(),
     };
     Record { owner: slug(owner), stamp: RecordStamp { incarnation: 5, version: 9 }, knowledge, proof: proof() }
 }
@@ -272,7 +273,7 @@ pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
         encoded(&AwardNotice::Revoked { epoch: EPOCH, reason: EndReason::Over }),
         encoded(&AwardNotice::Orders(Box::new(orders()))),
         encoded(&AwardNotice::Return { epoch: EPOCH, repeat: true, cause: "reassigned by Nia".to_owned() }),
-        encoded(&AwardNotice::ChargerLeased { charger: slug("Dock"), epoch: EPOCH }),
+        encoded(&AwardNotice::Leased { resource: Resource::Charger(slug("Dock")), epoch: EPOCH }),
         encoded(&AwardReply::Acknowledged),
         encoded(&report()),
         encoded(&ReportReply::Ended { epoch: EPOCH, reason: EndReason::Replaced, current: Some(EPOCH) }),
@@ -403,8 +404,8 @@ fn ledger_commands() -> Vec<Command> {
                 request: None,
             },
         },
-        Command::LeaseCharger { charger: slug("Dock"), robot: slug("ada"), at_ms: 9 },
-        Command::FreeCharger { charger: slug("Dock"), epoch },
+        Command::LeaseResource { resource: Resource::Charger(slug("Dock")), robot: slug("ada"), at_ms: 9 },
+        Command::FreeResource { resource: Resource::Device(slug("lift")), epoch },
         Command::ChangeClosures {
             parts: BTreeSet::from([MapPart::Place("IC Room 6".parse().expect("a place"))]),
             order: OrderRequest {

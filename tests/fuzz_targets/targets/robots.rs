@@ -28,7 +28,7 @@ pub(super) fn award(bytes: &[u8]) -> bool {
                     AwardNotice::GiveWay { .. }
                     | AwardNotice::Orders(_)
                     | AwardNotice::Return { .. }
-                    | AwardNotice::ChargerLeased { .. },
+                    | AwardNotice::Leased { .. },
                 )
                 | Err(_) => {
                     continue;

@@ -37,6 +37,8 @@ fn of(what: &EventKind) -> Option<String> {
         EventKind::ClosureChanged { part, order } => part.state_text(order.as_ref()),
         EventKind::ChargerLeased { charger, robot } => format!("leases {charger} to {robot}"),
         EventKind::ChargerFreed { charger, robot, cause } => format!("frees {charger} of {robot}: {cause}"),
+        EventKind::DeviceLeased { device, robot } => format!("leases {device} to {robot}"),
+        EventKind::DeviceFreed { device, robot, cause } => format!("frees {device} of {robot}: {cause}"),
         EventKind::OccurrenceSubmitted { schedule, mission, .. } => format!("{schedule} submits {mission}"),
         EventKind::Closed { mission, record } => {
             let why = record.failure.as_ref().map(|why| format!(": {why}")).unwrap_or_default();

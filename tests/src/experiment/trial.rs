@@ -139,6 +139,7 @@ impl<'s> TrialRun<'s> {
             domain: Arc::clone(&setup.domain),
             missions: Arc::default(),
             alarms: Arc::default(),
+            devices: Arc::default(),
             limits: BidLimits::default(),
             charging: None,
             promises: PromiseTerms::default(),
@@ -274,6 +275,7 @@ impl<'s> TrialRun<'s> {
             mains_powered: stationary,
             robot,
             driver_server: None,
+            devices: vec![],
             observer: Some(Arc::new(self.observer.clone())),
             record_signer: None,
         }

@@ -5,7 +5,7 @@ use super::session_context::SessionContext;
 use crate::charger_users::charger_users;
 use consort_protocol::chargers::{ChargerAction, ChargerLeases};
 use consort_protocol::event::EventKind;
-use consort_protocol::ledger::{Command, Ledger};
+use consort_protocol::ledger::{Command, Ledger, Resource};
 use consort_protocol::message::AwardNotice;
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
@@ -29,24 +29,25 @@ impl ChargerDelivery {
             return;
         }
         self.checked_at = Some(now);
-        let read = |ledger: &Ledger| ledger.leases_chargers().then(|| ledger.charger_leases().clone());
+        let read = |ledger: &Ledger| ledger.leases_resources().then(|| ledger.charger_leases());
         let Some(leases) = context.read_ledger(read) else { return };
         let parts = &context.settings.parts;
         let robots = charger_users(&parts.knowledge, &parts.node);
         for action in self.leases.due(&leases, &robots, now) {
             match action {
                 ChargerAction::Notify { charger, robot, epoch } => {
-                    context.notify(robot, &AwardNotice::ChargerLeased { charger, epoch });
+                    context.notify(robot, &AwardNotice::Leased { resource: Resource::Charger(charger), epoch });
                 }
-                ChargerAction::Lease { .. } if !context.read_ledger(Ledger::has_room_for_charger_lease) => {}
+                ChargerAction::Lease { .. } if !context.read_ledger(Ledger::has_room_for_lease) => {}
                 ChargerAction::Lease { charger, robot } => {
                     let event = EventKind::ChargerLeased { charger: charger.clone(), robot: robot.clone() };
-                    let at_ms = confirmed_ms.unwrap_or(0);
-                    context.propose_charger_change(Command::LeaseCharger { charger, robot, at_ms }, event);
+                    let (resource, at_ms) = (Resource::Charger(charger), confirmed_ms.unwrap_or(0));
+                    context.propose_lease_change(Command::LeaseResource { resource, robot, at_ms }, event);
                 }
                 ChargerAction::Free { charger, robot, epoch, cause } => {
                     let event = EventKind::ChargerFreed { charger: charger.clone(), robot, cause: cause.to_string() };
-                    context.propose_charger_change(Command::FreeCharger { charger, epoch }, event);
+                    let resource = Resource::Charger(charger);
+                    context.propose_lease_change(Command::FreeResource { resource, epoch }, event);
                 }
             }
         }

@@ -5,6 +5,7 @@ use super::auctions::Auctions;
 use super::battery_swaps::BatterySwaps;
 use super::change_feed::ChangeFeed;
 use super::charger_leases::ChargerDelivery;
+use super::device_leases::DeviceDelivery;
 use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
@@ -80,6 +81,7 @@ pub(super) struct LeaderSession {
     people: People,
     orders: OrderDelivery,
     chargers: ChargerDelivery,
+    devices: DeviceDelivery,
     schedules: Schedules,
     swaps: BatterySwaps,
     /// The voter change in progress.
@@ -122,6 +124,7 @@ impl LeaderSession {
             people: People::new(&context),
             orders: OrderDelivery::new(&context),
             chargers: ChargerDelivery::default(),
+            devices: DeviceDelivery::default(),
             schedules: Schedules::default(),
             swaps: BatterySwaps::default(),
             autopilot: Autopilot::new(settings.autopilot, yielded),
@@ -299,6 +302,7 @@ impl LeaderSession {
         let confirmed_ms = self.confirmed_ms();
         self.orders.follow(&mut self.context, now, confirmed_ms);
         self.chargers.follow(&mut self.context, now, confirmed_ms);
+        self.devices.follow(&mut self.context, now, confirmed_ms);
         let robots = self.changes.publish(&mut self.context, changes, now);
         let scope = match (examined, changes) {
             (Examined::Changed, MissionChanges::These(missions)) => Scope::Changed { missions, robots: &robots },

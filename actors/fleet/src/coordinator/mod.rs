@@ -27,6 +27,7 @@ mod charger_leases;
 mod circular_waits;
 mod clearing;
 mod closure_requests;
+mod device_leases;
 mod ensemble_members;
 mod held_roles;
 mod last_known_place;

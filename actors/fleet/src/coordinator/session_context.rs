@@ -109,15 +109,15 @@ impl SessionContext {
         });
     }
 
-    /// Proposes the grant or the end of the lease of a charger in the background. Publishes the event once the command is
-    /// committed; a repetition is refused.
-    pub(super) fn propose_charger_change(&mut self, command: Command, event: EventKind) {
+    /// Proposes the grant or the end of the lease of a charger or a device in the background. Publishes the event once
+    /// the command is committed; a repetition is refused.
+    pub(super) fn propose_lease_change(&mut self, command: Command, event: EventKind) {
         let (replica, events) = (self.settings.parts.replica.clone(), self.settings.parts.events.clone());
         self.tasks.spawn(async move {
             match replica.propose(command, RELEASE_TIMEOUT).await {
                 Ok(CommandOutcome::Done) => events.publish(event),
                 // It is proposed again, if it is still due.
-                outcome => debug!(?event, ?outcome, "lease of a charger was not changed"),
+                outcome => debug!(?event, ?outcome, "a lease was not changed"),
             }
         });
     }

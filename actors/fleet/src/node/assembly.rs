@@ -2,9 +2,10 @@
 
 use super::error::NodeError;
 use super::root::NodeMessage;
-use super::settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
+use super::settings::{DevicePart, DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use crate::autopilot::{AutopilotSettings, Bootstrap, Decommission, DecommissionReport};
 use crate::coordinator::{AuctionSettings, Coordinator, CoordinatorMessage, CoordinatorSettings, NodeParts};
+use crate::device_host::DeviceHost;
 use crate::ensemble_exchange::EnsembleExchange;
 use crate::events::EventPublisher;
 use crate::observe::SharedObserver;
@@ -12,7 +13,9 @@ use crate::robot::{
     ExecutionSettings, MotionScope, PricingSettings, Robot, RobotCharging, RobotLinks, RobotMessage, RobotSettings,
     RobotStart, TaskTimeout,
 };
-use crate::robot_driver::{CLIENT_TIMEOUT, DriverClientSettings, DriverServer, DriverServerSettings, RobotDriver};
+use crate::robot_driver::{
+    CLIENT_TIMEOUT, DriverClientSettings, DriverServer, DriverServerSettings, RobotDriver, SharedWays,
+};
 use crate::shared_exchanges::SharedExchanges;
 use crate::views::Views;
 use consort_bus::clock::Clock;
@@ -74,6 +77,7 @@ pub(super) async fn start_parts(
         leaving: false,
         supported_versions: settings.supported_versions,
         robot: settings.robot.as_ref().map(|robot| fleet.ensembles.published(robot.worker.clone())),
+        devices: Default::default(),
     };
     // Signed records exist since version 2. A node that starts without a path to the coordinator
     // would otherwise publish records that others cannot forward.
@@ -142,6 +146,7 @@ pub(super) async fn start_parts(
         None => None,
     };
     assembly.serve_views(coordinator).await?;
+    assembly.start_devices(settings.devices, incarnation);
     if let Some(server) = settings.driver_server {
         assembly.start_driver_server(server, rng.next_u64()).await?;
     }
@@ -398,6 +403,7 @@ impl Assembly {
             map: self.fleet.map.clone(),
             charging: self.fleet.charging.as_deref().map(Into::into),
             declared: DeclarationsView::of((*self.fleet.alarms).clone(), self.fleet.domain.zones().clone()),
+            devices: Arc::clone(&self.fleet.devices),
             beacon_interval: self.times.beacon_interval,
         };
         Ok(views.serve(&mut self.tasks).await?)
@@ -417,6 +423,26 @@ impl Assembly {
             exchanges: self.exchanges.clone(),
         };
         Ok(exchange.start(&mut self.tasks).await?)
+    }
+
+    /// Starts the drivers of devices. A device that the fleet file does not declare is left out.
+    fn start_devices(&mut self, parts: Vec<DevicePart>, incarnation: u64) {
+        for DevicePart { device: name, driver } in parts {
+            let Some(device) = self.fleet.devices.get(&name).cloned() else {
+                warn!(device = %name, "the fleet file declares no such device: its driver is not started");
+                continue;
+            };
+            let host = DeviceHost {
+                device,
+                driver,
+                clock: self.clock,
+                gossip: self.gossip.clone(),
+                knowledge: self.knowledge(),
+                replica: self.replica.clone(),
+                first_goal: incarnation << 20,
+            };
+            self.tasks.spawn(host.run());
+        }
     }
 
     /// Starts the driver server.
@@ -452,6 +478,7 @@ impl Assembly {
             heartbeat_interval: Duration::from_millis(300),
         };
         let driver = RobotDriver::connect(client, &self.root.get_cell()).await?.with_exchanges(self.exchanges.clone());
+        let driver = driver.with_ways(SharedWays::new(Arc::clone(&self.fleet.devices)));
         // A node has a single robot.
         let _ = self.driver.set(driver.clone());
         let token = self.bus.announce(&self.keys.write(&Key::AliveRobot(robot.clone()))).await?;
@@ -493,6 +520,7 @@ impl Assembly {
             execution,
             charging,
             motion_scope,
+            devices: Some(Arc::clone(&self.fleet.devices)).filter(|devices| !devices.is_empty()),
             lease_terms: self.fleet.lease_terms,
             update_interval: Duration::from_millis(250),
         };

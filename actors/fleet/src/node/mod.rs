@@ -14,4 +14,4 @@ mod settings;
 
 pub use error::{NodeEnded, NodeError};
 pub use handle::NodeHandle;
-pub use settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};
+pub use settings::{DevicePart, DriverServerPart, FleetSettings, NodeSettings, RobotPart};

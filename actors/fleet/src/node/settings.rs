@@ -7,8 +7,9 @@ use crate::robot::ChargingSettings;
 use consort_bus::clock::Clock;
 use consort_bus::record_signer::SharedRecordSigner;
 use consort_protocol::auction::{Allocator, BidLimits, PromiseTerms};
+use consort_protocol::devices::Devices;
 use consort_protocol::ensemble::Ensembles;
-use consort_protocol::ids::{AlarmId, FleetId, NodeId};
+use consort_protocol::ids::{AlarmId, DeviceId, FleetId, NodeId};
 use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{AlarmPlan, HistoryLimits};
@@ -43,6 +44,8 @@ pub struct FleetSettings {
     pub limits: BidLimits,
     /// Chargers, and when robots use them; `None` if robots charge by tasks of missions only.
     pub charging: Option<Arc<ChargingSettings>>,
+    /// Doors, lifts and other devices of the building.
+    pub devices: Arc<Devices>,
     /// Limits of what robots promise while they hold other roles.
     pub promises: PromiseTerms,
     /// Limits of accepted requests and missions.
@@ -113,6 +116,8 @@ pub struct NodeSettings {
     pub robot: Option<RobotPart>,
     /// The driver server of the node, if any.
     pub driver_server: Option<DriverServerPart>,
+    /// Devices of the building whose drivers the node runs.
+    pub devices: Vec<DevicePart>,
     /// Observer of the node's events, called synchronously; usually none.
     pub observer: Option<SharedObserver>,
 }
@@ -135,4 +140,12 @@ pub struct DriverServerPart {
     pub world: Box<dyn RobotBackend>,
     /// World seconds per second of node time.
     pub speed: f64,
+}
+
+/// A device whose driver a node runs.
+pub struct DevicePart {
+    /// The device, as named in the fleet file.
+    pub device: DeviceId,
+    /// Its driver, which serves the goals of a robot with the name of the device.
+    pub driver: Box<dyn RobotBackend>,
 }

@@ -4,7 +4,7 @@ use super::energy_check::pricing_context;
 use super::recovery_policy::AttemptFailure;
 use super::release::DriverActivity;
 use super::worker_record::{Publication, WorkerRecord};
-use crate::robot_driver::{MapOrders, OpenQuestion, RobotDriver};
+use crate::robot_driver::{MapOrders, OpenQuestion, RobotDriver, SharedWays};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
@@ -37,6 +37,11 @@ impl DriverLink {
     /// Returns the question of the skill to people.
     pub(super) fn question(&self) -> &OpenQuestion {
         self.driver.question()
+    }
+
+    /// Returns the way that a skill requests from the devices of the building.
+    pub(super) fn ways(&self) -> &SharedWays {
+        self.driver.ways()
     }
 
     /// Returns a counter of received states, which notifies its receivers of each new state.

@@ -129,7 +129,7 @@ impl LeaseClient {
             AwardNotice::GiveWay { .. }
             | AwardNotice::Orders(_)
             | AwardNotice::Return { .. }
-            | AwardNotice::ChargerLeased { .. } => (AwardReply::Acknowledged, None),
+            | AwardNotice::Leased { .. } => (AwardReply::Acknowledged, None),
             AwardNotice::Revoked { epoch, reason } => {
                 (AwardReply::Acknowledged, Some(Event::Revoked { epoch, reason }))
             }

@@ -24,6 +24,7 @@
 //! | `StandingOrders` | hold, maintenance, closures and alarms, ordered by people |
 //! | `LeaderCheck` with `LeaderPoll` | the coordinator, confirmed by the voters |
 //! | `ChargeControl` | charging while the robot is free |
+//! | `DeviceAccess` | claims of doors, lifts and other devices of the building |
 //! | `AlarmDrive` | drives to assembly places, and back to the plan |
 //!
 //! Each skill runs in an actor of its own: a panic in a skill fails the attempt and not the node.
@@ -40,6 +41,7 @@ mod charging;
 mod checkpoint;
 mod checkpoint_storage;
 mod checkpoint_writer;
+mod device_access;
 mod driver_link;
 mod energy_check;
 mod execution;

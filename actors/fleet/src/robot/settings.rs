@@ -9,6 +9,7 @@ use consort_bus::SharedBus;
 use consort_bus::clock::Clock;
 use consort_gossip::{GossipHandle, SharedKnowledge};
 use consort_protocol::auction::BidLimits;
+use consort_protocol::devices::Devices;
 use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::Keys;
@@ -46,6 +47,8 @@ pub(crate) struct RobotSettings {
     pub(crate) charging: Option<RobotCharging>,
     /// Nodes that receive the motion of the robot.
     pub(crate) motion_scope: MotionScope,
+    /// Devices of the building; `None` if the fleet has none.
+    pub(crate) devices: Option<Arc<Devices>>,
     /// Durations of leases.
     pub(crate) lease_terms: LeaseTerms,
     /// Interval for properties sensing and for lease checks. Default 250 ms. Gossip is updated at

@@ -4,6 +4,7 @@
 use super::goal_tracker::GoalTracker;
 use super::messages::{DriverState, GoalRequest};
 use super::questions::OpenQuestion;
+use super::ways::SharedWays;
 use crate::shared_exchanges::SharedExchanges;
 use bytes::Bytes;
 use consort_bus::clock::Clock;
@@ -60,6 +61,8 @@ pub struct RobotDriver {
     /// Values of other members of its ensembles.
     exchanges: SharedExchanges,
     clock: Clock,
+    /// Way that a skill requests from the devices of the building.
+    ways: SharedWays,
     /// Orders of people about the map, for all clones.
     shared_orders: Arc<Mutex<MapOrders>>,
     /// The same as of this clone's last [`refresh`](RobotDriver::refresh).
@@ -120,6 +123,16 @@ impl RobotDriver {
     /// Lets its skills read the values that members of ensembles exchange. Without them all are unknown.
     pub(crate) fn with_exchanges(self, exchanges: SharedExchanges) -> RobotDriver {
         RobotDriver { exchanges, ..self }
+    }
+
+    /// Lets its skills request ways from the devices of the building. Without them all ways are free.
+    pub(crate) fn with_ways(self, ways: SharedWays) -> RobotDriver {
+        RobotDriver { ways, ..self }
+    }
+
+    /// Returns the way that a skill requests from the devices of the building.
+    pub(crate) fn ways(&self) -> &SharedWays {
+        &self.ways
     }
 
     /// Returns a counter of received states, which notifies its receivers of each new state.
@@ -256,6 +269,14 @@ impl RobotActions for RobotDriver {
         Some(&self.orders.limits)
     }
 
+    fn request_way(&mut self, from: &PlaceId, to: &PlaceId) -> bool {
+        self.ways.request(from, to, self.clock.now())
+    }
+
+    fn end_way(&mut self) {
+        self.ways.end();
+    }
+
     fn member_value(&self, ensemble: &EnsembleId, robot: &RobotId, value: &ExchangedValue) -> Option<Scalar> {
         self.exchanges.value(ensemble, robot, value, self.clock.now())
     }
@@ -303,6 +324,7 @@ impl Actor for DriverClient {
             question: OpenQuestion::default(),
             exchanges: SharedExchanges::default(),
             clock: settings.clock,
+            ways: SharedWays::default(),
             shared_orders: Arc::default(),
             orders: MapOrders::default(),
             telemetry: None,

@@ -24,6 +24,7 @@ pub(crate) mod model_driver;
 mod questions;
 mod server;
 mod state_order;
+mod ways;
 
 use std::time::Duration;
 
@@ -38,3 +39,4 @@ pub use messages::{DriverCommand, DriverState, GoalRequest, Permit, PersonComman
 pub(crate) use questions::OpenQuestion;
 pub use server::{DriverServer, DriverServerMessage, DriverServerSettings};
 pub use state_order::{StateOrder, StateStamp};
+pub(crate) use ways::{SharedWays, Way};

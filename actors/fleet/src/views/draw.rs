@@ -8,6 +8,7 @@ use super::cluster_status::ClusterStatus;
 use super::health::{Blocking, HealthInputs, health};
 use super::mission::{auctions, auctions_shown, ended_mission, mission, missions, schedules};
 use crate::charger_users::charger_users;
+use crate::device_reports::device_reports;
 use crate::robot_driver::RobotDriver;
 use consort_gossip::MemberStatus;
 use consort_protocol::api::ErrorReply;
@@ -18,7 +19,7 @@ use consort_protocol::ids::{ClusterId, EnsembleId, MissionId, NodeId, PlaceId, R
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnowledgeBase, KnownRecord};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{ChargerLease, Ledger, MissionState, RobotOrders};
+use consort_protocol::ledger::{Ledger, MissionState, ResourceLease, RobotOrders};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{NodeTime, Seconds};
 use consort_protocol::view::{
@@ -269,10 +270,10 @@ impl ViewContext<'_> {
 
     /// Returns the chargers that are leased, or for which robots wait.
     fn chargers(&self) -> Vec<ChargerView> {
-        let leases = self.ledger(|ledger| ledger.charger_leases().clone()).unwrap_or_default();
+        let leases = self.ledger(Ledger::charger_leases).unwrap_or_default();
         let mut waiting = ChargerQueue::waiting(&charger_users(&self.views.knowledge, &self.views.node));
         let chargers: BTreeSet<PlaceId> = leases.keys().chain(waiting.keys()).cloned().collect();
-        let lease_view = |ChargerLease { robot, epoch, since_ms }: &ChargerLease| ChargerLeaseView {
+        let lease_view = |ResourceLease { robot, epoch, since_ms }: &ResourceLease| ChargerLeaseView {
             robot: robot.clone(),
             epoch: epoch.to_string(),
             since_ms: *since_ms,
@@ -428,7 +429,22 @@ impl ViewContext<'_> {
                 Some(Availability::Holding { .. } | Availability::Free) | None => {}
             }
         }
+        let reports = device_reports(&self.views.knowledge, &self.views.node);
+        for device in self.views.devices.iter() {
+            let report = reports.get(&device.name);
+            let problem = report.map_or_else(|| Some("no node reports it".to_owned()), |report| report.problem(device));
+            inputs.devices.extend(problem.map(|problem| (device.name.clone(), problem)));
+        }
         self.ledger(|ledger| {
+            for (device, ResourceLease { robot, .. }) in ledger.device_leases() {
+                if !alive(&NodeId::from(robot.clone())) {
+                    let problem = format!(
+                        "it waits for {robot}, which is lost and may be inside; once it is not, use \
+                         `consort maintenance {robot}`"
+                    );
+                    inputs.devices.push((device, problem));
+                }
+            }
             inputs.blocking = Blocking::of(ledger);
             inputs.alarms = ledger.alarms().map(|alarm| (alarm.alarm.clone(), alarm.text())).collect();
             for (robot, orders) in ledger.robot_orders().filter(|(robot, _)| ledger.held_by(robot).is_some()) {

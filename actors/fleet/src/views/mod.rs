@@ -45,6 +45,7 @@ use consort_bus::tasks::Tasks;
 use consort_bus::{BusError, Query, SharedBus, Stream};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::api::{ErrorReply, ReadOptions};
+use consort_protocol::devices::Devices;
 use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::{EnsembleId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
@@ -114,6 +115,8 @@ pub(crate) struct Views {
     pub(crate) map: Option<Arc<MapView>>,
     /// Charging by the robots themselves.
     pub(crate) charging: Option<ChargingView>,
+    /// Devices of the building.
+    pub(crate) devices: Arc<Devices>,
     /// Names that people may use in orders.
     pub(crate) declared: DeclarationsView,
     /// Interval of a coordinator's beacons.

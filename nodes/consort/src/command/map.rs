@@ -18,7 +18,8 @@ use std::process::Stdio;
 ///
 /// Reads maps in Consort's own format (YAML, JSON), drawings of diagrams.net by the conventions of
 /// HMR Sim (`.drawio`, `.xml`), buildings of Open-RMF (`.building.yaml`) and layouts in the Layout
-/// Interchange Format of VDMA (`.lif`, `.lif.json`), detected by the file's extension. The same files are accepted wherever a map is configured: `map = "…"` in a fleet or
+/// Interchange Format of VDMA (`.lif`, `.lif.json`), detected by the file's extension. The same
+/// files are accepted wherever a map is configured: `map = "…"` in a fleet or
 /// world file, and `--map`.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\

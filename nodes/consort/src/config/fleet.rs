@@ -2,6 +2,7 @@
 
 use super::alarms::{AlarmConfig, alarm_plans};
 use super::charging::ChargingConfig;
+use super::devices::{DeviceConfig, devices};
 use super::read::{join_normalized, resolve_path};
 use super::{ConfigFile, load, load_unchecked};
 use crate::diagnostic::Diagnostics;
@@ -110,6 +111,9 @@ pub struct FleetConfig {
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(with = "BTreeMap<String, AlarmConfig>")]
     pub alarms: BTreeMap<AlarmId, AlarmConfig>,
+    /// Doors, lifts and other devices of the building, which robots request before they enter. Default: none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub device: Vec<DeviceConfig>,
     /// Ensembles: groups of robots that receive calls for bids. A mission file names those that it
     /// prefers. Default: the ensemble `workers`, of robots with any skill that a mission can use.
     pub ensemble: Vec<EnsembleSpec>,
@@ -243,6 +247,7 @@ impl Default for FleetConfig {
             charging: None,
             zones: BTreeMap::new(),
             alarms: BTreeMap::new(),
+            device: vec![],
             ensemble: vec![],
         }
     }
@@ -427,6 +432,7 @@ impl ConfigFile for FleetConfig {
         validate.extend(self.charging.iter().flat_map(ChargingConfig::validate));
         let with_zones = domain.clone().with_zones(self.zones.clone());
         validate.extend(alarm_plans(&self.alarms, &with_zones).err().into_iter().flatten());
+        validate.extend(devices(&self.device, domain).err().into_iter().flatten());
         let mut compiled = vec![];
         for (index, spec) in self.ensemble.iter().enumerate() {
             if self.ensemble[..index].iter().any(|other| other.name == spec.name) {

@@ -1,5 +1,6 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
+use super::devices::{DeviceDriverConfig, driver_problems};
 use super::node::{common_config, validate_common};
 use super::{ArchiveConfig, BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
 use consort_protocol::ids::NodeId;
@@ -41,6 +42,9 @@ pub struct StationConfig {
     /// Log, metrics and spans.
     #[serde(default)]
     pub telemetry: TelemetryConfig,
+    /// Drivers of doors, lifts and other devices of the building that the station runs. Default: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub device: Vec<DeviceDriverConfig>,
     /// Archive in the data directory. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub archive: Option<ArchiveConfig>,
@@ -59,6 +63,7 @@ impl StationConfig {
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
             telemetry: TelemetryConfig::default(),
+            device: vec![],
             archive: None,
         }
     }
@@ -68,11 +73,13 @@ impl ConfigFile for StationConfig {
     const KIND: &'static str = "station";
 
     fn resolve_paths(&mut self, folder: &Path) {
+        self.device.iter_mut().filter_map(|device| device.driver.as_mut()).for_each(|driver| driver.resolve(folder));
         self.common_mut().resolve_paths(folder);
     }
 
     fn validate(&self, domain: &Domain) -> Vec<String> {
         let mut problems = validate_common(&self.fleet, &self.bus, &self.telemetry, domain);
+        problems.extend(driver_problems(&self.device));
         problems.extend(self.archive.iter().flat_map(ArchiveConfig::validate));
         problems
     }

@@ -65,6 +65,8 @@ fn level(event: &Event) -> Level {
         | EventKind::TaskSkipped { .. }
         | EventKind::ChargerLeased { .. }
         | EventKind::ChargerFreed { .. }
+        | EventKind::DeviceLeased { .. }
+        | EventKind::DeviceFreed { .. }
         | EventKind::Sent { .. }
         | EventKind::Received { .. }
         | EventKind::StaleSignal { .. } => Level::DEBUG,

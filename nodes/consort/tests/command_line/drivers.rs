@@ -40,6 +40,27 @@ fn the_example_driver_passes_every_case() {
     assert!(text.lines().count() <= 80, "the example stays short");
 }
 
+#[test]
+fn the_driver_of_a_door_serves_until_it_is_canceled() {
+    let [domain, driver] = ["../../skills/domains/devices.yaml", "../../examples/door/driver.py"].map(crate_file);
+    let cases = [
+        "hello_is_accepted",
+        "pose_is_reported",
+        "charge_is_reported",
+        "heartbeat_is_answered_during_a_goal",
+        "bad_json_is_reported",
+        "cancel_stops_the_goal",
+        "repeated_cancel_is_ignored",
+        "end_of_input_ends_the_process",
+    ];
+    let mut args = vec!["driver", "check", "--jobs", "4", "--domain", &domain];
+    args.extend(cases.iter().flat_map(|case| ["--case", case]));
+    args.extend(["--", "python3", &driver]);
+    let ran = run(&args);
+    let passed = ran.out.lines().filter(|line| line.starts_with("ok ")).count();
+    assert_eq!((ran.code, passed), (Some(0), cases.len()), "{}{}", ran.out, ran.err);
+}
+
 /// A program that listens on a socket.
 struct Listener(Child);
 

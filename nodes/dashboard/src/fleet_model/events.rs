@@ -90,6 +90,8 @@ impl FleetModel {
             | EventKind::ClosureChanged { .. }
             | EventKind::ChargerLeased { .. }
             | EventKind::ChargerFreed { .. }
+            | EventKind::DeviceLeased { .. }
+            | EventKind::DeviceFreed { .. }
             | EventKind::OccurrenceSubmitted { .. }
             | EventKind::Joined { .. }
             | EventKind::Left { .. }

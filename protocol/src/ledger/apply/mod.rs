@@ -2,7 +2,6 @@
 
 use super::audit_trail::AuditTrail;
 use super::branch::Branch;
-use super::charger_lease::ChargerLease;
 use super::command::{Command, CommandOutcome, ReleaseCause};
 use super::command_error::CommandError;
 use super::entry::{HeldItem, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, later_ms};
@@ -12,6 +11,7 @@ use super::layout::VersionedPart;
 use super::mission_changes::{ChangeCursor, MissionChanges};
 use super::missions::{MissionGroup, Missions};
 use super::order_book::OrderBook;
+use super::resource_lease::{Resource, ResourceLease};
 use super::schedule::ScheduleEntry;
 use super::submission::Submission;
 use crate::auction::{AuctionRecord, RoleEstimate};
@@ -95,8 +95,8 @@ impl Ledger {
             Command::EndOrders { robots } => Ok(self.end_orders(&robots, at)),
             Command::ChangeMission { mission, order } => self.change_mission(&mission, &order),
             Command::CancelMissions { order } => self.cancel_missions(order, at),
-            Command::LeaseCharger { charger, robot, at_ms } => self.lease_charger(charger, robot, at_ms, at),
-            Command::FreeCharger { charger, epoch } => self.free_charger(&charger, epoch),
+            Command::LeaseResource { resource, robot, at_ms } => self.lease_resource(resource, robot, at_ms, at),
+            Command::FreeResource { resource, epoch } => self.free_resource(&resource, epoch),
             Command::RaiseWireVersion { wire, .. } => Ok(self.raise(wire)),
             Command::SetHistoryLimits(limits) => Ok(self.set_history_limits(limits)),
         };
@@ -317,13 +317,13 @@ impl Ledger {
         &mut self.versioned.trail
     }
 
-    /// Returns the leases of chargers.
-    pub fn charger_leases(&self) -> &BTreeMap<PlaceId, ChargerLease> {
-        &self.versioned.chargers
+    /// Returns the leases of chargers and devices.
+    pub fn resource_leases(&self) -> &BTreeMap<Resource, ResourceLease> {
+        &self.versioned.leases
     }
 
-    pub(super) fn charger_leases_mut(&mut self) -> &mut BTreeMap<PlaceId, ChargerLease> {
-        &mut self.versioned.chargers
+    pub(super) fn resource_leases_mut(&mut self) -> &mut BTreeMap<Resource, ResourceLease> {
+        &mut self.versioned.leases
     }
 
     pub(super) fn order_book(&self) -> &OrderBook {

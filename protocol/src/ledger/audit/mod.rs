@@ -240,8 +240,8 @@ fn request_of(command: &Command) -> Option<(Subject, AuditEntry)> {
         | Command::ExpireOrders { .. }
         | Command::EndOrders { .. }
         | Command::CancelMissions { .. }
-        | Command::LeaseCharger { .. }
-        | Command::FreeCharger { .. }
+        | Command::LeaseResource { .. }
+        | Command::FreeResource { .. }
         | Command::SetHistoryLimits(_) => None,
     }
 }

@@ -8,7 +8,7 @@ use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId};
-use consort_protocol::ledger::ChargerLease;
+use consort_protocol::ledger::ResourceLease;
 use consort_skills::actions::{Dock, Goal};
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::BTreeMap;
@@ -121,13 +121,14 @@ impl Invariant for OnePerCharger {
             }
         }
         self.follow_contact(at, &in_contact);
-        let is_claimed = |(charger, lease): &(&PlaceId, &ChargerLease)| {
+        let is_claimed = |(charger, lease): &(&PlaceId, &ResourceLease)| {
             let record = fleet.knowledge_of(lease.robot.as_str(), &NodeId::from(lease.robot.clone()));
             let charging = record.and_then(|record| record.charging);
             let claim = charging.as_ref().and_then(|charging| charging.claim());
             claim.is_some_and(|claim| claim.charger == **charger && claim.lease == Some(lease.epoch.index))
         };
-        let leases = self.reference.ledger.charger_leases().iter().filter(is_claimed);
+        let leases = self.reference.ledger.charger_leases();
+        let leases = leases.iter().filter(is_claimed);
         let claimed = leases.map(|(charger, lease)| (charger.clone(), lease.robot.clone())).collect();
         self.follow_leases(at, claimed);
         Ok(())

@@ -3,6 +3,7 @@
 use super::message::{EndedReport, RobotMessage};
 use super::state::{RobotState, UnconfirmedNotice};
 use crate::robot::charging::ChargeControl;
+use crate::robot::device_access::DeviceAccess;
 use crate::robot::leader_poll::{LeaderPoll, Standing};
 use consort_bus::{Author, Query, reply};
 use consort_protocol::ids::NodeId;
@@ -100,7 +101,7 @@ impl RobotState {
                     self.follow_orders_of(standing, *orders, now);
                     self.refuse_notice(query);
                 }
-                AwardNotice::ChargerLeased { .. } if standing != Standing::Confirmed => self.refuse_notice(query),
+                AwardNotice::Leased { .. } if standing != Standing::Confirmed => self.refuse_notice(query),
                 notice if standing != Standing::Refuted => self.perform_notice(query, notice).await?,
                 _ => self.refuse_notice(query),
             }
@@ -115,19 +116,20 @@ impl RobotState {
     pub(super) fn change_cluster(&mut self, now: NodeTime) {
         self.orders.change_cluster(now);
         self.charging.iter_mut().for_each(ChargeControl::change_cluster);
+        self.devices.iter_mut().for_each(DeviceAccess::change_cluster);
     }
 
     /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.
     pub(super) fn follow_orders(&mut self, orders: OrdersNotice, now: NodeTime) {
         self.orders.receive(orders, now);
-        self.driver.set_map_orders(self.orders.map_orders(now));
+        self.update_map_orders(now);
         self.stop_if_held(now);
     }
 
     /// Follows what keeps the robot from moving, for a node that may be the coordinator.
     fn follow_for_now(&mut self, orders: &OrdersNotice, now: NodeTime) {
         self.orders.receive_unconfirmed(orders, self.settings.lease_terms.lease, now);
-        self.driver.set_map_orders(self.orders.map_orders(now));
+        self.update_map_orders(now);
         self.stop_if_held(now);
     }
 

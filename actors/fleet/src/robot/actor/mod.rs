@@ -7,6 +7,7 @@
 mod alarm;
 mod charging;
 mod coordinator;
+mod devices;
 mod message;
 mod plan;
 mod role;
@@ -19,6 +20,7 @@ use super::bidder::{BidContext, Bidder, PresentWork, lacks_charge, plans_stop};
 use super::charging::ChargeControl;
 use super::checkpoint::Checkpoint;
 use super::checkpoint_storage::CheckpointStorage;
+use super::device_access::DeviceAccess;
 use super::driver_link::DriverLink;
 use super::execution::Execution;
 use super::leader_poll::LeaderCheck;
@@ -87,6 +89,7 @@ impl Actor for Robot {
             driver,
             signals: SignalExchange::new(bus.clone(), keys.clone()),
             charging: settings.charging.clone().map(ChargeControl::new),
+            devices: settings.devices.clone().map(DeviceAccess::new),
             decommission: DecommissionRequests::default(),
             orders: StandingOrders::new(now),
             alarm_drive: AlarmDrive::default(),
@@ -233,7 +236,8 @@ impl RobotState {
         let RobotSettings { robot, links, pricing, .. } = &self.settings;
         let (age_ms, closed_lanes) = (self.driver.telemetry_age_ms(), self.driver.closed_lanes());
         let (worker, readings) = (self.driver.worker(), self.driver.telemetry().map(|report| &report.readings));
-        let (found_closed, closures) = (self.driver.found_closed(), self.orders.closure_texts(now));
+        let (found_closed, mut closures) = (self.driver.found_closed(), self.orders.closure_texts(now));
+        closures.extend(self.devices.iter().flat_map(DeviceAccess::problems));
         let context = BidContext {
             worker,
             closed_lanes,

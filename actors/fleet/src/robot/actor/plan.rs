@@ -5,6 +5,7 @@ use super::state::RobotState;
 use crate::robot::active_plan::{PlanAction, RecoveryEffect, ShortfallEffect, TaskAttempt};
 use crate::robot::alarm_drive::AlarmDestination;
 use crate::robot::charging::ChargeControl;
+use crate::robot::device_access::DeviceAccess;
 use crate::robot::energy_check::EnergyForecast;
 use crate::robot::own_tasks::OwnTask;
 use crate::robot::recovery_policy::AttemptFailure;
@@ -213,9 +214,15 @@ impl RobotState {
         Ok(())
     }
 
-    /// Checks whether people have closed every route of the current task: the robot waits until they open a route.
+    /// Checks whether the robot waits for a device of the building, or whether people or unavailable devices have closed
+    /// every route of the current task: then it waits until a route is open.
     fn waits_for_opening(&self, now: NodeTime) -> bool {
-        let active = self.execution.plan.as_ref().filter(|_| !self.orders.closed(now).is_empty());
+        let devices = self.devices.as_ref();
+        if devices.is_some_and(DeviceAccess::is_waiting) {
+            return true;
+        }
+        let are_closed = devices.is_some_and(|devices| !devices.closed().is_empty());
+        let active = self.execution.plan.as_ref().filter(|_| are_closed || !self.orders.closed(now).is_empty());
         let task = active.and_then(|active| active.sequencer.current_step()).map(|(.., task)| task);
         task.is_some_and(|task| {
             let (estimator, context) = (&self.settings.pricing.estimator, self.driver.estimate_context());

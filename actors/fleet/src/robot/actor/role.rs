@@ -13,6 +13,7 @@ use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, EndReason, Epoch, Event, RoleHolder};
+use consort_protocol::ledger::Resource;
 use consort_protocol::message::{AwardNotice, FailureKind, ReportReply};
 use consort_protocol::mission::TaskOutcomes;
 use consort_protocol::plan::{Signal, StepIndex};
@@ -35,12 +36,12 @@ impl RobotState {
     /// Performs a notice of the coordinator.
     pub(super) async fn perform_notice(&mut self, query: Query, notice: AwardNotice) -> Result<(), ActorProcessingErr> {
         let now = self.now();
-        let (mut give_way, mut returned, mut orders, mut charger) = (None, None, None, None);
+        let (mut give_way, mut returned, mut orders, mut leased) = (None, None, None, None);
         match &notice {
             AwardNotice::GiveWay { epoch, to, for_now } => give_way = Some((*epoch, to.clone(), *for_now)),
             AwardNotice::Orders(latest) => orders = Some(latest.clone()),
             AwardNotice::Return { epoch, repeat, cause } => returned = Some((*epoch, *repeat, cause.clone())),
-            AwardNotice::ChargerLeased { charger: leased, epoch } => charger = Some((leased.clone(), epoch.index)),
+            AwardNotice::Leased { resource, epoch } => leased = Some((resource.clone(), epoch.index)),
             AwardNotice::Awarded(_) | AwardNotice::Revoked { .. } => {}
         }
         let (reply, event) = self.lease.answer(notice, self.decommission.is_leaving());
@@ -56,8 +57,10 @@ impl RobotState {
             self.follow_orders(*orders, now);
             self.perform_actions(vec![]).await?;
         }
-        if let Some((charger, lease)) = charger {
-            self.receive_charger_lease(charger, lease, now);
+        match leased {
+            Some((Resource::Charger(charger), lease)) => self.receive_charger_lease(charger, lease, now),
+            Some((Resource::Device(device), lease)) => self.receive_device_lease(&device, lease, now),
+            None => {}
         }
         match event {
             Some(event) => self.handle_lease_event(event, now).await,

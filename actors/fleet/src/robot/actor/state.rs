@@ -6,6 +6,7 @@ use crate::robot::alarm_drive::AlarmDrive;
 use crate::robot::charging::ChargeControl;
 use crate::robot::checkpoint_storage::{CheckpointStorage, CheckpointWrite};
 use crate::robot::checkpoint_writer::PendingOutput;
+use crate::robot::device_access::DeviceAccess;
 use crate::robot::driver_link::DriverLink;
 use crate::robot::execution::Execution;
 use crate::robot::leader_poll::LeaderCheck;
@@ -46,6 +47,8 @@ pub(crate) struct RobotState {
     pub(super) driver: DriverLink,
     pub(super) signals: SignalExchange,
     pub(super) charging: Option<ChargeControl>,
+    /// Access to devices of the building; `None` if the fleet has none.
+    pub(super) devices: Option<DeviceAccess>,
     pub(super) decommission: DecommissionRequests,
     pub(super) orders: StandingOrders,
     pub(super) alarm_drive: AlarmDrive,
@@ -156,7 +159,8 @@ impl RobotState {
         }
         let charging = self.charging.as_ref().and_then(ChargeControl::published);
         let limits = self.driver.speed_limits();
-        self.driver.set_map_orders(self.orders.map_orders(now));
+        self.follow_devices(now);
+        self.update_map_orders(now);
         let publication = self.driver.sense(holding, problem, charging, now);
         if self.driver.speed_limits() != limits {
             self.extend_timers();

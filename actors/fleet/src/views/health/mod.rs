@@ -1,7 +1,7 @@
 //! Health of a fleet: findings with a severity and a text.
 
 use consort_protocol::auction::{BidVerdict, RefusalReason};
-use consort_protocol::ids::{AlarmId, ClusterId, MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{AlarmId, ClusterId, DeviceId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, PersonRequestId};
 use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
 use consort_text::count;
@@ -29,6 +29,8 @@ pub(super) struct HealthInputs {
     pub(super) out_of_service: Vec<(NodeId, String)>,
     /// Robots with roles that people hold, with the order.
     pub(super) held: Vec<(RobotId, String)>,
+    /// Devices of the building that no robot can use, with the problem.
+    pub(super) devices: Vec<(DeviceId, String)>,
     /// Robots suspended by an expired lease, with role and mission.
     pub(super) suspended: Vec<(NodeId, String)>,
     /// Missions that need intervention by a person, with the cause.
@@ -166,6 +168,10 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
     for (robot, role) in &inputs.suspended {
         let text = format!("{robot} is suspended as {role}: its lease expired");
         add(HealthLevel::Warning, "robot", Some(robot.as_str()), text);
+    }
+    for (device, problem) in &inputs.devices {
+        let text = format!("{device} is unavailable: {problem}");
+        add(HealthLevel::Warning, "device", Some(device.as_str()), text);
     }
     for (mission, blocking) in &inputs.blocking {
         add(HealthLevel::Warning, "mission", Some(mission.as_str()), blocking.text(mission));

@@ -8,7 +8,7 @@ use consort_protocol::chargers::{ChargerAction, ChargerLeases, ChargerUser};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::{ChargerClaim, Charging};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Command, Ledger};
+use consort_protocol::ledger::{Command, Ledger, Resource};
 use consort_protocol::units::{BatteryShare, NodeTime};
 use consort_protocol::versions::VersionRange;
 use proptest::collection::vec;
@@ -181,12 +181,14 @@ impl SimulatedCoordinator {
             self.session = ChargerLeases::default();
             return;
         }
-        for action in self.session.due(self.ledger.charger_leases(), users, now) {
+        for action in self.session.due(&self.ledger.charger_leases(), users, now) {
             match action {
                 ChargerAction::Lease { charger, robot } => {
-                    self.apply(Command::LeaseCharger { charger, robot, at_ms: 0 });
+                    self.apply(Command::LeaseResource { resource: Resource::Charger(charger), robot, at_ms: 0 });
                 }
-                ChargerAction::Free { charger, epoch, .. } => self.apply(Command::FreeCharger { charger, epoch }),
+                ChargerAction::Free { charger, epoch, .. } => {
+                    self.apply(Command::FreeResource { resource: Resource::Charger(charger), epoch });
+                }
                 ChargerAction::Notify { charger, robot, epoch } => {
                     self.notices.push((number + round.delay, robot, LeaseOffer { charger, lease: epoch.index }));
                 }

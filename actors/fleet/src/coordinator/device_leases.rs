@@ -1,0 +1,84 @@
+//! Leases of devices during a session: the coordinator proposes their grants and ends, publishes them once they are
+//! committed, and notifies the robots.
+
+use super::session_context::SessionContext;
+use crate::device_reports::device_reports;
+use consort_gossip::SharedKnowledge;
+use consort_protocol::devices::{DeviceAction, DeviceLeases, DeviceUser};
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::knowledge::DeviceClaims;
+use consort_protocol::ledger::{Command, Ledger, Resource};
+use consort_protocol::message::AwardNotice;
+use consort_protocol::units::NodeTime;
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// Interval at which the records of the robots are compared with the leases. Raised: a device is leased later.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Leases of devices during a session.
+#[derive(Default)]
+pub(super) struct DeviceDelivery {
+    leases: DeviceLeases,
+    /// Time of the latest comparison.
+    checked_at: Option<NodeTime>,
+}
+
+impl DeviceDelivery {
+    /// Performs what is due. `confirmed_ms` is the time of day that a majority of the voters confirms, in milliseconds
+    /// since 1970.
+    pub(super) fn follow(&mut self, context: &mut SessionContext, now: NodeTime, confirmed_ms: Option<u64>) {
+        if self.checked_at.is_some_and(|at| now.since(at) < CHECK_INTERVAL) {
+            return;
+        }
+        self.checked_at = Some(now);
+        let read = |ledger: &Ledger| ledger.leases_resources().then(|| ledger.device_leases());
+        let Some(leases) = context.read_ledger(read) else { return };
+        let parts = &context.settings.parts;
+        let mut robots = device_users(&parts.knowledge, &parts.node);
+        if leases.is_empty() && robots.iter().all(|user| user.claims.is_empty()) {
+            return;
+        }
+        let reports = device_reports(&parts.knowledge, &parts.node);
+        context.read_ledger(|ledger| {
+            let removed: BTreeSet<&RobotId> = ledger
+                .robot_orders()
+                .filter(|(_, orders)| orders.maintenance.is_some())
+                .map(|(robot, _)| robot)
+                .collect();
+            robots.iter_mut().for_each(|user| user.is_in_maintenance = removed.contains(&user.robot));
+        });
+        for action in self.leases.due(&leases, &robots, &reports, now) {
+            match action {
+                DeviceAction::Notify { device, robot, epoch } => {
+                    context.notify(robot, &AwardNotice::Leased { resource: Resource::Device(device), epoch });
+                }
+                DeviceAction::Lease { .. } if !context.read_ledger(Ledger::has_room_for_lease) => {}
+                DeviceAction::Lease { device, robot } => {
+                    let event = EventKind::DeviceLeased { device: device.clone(), robot: robot.clone() };
+                    let (resource, at_ms) = (Resource::Device(device), confirmed_ms.unwrap_or(0));
+                    context.propose_lease_change(Command::LeaseResource { resource, robot, at_ms }, event);
+                }
+                DeviceAction::Free { device, robot, epoch, cause } => {
+                    let event = EventKind::DeviceFreed { device: device.clone(), robot, cause: cause.to_string() };
+                    let resource = Resource::Device(device);
+                    context.propose_lease_change(Command::FreeResource { resource, epoch }, event);
+                }
+            }
+        }
+    }
+}
+
+/// Returns all robots with a known record. `own` is the node that asks, which is up.
+fn device_users(knowledge: &SharedKnowledge, own: &NodeId) -> Vec<DeviceUser> {
+    let users: Vec<(NodeId, DeviceClaims)> = knowledge.read(|base| {
+        let robots = base.iter().filter(|(_, known)| known.record.knowledge.robot.is_some());
+        robots.map(|(node, known)| (node.clone(), known.record.knowledge.devices.claims.clone())).collect()
+    });
+    let user = |(node, claims): (NodeId, DeviceClaims)| {
+        let is_alive = node == *own || knowledge.is_alive(&node);
+        DeviceUser { robot: RobotId::from(node), claims, is_alive, is_in_maintenance: false }
+    };
+    users.into_iter().map(user).collect()
+}

@@ -1,0 +1,98 @@
+//! The node of a device: it runs the driver, serves the robots that have leases, and reports the state of the device in
+//! its record. The decisions are in `control`.
+
+mod control;
+
+use consort_bus::clock::Clock;
+use consort_gossip::{GossipHandle, SharedKnowledge};
+use consort_protocol::devices::Device;
+use consort_protocol::ids::{DeviceId, RobotId};
+use consort_protocol::knowledge::DeviceReport;
+use consort_protocol::ledger::Ledger;
+use consort_protocol::units::WorldTime;
+use consort_raft::Replica;
+use consort_skills::actions::RobotBackend;
+use control::{DeviceControl, HostAction, HostInput, Served};
+use std::time::Duration;
+use tracing::{debug, info};
+
+/// Interval of the steps. Raised: robots wait longer at devices.
+const STEP_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Time for which the driver may serve after each step: some intervals.
+const PERMISSION: Duration = Duration::from_secs(3);
+
+/// A device whose driver runs at this node.
+pub(crate) struct DeviceHost {
+    pub(crate) device: Device,
+    /// Driver, which knows the device by its name as a robot.
+    pub(crate) driver: Box<dyn RobotBackend>,
+    pub(crate) clock: Clock,
+    pub(crate) gossip: GossipHandle,
+    pub(crate) knowledge: SharedKnowledge,
+    /// The node's copy of the ledger, if any: it contains the alarms.
+    pub(crate) replica: Option<Replica<Ledger>>,
+    /// First goal id, different for each incarnation of the node.
+    pub(crate) first_goal: u64,
+}
+
+impl DeviceHost {
+    /// Serves the device until gossip stops.
+    pub(crate) async fn run(self) {
+        let DeviceHost { device, mut driver, clock, gossip, knowledge, replica, first_goal } = self;
+        let (name, started) = (device.name.clone(), clock.now());
+        let Ok(robot) = RobotId::new(name.as_str()) else { return };
+        let mut control = DeviceControl::new(device, first_goal);
+        let mut published: Option<DeviceReport> = None;
+        loop {
+            let now = clock.now();
+            driver.advance(WorldTime::from_secs(now.since(started).as_secs_f64()));
+            let in_force = replica.as_ref().map(|replica| replica.read(|ledger| lease_in_force(ledger, &name)));
+            let input = HostInput {
+                claim: latest_claim(&knowledge, &name, in_force),
+                is_alarm: replica
+                    .as_ref()
+                    .is_some_and(|replica| replica.read(|ledger| ledger.alarms().next().is_some())),
+                responds: driver.telemetry(&robot).is_some(),
+                status: control.goal().and_then(|goal| driver.status(&robot, goal)),
+            };
+            let (actions, report) = control.step(&input, now);
+            for action in actions {
+                debug!(device = %name, ?action, "driver of a device");
+                match action {
+                    HostAction::Start(id, goal) => {
+                        driver.permit(&robot, id, PERMISSION);
+                        driver.start(&robot, id, goal);
+                    }
+                    HostAction::Permit(id) => driver.permit(&robot, id, PERMISSION),
+                    HostAction::Cancel(id) => driver.cancel(&robot, id),
+                }
+            }
+            if published.as_ref() != Some(&report) {
+                info!(device = %name, state = ?report.state, "device");
+                published = Some(report.clone());
+                let device = name.clone();
+                let publish = gossip.update_with(move |knowledge| _ = knowledge.devices.reports.insert(device, report));
+                if publish.is_err() {
+                    return;
+                }
+            }
+            tokio::time::sleep(STEP_INTERVAL).await;
+        }
+    }
+}
+
+/// Returns the lease of a device in the ledger, by its position in the log.
+fn lease_in_force(ledger: &Ledger, device: &DeviceId) -> Option<u64> {
+    ledger.device_leases().get(device).map(|lease| lease.epoch.index)
+}
+
+/// Returns the latest lease of a device that a robot claims, with the place; of a node with a copy of the ledger, only the
+/// lease in force. A robot that is down may be inside, so its last claim counts.
+fn latest_claim(knowledge: &SharedKnowledge, device: &DeviceId, in_force: Option<Option<u64>>) -> Option<Served> {
+    knowledge.read(|base| {
+        let claims = base.iter().filter_map(|(_, known)| known.record.knowledge.devices.claims.get(device));
+        let leased = claims.filter_map(|claim| Some((claim.lease?, claim.place.clone())));
+        leased.filter(|(lease, _)| in_force.is_none_or(|in_force| in_force == Some(*lease))).max()
+    })
+}

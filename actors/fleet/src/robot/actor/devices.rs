@@ -1,0 +1,67 @@
+//! The robot actor follows the devices of the building: it publishes its claims, and lets its skills enter.
+
+use super::state::RobotState;
+use crate::device_reports::device_reports;
+use crate::robot::device_access::{AccessSituation, DeviceAccess};
+use consort_protocol::ids::{DeviceId, NodeId};
+use consort_protocol::units::NodeTime;
+use consort_skills::environment::Routes;
+use tracing::debug;
+
+/// Greatest distance from a place at which the robot stands there, in metres: Nav2's default goal tolerance.
+const AT_PLACE_M: f64 = 0.25;
+
+impl RobotState {
+    /// Sets the orders of people about the map, and the lanes of devices that no robot can use.
+    pub(super) fn update_map_orders(&mut self, now: NodeTime) {
+        let mut orders = self.orders.map_orders(now);
+        orders.closed.extend(self.devices.iter().flat_map(DeviceAccess::closed).cloned());
+        self.driver.set_map_orders(orders);
+    }
+
+    /// Decides which devices the robot claims, and whether it may enter.
+    pub(super) fn follow_devices(&mut self, now: NodeTime) {
+        let has_coordinator = self.lease.has_coordinator(now);
+        let Some(access) = &mut self.devices else { return };
+        let Some(report) = self.driver.telemetry() else { return };
+        let links = &self.settings.links;
+        let routes = self.settings.pricing.estimator.environment().find::<Routes>();
+        let pose = routes.and_then(|routes| routes.pose(&report.place));
+        let is_near = pose.is_none_or(|pose| pose.distance(report.pose).get() <= AT_PLACE_M);
+        let reports = device_reports(&links.knowledge, &NodeId::from(self.settings.robot.clone()));
+        let requested = self.driver.ways().requested(now);
+        let before = access.claims().clone();
+        let granted = access.decide(&AccessSituation {
+            place: &report.place,
+            is_at_place: is_near && self.driver.activity().is_idle,
+            requested: requested.as_ref(),
+            reports: &reports,
+            has_coordinator,
+            now,
+        });
+        self.driver.ways().grant(granted);
+        if *access.claims() != before {
+            self.publish_claims();
+        }
+    }
+
+    /// Receives the lease of a device, by its position in the log.
+    pub(super) fn receive_device_lease(&mut self, device: &DeviceId, lease: u64, now: NodeTime) {
+        let Some(access) = &mut self.devices else { return };
+        let before = access.claims().clone();
+        access.receive_lease(device, lease);
+        if *access.claims() != before {
+            self.publish_claims();
+        }
+        self.follow_devices(now);
+    }
+
+    fn publish_claims(&self) {
+        let Some(access) = &self.devices else { return };
+        let claims = access.claims().clone();
+        debug!(robot = %self.settings.robot, ?claims, "claims of devices change");
+        if self.settings.links.gossip.update_with(move |knowledge| knowledge.devices.claims = claims).is_err() {
+            debug!(robot = %self.settings.robot, "gossip has stopped");
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! Leases of devices: what the coordinator grants and ends, by the records of the robots.
+//!
+//! Robots get devices in the order in which they ask. A robot that needs several, as a door and a lift behind it, gets
+//! them all at once, so no two robots wait for each other.
+
+use super::DeviceReports;
+use crate::chargers::{ANSWER_MAX, EndOfLease, GONE_MAX, REPEAT_INTERVAL, is_due};
+use crate::ids::{DeviceId, RobotId};
+use crate::knowledge::DeviceClaims;
+use crate::lease::Epoch;
+use crate::ledger::ResourceLease;
+use crate::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// Time for which the record of a robot must lack the claim before its lease ends. Raised: others wait longer. The first
+/// record of a robot whose node has restarted lacks the claim.
+const GIVEN_BACK_AFTER: Duration = Duration::from_secs(2);
+
+/// A robot, as known from its record.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeviceUser {
+    /// The robot.
+    pub robot: RobotId,
+    /// Devices that it needs, with the leases that it has received.
+    pub claims: DeviceClaims,
+    /// False for a robot that is down.
+    pub is_alive: bool,
+    /// True if people have taken the robot out of service.
+    pub is_in_maintenance: bool,
+}
+
+/// Action of the coordinator.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DeviceAction {
+    /// Lease the device to the robot.
+    Lease {
+        /// The device.
+        device: DeviceId,
+        /// The robot.
+        robot: RobotId,
+    },
+    /// Notify the robot of its lease.
+    Notify {
+        /// The device.
+        device: DeviceId,
+        /// The robot.
+        robot: RobotId,
+        /// Position of the grant.
+        epoch: Epoch,
+    },
+    /// End the lease.
+    Free {
+        /// The device.
+        device: DeviceId,
+        /// The robot.
+        robot: RobotId,
+        /// Position of the grant.
+        epoch: Epoch,
+        /// Cause.
+        cause: EndOfLease,
+    },
+}
+
+/// The leases of devices, as a coordinator follows them.
+#[derive(Debug, Default)]
+pub struct DeviceLeases {
+    followed: BTreeMap<Epoch, FollowedLease>,
+    /// Robots of the proposed leases, and the times of the proposals.
+    proposed: BTreeMap<DeviceId, (RobotId, NodeTime)>,
+    /// Robots with claims, and since when this coordinator knows them.
+    waiting: BTreeMap<RobotId, NodeTime>,
+}
+
+#[derive(Debug)]
+struct FollowedLease {
+    since: NodeTime,
+    gone_since: Option<NodeTime>,
+    unclaimed_since: Option<NodeTime>,
+    notified_at: Option<NodeTime>,
+    ended_at: Option<NodeTime>,
+}
+
+/// What a lease needs.
+enum LeaseStep {
+    Notify,
+    End(EndOfLease),
+}
+
+impl DeviceLeases {
+    /// Returns the actions that are due. `leases` are those of the ledger, `robots` all robots with a record, and
+    /// `reports` those of the devices.
+    pub fn due(
+        &mut self,
+        leases: &BTreeMap<DeviceId, ResourceLease>,
+        robots: &[DeviceUser],
+        reports: &DeviceReports,
+        now: NodeTime,
+    ) -> Vec<DeviceAction> {
+        let in_force: BTreeSet<Epoch> = leases.values().map(|lease| lease.epoch).collect();
+        self.followed.retain(|epoch, _| in_force.contains(epoch));
+        self.proposed.retain(|device, (_, at)| !leases.contains_key(device) && now.since(*at) < REPEAT_INTERVAL);
+        let users: BTreeMap<&RobotId, &DeviceUser> = robots.iter().map(|user| (&user.robot, user)).collect();
+        let mut actions = vec![];
+        for (device, lease) in leases {
+            let (device, robot, epoch) = (device.clone(), lease.robot.clone(), lease.epoch);
+            let followed = self.followed.entry(epoch).or_insert_with(|| FollowedLease::new(now));
+            let user = users.get(&robot).copied();
+            // A device without a report may have opened for the robot.
+            let is_served = reports.get(&device).is_none_or(|report| report.lease == Some(epoch.index));
+            match followed.follow(&device, epoch, user, is_served, now) {
+                None => {}
+                Some(LeaseStep::Notify) => actions.push(DeviceAction::Notify { device, robot, epoch }),
+                Some(LeaseStep::End(cause)) => actions.push(DeviceAction::Free { device, robot, epoch, cause }),
+            }
+        }
+        actions.extend(self.grant(leases, robots, now));
+        actions
+    }
+
+    /// Leases the free devices, in the order in which the robots have asked.
+    fn grant(
+        &mut self,
+        leases: &BTreeMap<DeviceId, ResourceLease>,
+        robots: &[DeviceUser],
+        now: NodeTime,
+    ) -> Vec<DeviceAction> {
+        let asks = |user: &&DeviceUser| user.is_alive && !user.claims.is_empty();
+        let asking: BTreeSet<&RobotId> = robots.iter().filter(asks).map(|user| &user.robot).collect();
+        self.waiting.retain(|robot, _| asking.contains(robot));
+        for robot in asking {
+            self.waiting.entry(robot.clone()).or_insert(now);
+        }
+        let mut order: Vec<&DeviceUser> = robots.iter().filter(asks).collect();
+        order.sort_by_key(|user| (self.waiting.get(&user.robot).copied(), user.robot.clone()));
+        let mut taken: BTreeMap<DeviceId, RobotId> =
+            leases.iter().map(|(device, lease)| (device.clone(), lease.robot.clone())).collect();
+        taken.extend(self.proposed.iter().map(|(device, (robot, _))| (device.clone(), robot.clone())));
+        let mut actions = vec![];
+        for DeviceUser { robot, claims, .. } in order {
+            let is_free = |device: &&DeviceId| taken.get(*device).is_none_or(|user| user == robot);
+            let missing: Vec<DeviceId> = claims.keys().filter(|device| !taken.contains_key(*device)).cloned().collect();
+            if !claims.keys().all(|device| is_free(&device)) {
+                continue;
+            }
+            for device in missing {
+                taken.insert(device.clone(), robot.clone());
+                self.proposed.insert(device.clone(), (robot.clone(), now));
+                actions.push(DeviceAction::Lease { device, robot: robot.clone() });
+            }
+        }
+        actions
+    }
+}
+
+impl FollowedLease {
+    fn new(now: NodeTime) -> FollowedLease {
+        FollowedLease { since: now, gone_since: None, unclaimed_since: None, notified_at: None, ended_at: None }
+    }
+
+    /// Follows the record of the robot. A lost robot that may be inside keeps its lease until it returns, or until a
+    /// person takes it out of service.
+    fn follow(
+        &mut self,
+        device: &DeviceId,
+        epoch: Epoch,
+        user: Option<&DeviceUser>,
+        is_served: bool,
+        now: NodeTime,
+    ) -> Option<LeaseStep> {
+        let Some(user) = user.filter(|user| user.is_alive) else {
+            let since = *self.gone_since.get_or_insert(now);
+            let may_be_inside = is_served && !user.is_some_and(|user| user.is_in_maintenance);
+            return if now.since(since) >= GONE_MAX && !may_be_inside { self.end(EndOfLease::Gone, now) } else { None };
+        };
+        self.gone_since = None;
+        match user.claims.get(device) {
+            None => {
+                let since = *self.unclaimed_since.get_or_insert(now);
+                if now.since(since) >= GIVEN_BACK_AFTER { self.end(EndOfLease::Done, now) } else { None }
+            }
+            Some(claim) if claim.lease == Some(epoch.index) => {
+                (self.unclaimed_since, self.since) = (None, now);
+                None
+            }
+            Some(_) if now.since(self.since) >= ANSWER_MAX => self.end(EndOfLease::NoAnswer, now),
+            Some(_) => {
+                self.unclaimed_since = None;
+                is_due(&mut self.notified_at, now).then_some(LeaseStep::Notify)
+            }
+        }
+    }
+
+    fn end(&mut self, cause: EndOfLease, now: NodeTime) -> Option<LeaseStep> {
+        is_due(&mut self.ended_at, now).then_some(LeaseStep::End(cause))
+    }
+}

@@ -1,0 +1,142 @@
+use super::*;
+use crate::chargers::EndOfLease;
+use crate::ids::RobotId;
+use crate::knowledge::{DeviceClaim, DeviceReport, DeviceState};
+use crate::lease::Epoch;
+use crate::ledger::ResourceLease;
+use crate::units::NodeTime;
+
+fn at(ms: u64) -> NodeTime {
+    NodeTime::at(Duration::from_millis(ms))
+}
+
+fn device(name: &str) -> DeviceId {
+    name.parse().unwrap()
+}
+
+fn robot(name: &str) -> RobotId {
+    name.parse().unwrap()
+}
+
+fn user(name: &str, claims: &[(&str, Option<u64>)]) -> DeviceUser {
+    let claim = |lease: Option<u64>| DeviceClaim { lease, place: None };
+    let claims = claims.iter().map(|(name, lease)| (device(name), claim(*lease))).collect();
+    DeviceUser { robot: robot(name), claims, is_alive: true, is_in_maintenance: false }
+}
+
+fn leased(leases: &[(&str, &str, u64)]) -> BTreeMap<DeviceId, ResourceLease> {
+    let lease = |(name, to, index): &(&str, &str, u64)| {
+        (device(name), ResourceLease { robot: robot(to), epoch: Epoch { term: 1, index: *index }, since_ms: 0 })
+    };
+    leases.iter().map(lease).collect()
+}
+
+fn grant(name: &str, to: &str) -> DeviceAction {
+    DeviceAction::Lease { device: device(name), robot: robot(to) }
+}
+
+fn lift() -> Device {
+    let [low, high] = ["L0", "L1"].map(|name| name.parse::<PlaceId>().unwrap());
+    Device {
+        name: device("lift"),
+        kind: DeviceKind::Lift,
+        lanes: BTreeSet::new(),
+        places: [low, high].into(),
+        silent_after: Duration::from_secs(10),
+        in_alarm: AlarmPosition::OutOfUse,
+    }
+}
+
+#[test]
+fn robots_get_all_devices_that_they_need_in_the_order_of_their_claims() {
+    let mut leases = DeviceLeases::default();
+    let (none, served) = (BTreeMap::new(), DeviceReports::new());
+    let (ada, bob) = (user("ada", &[("door", None)]), user("bob", &[("door", None), ("lift", None)]));
+    assert_eq!(
+        leases.due(&none, std::slice::from_ref(&bob), &served, at(0)),
+        [grant("door", "bob"), grant("lift", "bob")]
+    );
+    let mut leases = DeviceLeases::default();
+    let cleo = leased(&[("lift", "cleo", 5)]);
+    let holder = user("cleo", &[("lift", Some(5))]);
+    assert_eq!(leases.due(&cleo, &[bob.clone(), holder.clone()], &served, at(0)), [], "bob needs both");
+    assert_eq!(leases.due(&cleo, &[ada, bob.clone(), holder], &served, at(100)), [grant("door", "ada")]);
+}
+
+#[test]
+fn a_lease_is_notified_until_the_claim_has_it_and_ends_with_the_claim() {
+    let mut leases = DeviceLeases::default();
+    let (own, served) = (leased(&[("lift", "ada", 5)]), DeviceReports::new());
+    let notify =
+        DeviceAction::Notify { device: device("lift"), robot: robot("ada"), epoch: Epoch { term: 1, index: 5 } };
+    assert_eq!(leases.due(&own, &[user("ada", &[("lift", None)])], &served, at(0)), [notify]);
+    assert_eq!(leases.due(&own, &[user("ada", &[("lift", Some(5))])], &served, at(900)), []);
+    assert_eq!(leases.due(&own, &[user("ada", &[])], &served, at(1_000)), [], "its node may have restarted");
+    assert_eq!(
+        leases.due(&own, &[user("ada", &[("lift", None)])], &served, at(2_000)).len(),
+        1,
+        "it is notified again"
+    );
+    assert_eq!(leases.due(&own, &[user("ada", &[])], &served, at(2_100)), []);
+    let ended = leases.due(&own, &[user("ada", &[])], &served, at(4_100));
+    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::Done, .. }]), "{ended:?}");
+}
+
+#[test]
+fn a_lost_robot_that_may_be_inside_keeps_its_lease() {
+    let own = leased(&[("lift", "ada", 5)]);
+    let lost = DeviceUser { is_alive: false, ..user("ada", &[("lift", Some(5))]) };
+    let end_of = |lease: Option<u64>, lost: &DeviceUser| {
+        let report = DeviceReport { state: DeviceState::Ready, lease, place: None };
+        let served = DeviceReports::from([(device("lift"), report)]);
+        let mut leases = DeviceLeases::default();
+        leases.due(&own, std::slice::from_ref(lost), &served, at(0));
+        leases.due(&own, std::slice::from_ref(lost), &served, at(60_000))
+    };
+    assert_eq!(end_of(Some(5), &lost), []);
+    let removed = DeviceUser { is_in_maintenance: true, ..lost.clone() };
+    for ended in [end_of(Some(5), &removed), end_of(None, &lost)] {
+        assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::Gone, .. }]), "{ended:?}");
+    }
+}
+
+#[test]
+fn a_device_admits_the_robot_whose_claim_it_confirms() {
+    let lift = lift();
+    let place = |name: &str| name.parse::<PlaceId>().unwrap();
+    for (from, to, guarded) in [("Hall", "L0", true), ("L0", "L1", true), ("L1", "Ward", true), ("Hall", "Ward", false)]
+    {
+        assert_eq!(lift.guards(&place(from), &place(to)), guarded, "{from} {to}");
+    }
+    let at = |lease, name: &str| DeviceClaim { lease, place: Some(place(name)) };
+    let report = |state| DeviceReport { state, lease: Some(5), place: Some(place("L0")) };
+    assert!(report(DeviceState::Ready).admits(&lift, &at(Some(5), "L0")));
+    for (state, claim) in [
+        (DeviceState::Ready, at(Some(4), "L0")),
+        (DeviceState::Ready, at(Some(5), "L1")),
+        (DeviceState::Preparing, at(Some(5), "L0")),
+        (DeviceState::Alarm, DeviceClaim::default()),
+    ] {
+        assert!(!report(state).admits(&lift, &claim), "{state:?} {claim:?}");
+    }
+    assert_eq!(lift.place_for(&place("L0"), &place("L1")), Some(place("L1")), "it opens at the destination");
+    assert_eq!(lift.place_for(&place("L1"), &place("Ward")), Some(place("L1")));
+    let open = Device { in_alarm: AlarmPosition::Open, ..lift };
+    assert!(report(DeviceState::Alarm).admits(&open, &DeviceClaim::default()));
+}
+
+#[test]
+fn a_device_that_no_node_reports_is_unavailable_after_a_while() {
+    let devices = Devices::new([lift()]);
+    let mut watch = DeviceWatch::default();
+    let mut problems = |reports: &DeviceReports, ms: u64| -> Vec<String> {
+        watch.unavailable(&devices, reports, at(ms)).into_iter().map(|(_, problem)| problem).collect()
+    };
+    let report = |state| DeviceReports::from([(device("lift"), DeviceReport { state, lease: None, place: None })]);
+    assert!(problems(&DeviceReports::new(), 0).is_empty() && problems(&DeviceReports::new(), 9_999).is_empty());
+    assert_eq!(problems(&DeviceReports::new(), 10_000), ["no node reports it"]);
+    assert!(problems(&report(DeviceState::Idle), 10_100).is_empty());
+    assert!(problems(&DeviceReports::new(), 10_200).is_empty(), "from now on");
+    assert_eq!(problems(&report(DeviceState::Silent), 10_300), ["it does not confirm"]);
+    assert_eq!(problems(&report(DeviceState::Alarm), 10_400), ["there is an alarm"]);
+}
