@@ -1,0 +1,344 @@
+//! The driver: performs the commands of the state machine, and passes events on to it.
+
+use crate::catalog::GoalError;
+use crate::file::VehicleSettings;
+use crate::lines::{Input, NodeLine, Output, permission, read_input};
+use crate::mqtt::{BrokerEvent, Publisher, connect};
+use consort_vda5050_core::{
+    Command, Event, GoalStatus, Malformed, OrderMachine, Position, Topic, instant_actions, read_connection,
+    read_factsheet, read_state, read_visualization,
+};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant, SystemTime};
+use time::format_description::well_known::Rfc3339;
+use time::{OffsetDateTime, UtcOffset};
+use tokio::time::{MissedTickBehavior, interval};
+use tracing::{info, warn};
+
+/// Interval of the clock of the state machine.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Interval of reports to the node.
+const REPORT_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Time for the vehicle to confirm that it stops when the driver ends. The node kills the process after 3 s.
+const STOP_LIMIT: Duration = Duration::from_millis(2_500);
+
+/// Number of refused messages of each topic that are logged.
+const REFUSALS_LOGGED: u64 = 5;
+
+/// Runs the driver on the standard streams until its input ends.
+pub async fn run(settings: VehicleSettings) {
+    let mut driver = Driver::new(&settings);
+    let mut input = read_input();
+    let (publisher, mut broker) = connect(&settings.broker, &settings.vehicle, &driver.client_id());
+    driver.output.send(
+        "hello",
+        json!({
+            "protocol": 1, "driver": format!("consort-vda5050 {}, VDA 5050 {}, {}", env!("CARGO_PKG_VERSION"), settings.vehicle.version(), settings.vehicle),
+            "actions": settings.catalog.offered(), "resumes": true,
+        }),
+    );
+    let mut ticks = interval(TICK);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut stop_by = None;
+    loop {
+        let commands = tokio::select! {
+            Some(message) = input.recv() => match driver.read(message) {
+                Received::Event(event) => driver.step(event),
+                Received::Nothing => continue,
+                Received::End => {
+                    stop_by.get_or_insert(Instant::now() + STOP_LIMIT);
+                    driver.step(Event::Shutdown)
+                }
+            },
+            Some(event) = broker.recv() => match driver.receive(event) {
+                Some(event) => driver.step(event),
+                None => continue,
+            },
+            _ = ticks.tick() => driver.step(Event::Tick),
+        };
+        driver.perform(commands, &publisher);
+        driver.report();
+        if let Some(limit) = stop_by
+            && (driver.machine.is_at_rest() || Instant::now() >= limit)
+        {
+            break;
+        }
+    }
+    publisher.close();
+    // Gives the writer and the connection the time to end.
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    info!(refused = ?driver.refused, "the driver has ended");
+}
+
+enum Received {
+    Event(Event),
+    Nothing,
+    End,
+}
+
+struct Driver<'a> {
+    settings: &'a VehicleSettings,
+    machine: OrderMachine,
+    output: Output,
+    started: Instant,
+    session: u64,
+    is_broker_up: bool,
+    /// Numbers of messages, by topic.
+    sent: BTreeMap<Topic, u64>,
+    /// Numbers of refused messages, by topic.
+    refused: BTreeMap<&'static str, u64>,
+    /// The action of the goal in progress.
+    action: Option<String>,
+    position: Option<Position>,
+    reported_at: Option<Instant>,
+    has_news: bool,
+}
+
+impl<'a> Driver<'a> {
+    fn new(settings: &'a VehicleSettings) -> Driver<'a> {
+        let since_1970 = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
+        let session = u64::try_from(since_1970.as_millis()).unwrap_or_default();
+        Driver {
+            settings,
+            machine: OrderMachine::new(settings.machine(session)),
+            output: Output::start(),
+            started: Instant::now(),
+            session,
+            is_broker_up: false,
+            sent: BTreeMap::new(),
+            refused: BTreeMap::new(),
+            action: None,
+            position: None,
+            reported_at: None,
+            has_news: false,
+        }
+    }
+
+    fn client_id(&self) -> String {
+        format!("consort-{}-{:x}", self.settings.vehicle.to_string().replace('/', "-"), self.session)
+    }
+
+    fn step(&mut self, event: Event) -> Vec<Command> {
+        self.machine.step(event, self.started.elapsed())
+    }
+
+    /// Reads a line of the node.
+    fn read(&mut self, input: Input) -> Received {
+        let line = match input {
+            Input::End | Input::Line(NodeLine::Shutdown {}) => return Received::End,
+            Input::Line(line) => line,
+            Input::Wrong(problem) => {
+                self.output.send("error", json!({ "message": problem }));
+                return Received::Nothing;
+            }
+        };
+        let number = |id: &str| id.parse::<u64>();
+        match line {
+            NodeLine::Heartbeat { sequence } => self.output.send("heartbeat", json!({ "sequence": sequence })),
+            NodeLine::Goal { id, action, parameters, keep_for_ms } => {
+                return self.read_goal(&id, action, &parameters, permission(keep_for_ms));
+            }
+            NodeLine::Keep { id, keep_for_ms } => {
+                if let Ok(id) = number(&id) {
+                    return Received::Event(Event::Keep { id, keep_for: permission(keep_for_ms) });
+                }
+            }
+            NodeLine::Cancel { id } => {
+                if let Ok(id) = number(&id) {
+                    return Received::Event(Event::Cancel { id });
+                }
+            }
+            NodeLine::Start {} | NodeLine::Unknown | NodeLine::Shutdown {} => {}
+        }
+        Received::Nothing
+    }
+
+    fn read_goal(&mut self, id: &str, action: String, parameters: &Map<String, Value>, keep_for: Duration) -> Received {
+        let reject = |GoalError { code, message }: GoalError| {
+            let result = json!({ "id": id, "status": "aborted", "code": code, "message": message });
+            self.output.send("result", result);
+            Received::Nothing
+        };
+        let Ok(number) = id.parse::<u64>() else {
+            let message = format!("{id:?} is no id of a goal; allowed is a decimal number as text");
+            return reject(GoalError { code: "unknown", message });
+        };
+        match self.settings.catalog.work(&action, parameters) {
+            Ok((fingerprint, work)) => {
+                self.action = Some(action);
+                Received::Event(Event::Goal { id: number, fingerprint, work, keep_for })
+            }
+            Err(problem) => reject(problem),
+        }
+    }
+
+    /// Reads an event of the broker. A malformed message is refused and counted.
+    fn receive(&mut self, event: BrokerEvent) -> Option<Event> {
+        let vehicle = &self.settings.vehicle;
+        let (topic, bytes) = match event {
+            BrokerEvent::Up => {
+                info!(%vehicle, "connected to the broker");
+                self.is_broker_up = true;
+                return Some(Event::Broker { is_up: true });
+            }
+            BrokerEvent::Down(problem) => {
+                if self.is_broker_up || self.started.elapsed() < TICK {
+                    warn!(%vehicle, problem, "no connection to the broker; trying again");
+                }
+                self.is_broker_up = false;
+                return Some(Event::Broker { is_up: false });
+            }
+            BrokerEvent::Message(topic, bytes) => (topic, bytes),
+        };
+        match self.read_message(topic, &bytes) {
+            Ok(event) => event,
+            Err(problem) => {
+                let count = self.refused.entry(topic.level()).or_default();
+                *count += 1;
+                if *count <= REFUSALS_LOGGED {
+                    warn!(%vehicle, topic = topic.level(), count, %problem, "refused a message of the vehicle");
+                }
+                None
+            }
+        }
+    }
+
+    fn read_message(&mut self, topic: Topic, bytes: &[u8]) -> Result<Option<Event>, Malformed> {
+        let vehicle = &self.settings.vehicle;
+        match topic {
+            Topic::State => {
+                let state = read_state(vehicle, bytes)?;
+                self.has_news = true;
+                self.position = state.position.clone();
+                Ok(Some(Event::State(state)))
+            }
+            Topic::Visualization => {
+                if let Some(position) = read_visualization(vehicle, bytes)?.position {
+                    self.position = Some(position);
+                    self.has_news = true;
+                }
+                Ok(None)
+            }
+            Topic::Connection => {
+                let connection = read_connection(vehicle, bytes)?;
+                info!(%vehicle, ?connection, "connection of the vehicle");
+                Ok(Some(Event::Connection(connection)))
+            }
+            Topic::Factsheet => {
+                let factsheet = read_factsheet(vehicle, bytes)?;
+                let is_missing = |(_, form): &(&str, &crate::catalog::ActionForm)| {
+                    !factsheet.actions.is_empty() && !factsheet.actions.contains(&form.kind)
+                };
+                for (action, form) in self.settings.catalog.actions().filter(is_missing) {
+                    warn!(%vehicle, action, kind = form.kind, "the factsheet of the vehicle does not list this action");
+                }
+                Ok(None)
+            }
+            Topic::Order | Topic::InstantActions => Ok(None),
+        }
+    }
+
+    fn perform(&mut self, commands: Vec<Command>, publisher: &Publisher) {
+        let version = self.settings.vehicle.version();
+        for command in commands {
+            match command {
+                Command::SendOrder(order) => {
+                    info!(vehicle = %self.settings.vehicle, order = order.id, update = order.update, "order");
+                    self.publish(Topic::Order, order.to_json(version), publisher);
+                }
+                Command::SendInstant(action) => {
+                    self.publish(Topic::InstantActions, instant_actions(&[action], version), publisher);
+                }
+                Command::Feedback { goal, distance_remaining_m } => {
+                    let mut feedback = json!({ "id": goal.to_string() });
+                    if let Some(distance_m) = distance_remaining_m {
+                        feedback["distance_remaining_m"] = json!(distance_m);
+                    }
+                    self.output.send("feedback", feedback);
+                }
+                Command::Result { goal, status } => self.finish(goal, status),
+            }
+        }
+    }
+
+    fn publish(&mut self, topic: Topic, body: Map<String, Value>, publisher: &Publisher) {
+        let header_id = self.sent.entry(topic).or_default();
+        let message = self.settings.vehicle.message(*header_id, &timestamp(), body);
+        *header_id += 1;
+        // Without a connection the state machine sends the message again later.
+        if self.is_broker_up
+            && let Err(problem) = publisher.publish(topic, &message)
+        {
+            warn!(vehicle = %self.settings.vehicle, topic = topic.level(), %problem, "not published");
+        }
+    }
+
+    fn finish(&mut self, goal: u64, status: GoalStatus) {
+        self.has_news = true;
+        self.reported_at = None;
+        // The pose at the end is known to the node before the result.
+        self.report();
+        let id = goal.to_string();
+        let result = match status {
+            GoalStatus::Succeeded(text) => {
+                let name = self.action.as_deref().and_then(|action| self.settings.catalog.result_of(action));
+                match name {
+                    Some(name) => json!({ "id": id, "status": "succeeded", "results": { name: text } }),
+                    None => json!({ "id": id, "status": "succeeded" }),
+                }
+            }
+            GoalStatus::Canceled => json!({ "id": id, "status": "canceled" }),
+            GoalStatus::Aborted(cause) => {
+                info!(vehicle = %self.settings.vehicle, code = cause.code, class = ?cause.class, cause.message, "goal failed");
+                json!({ "id": id, "status": "aborted", "code": cause.code, "message": cause.message })
+            }
+        };
+        self.output.send("result", result);
+    }
+
+    /// Reports pose and charge to the node, at most twice a second, and at least once a second while
+    /// the vehicle is known.
+    fn report(&mut self) {
+        let since = self.reported_at.map(|at| at.elapsed());
+        let is_due = since.is_none_or(|since| since >= REPORT_INTERVAL && (self.has_news || since >= 2 * REPORT_INTERVAL));
+        let Some(state) = self.machine.state().filter(|_| is_due) else { return };
+        if let Some(position) = &self.position {
+            let mut pose = json!({ "x_m": position.x_m, "y_m": position.y_m, "yaw_rad": position.yaw_rad });
+            let place = self.settings.catalog.place_of(&state.last_node).filter(|_| !state.is_driving);
+            if let Some(place) = place {
+                pose["place"] = json!(place);
+            }
+            self.output.send("pose", pose);
+        }
+        let is_low = |error: &consort_vda5050_core::VehicleError| {
+            error.level.ends_orders() && error.kind.to_ascii_lowercase().contains("battery")
+        };
+        self.output.send("charge", json!({ "share": state.charge, "able": !state.errors.iter().any(is_low) }));
+        (self.reported_at, self.has_news) = (Some(Instant::now()), false);
+    }
+}
+
+/// Returns the time as messages contain it: UTC, with milliseconds.
+fn timestamp() -> String {
+    let now = OffsetDateTime::now_utc().to_offset(UtcOffset::UTC);
+    let millis = now.replace_nanosecond(now.nanosecond() / 1_000_000 * 1_000_000).unwrap_or(now);
+    let text = millis.format(&Rfc3339).unwrap_or_default();
+    // RFC 3339 leaves out trailing zeros.
+    let (seconds, fraction) = text.trim_end_matches('Z').split_once('.').unwrap_or((text.trim_end_matches('Z'), ""));
+    format!("{seconds}.{fraction:0<3}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_timestamp_has_three_digits_of_milliseconds() {
+        let text = timestamp();
+        assert_eq!(text.len(), "2026-11-27T22:00:00.000Z".len(), "{text}");
+        assert!(text.ends_with('Z') && text.as_bytes()[19] == b'.', "{text}");
+    }
+}

@@ -1,0 +1,274 @@
+//! The file of a vehicle.
+
+use crate::catalog::{ActionForm, Catalog, PlaceForm};
+use consort_vda5050_core::{
+    CauseTable, Layout, LayoutError, LayoutNode, MachineSettings, Vehicle, Version, class_of,
+};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use std::{fs, io};
+
+/// Content of the file.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VehicleFile {
+    /// The broker.
+    pub broker: BrokerForm,
+    /// First level of the topics.
+    #[serde(default = "interface")]
+    pub interface: String,
+    /// Version of the protocol that the vehicle speaks.
+    pub version: String,
+    /// Manufacturer, as in the topics of the vehicle.
+    pub manufacturer: String,
+    /// Serial number, as in the topics of the vehicle.
+    pub serial: String,
+    /// Map of the positions (`mapId`).
+    pub map: String,
+    /// Places of the fleet's map and their nodes.
+    pub places: BTreeMap<String, PlaceForm>,
+    /// Further nodes, between the places.
+    #[serde(default)]
+    pub nodes: BTreeMap<String, NodeForm>,
+    /// Edges between nodes, in both directions. Without edges the vehicle finds its way between any
+    /// two nodes.
+    #[serde(default)]
+    pub edges: Vec<[String; 2]>,
+    /// Number of nodes that are released ahead of the vehicle. Fewer leave the vehicle less to drive
+    /// when the broker fails; more let it drive without pauses on slow links.
+    #[serde(default = "release_ahead")]
+    pub release_ahead: usize,
+    /// Actions of the driver, by name, and the actions of the vehicle that perform them.
+    #[serde(default)]
+    pub actions: BTreeMap<String, ActionForm>,
+    /// Codes of the vehicle's errors, by `errorType`.
+    #[serde(default)]
+    pub errors: BTreeMap<String, String>,
+}
+
+/// A broker.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BrokerForm {
+    /// `mqtt://HOST:PORT`, or `mqtts://HOST:PORT` with TLS.
+    pub url: String,
+    /// Name of the user.
+    #[serde(default)]
+    pub user: Option<String>,
+    /// File with the password.
+    #[serde(default)]
+    pub password_file: Option<PathBuf>,
+    /// Certificates of the authorities that may sign the broker's certificate, in PEM. Default: those of
+    /// the system.
+    #[serde(default)]
+    pub ca: Option<PathBuf>,
+    /// Certificate of this client, in PEM.
+    #[serde(default)]
+    pub certificate: Option<PathBuf>,
+    /// Key of that certificate, in PEM.
+    #[serde(default)]
+    pub key: Option<PathBuf>,
+}
+
+/// A node without a place.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NodeForm {
+    /// East of the map's origin, in metres.
+    pub x_m: f64,
+    /// North of the map's origin, in metres.
+    pub y_m: f64,
+}
+
+fn interface() -> String {
+    "uagv".to_owned()
+}
+
+fn release_ahead() -> usize {
+    2
+}
+
+/// The file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The file, or a file that it names, cannot be read.
+    #[error("{path}: {problem}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The problem.
+        problem: io::Error,
+    },
+    /// The file is no YAML, or has other keys.
+    #[error("{path}: {problem}")]
+    Form {
+        /// The file.
+        path: PathBuf,
+        /// The problem, with line and column.
+        problem: String,
+    },
+    /// A value is wrong.
+    #[error("{path}: {place}: {problem}")]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Place in the file: `broker.url`.
+        place: String,
+        /// The problem, and what is allowed.
+        problem: String,
+    },
+}
+
+/// Address of a broker and credentials.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BrokerAccess {
+    /// Host.
+    pub host: String,
+    /// Port.
+    pub port: u16,
+    /// User and password.
+    pub login: Option<(String, String)>,
+    /// Settings of TLS; `None` without TLS.
+    pub tls: Option<TlsAccess>,
+}
+
+/// Settings of TLS.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TlsAccess {
+    /// Certificates of authorities in PEM; `None` for those of the system.
+    pub ca: Option<Vec<u8>>,
+    /// Certificate and key of the client in PEM.
+    pub client: Option<(Vec<u8>, Vec<u8>)>,
+}
+
+/// A checked file.
+#[derive(Debug, Clone)]
+pub struct VehicleSettings {
+    /// The vehicle.
+    pub vehicle: Vehicle,
+    /// The broker.
+    pub broker: BrokerAccess,
+    /// Places and actions.
+    pub catalog: Catalog,
+    /// Nodes and edges.
+    pub layout: Layout,
+    map: String,
+    release_ahead: usize,
+    causes: CauseTable,
+}
+
+impl VehicleSettings {
+    /// Reads and checks a file. Names of files in it are relative to it.
+    ///
+    /// # Errors
+    /// The first problem, with its place.
+    pub fn read(path: &Path) -> Result<VehicleSettings, FileError> {
+        let text = fs::read_to_string(path).map_err(|problem| FileError::Read { path: path.to_owned(), problem })?;
+        let file: VehicleFile = serde_saphyr::from_str(&text)
+            .map_err(|problem| FileError::Form { path: path.to_owned(), problem: problem.to_string() })?;
+        let wrong = |place: &str, problem: String| FileError::Value {
+            path: path.to_owned(),
+            place: place.to_owned(),
+            problem,
+        };
+        let version: Version = file.version.parse().map_err(|problem| wrong("version", format!("{problem}")))?;
+        let vehicle = Vehicle::new(&file.interface, version, &file.manufacturer, &file.serial)
+            .map_err(|problem| wrong(problem.field, problem.to_string()))?;
+        if file.places.is_empty() {
+            return Err(wrong("places", "the list is empty; a driver needs a place to drive to".to_owned()));
+        }
+        if file.release_ahead == 0 {
+            return Err(wrong("release_ahead", "0 releases nothing; allowed is 1 or more".to_owned()));
+        }
+        for (kind, code) in file.errors.iter().filter(|(_, code)| code.is_empty()) {
+            return Err(wrong(&format!("errors.{kind}"), format!("{code:?} is no code; allowed: blocked, no_route, …")));
+        }
+        let layout = file.layout().map_err(|problem| wrong("edges", problem.to_string()))?;
+        let broker = file.broker.access(path)?;
+        let catalog =
+            Catalog::new(file.places, file.actions).map_err(|problem| wrong(&problem.place, problem.problem))?;
+        let causes = CauseTable { by_type: file.errors };
+        Ok(VehicleSettings { vehicle, broker, catalog, layout, map: file.map, release_ahead: file.release_ahead, causes })
+    }
+
+    /// Returns the settings of the state machine.
+    pub fn machine(&self, session: u64) -> MachineSettings {
+        MachineSettings {
+            version: self.vehicle.version(),
+            layout: self.layout.clone(),
+            map: self.map.clone(),
+            release_ahead: self.release_ahead,
+            causes: self.causes.clone(),
+            retry_after: Duration::from_secs(2),
+            ready_within: Duration::from_secs(10),
+            silence_max: Duration::from_secs(35),
+            adopt_within: Duration::from_secs(3),
+            session,
+        }
+    }
+
+    /// Returns the codes of errors that no standard class has: the domain has to declare them.
+    pub fn own_codes(&self) -> impl Iterator<Item = &str> {
+        self.causes.by_type.values().map(String::as_str).filter(|code| class_of(code).is_none())
+    }
+}
+
+impl VehicleFile {
+    fn layout(&self) -> Result<Layout, LayoutError> {
+        let of_places = self.places.values().map(|place| {
+            (place.node.clone(), LayoutNode { x_m: place.x_m, y_m: place.y_m, yaw_rad: place.yaw_rad })
+        });
+        let others = self.nodes.iter().map(|(id, node)| {
+            (id.clone(), LayoutNode { x_m: node.x_m, y_m: node.y_m, yaw_rad: None })
+        });
+        Layout::new(of_places.chain(others).collect(), &self.edges)
+    }
+}
+
+impl BrokerForm {
+    fn access(&self, path: &Path) -> Result<BrokerAccess, FileError> {
+        let wrong = |place: &str, problem: String| FileError::Value {
+            path: path.to_owned(),
+            place: format!("broker.{place}"),
+            problem,
+        };
+        let bytes = |name: &Path| {
+            let path = path.parent().unwrap_or(Path::new("")).join(name);
+            fs::read(&path).map_err(|problem| FileError::Read { path, problem })
+        };
+        let optional = |name: &Option<PathBuf>| name.as_deref().map(bytes).transpose();
+        let form = || wrong("url", format!("{:?}; allowed: mqtt://HOST:PORT or mqtts://HOST:PORT", self.url));
+        let (scheme, address) = self.url.split_once("://").ok_or_else(form)?;
+        let address = address.trim_end_matches('/');
+        let (has_tls, default_port) = match scheme {
+            "mqtt" => (false, 1883),
+            "mqtts" => (true, 8883),
+            _ => return Err(form()),
+        };
+        let (host, port) = match address.rsplit_once(':') {
+            Some((host, port)) => (host, port.parse().map_err(|_| form())?),
+            None => (address, default_port),
+        };
+        if host.is_empty() || host.contains(['/', '@']) {
+            return Err(form());
+        }
+        if !has_tls && (self.ca.is_some() || self.certificate.is_some() || self.key.is_some()) {
+            return Err(wrong("url", format!("{:?} has no TLS; certificates need mqtts://", self.url)));
+        }
+        let client = match (optional(&self.certificate)?, optional(&self.key)?) {
+            (Some(certificate), Some(key)) => Some((certificate, key)),
+            (None, None) => None,
+            _ => return Err(wrong("certificate", "a certificate needs its `key`, and a key its certificate".to_owned())),
+        };
+        let password = optional(&self.password_file)?.map(|bytes| String::from_utf8_lossy(&bytes).trim_end().to_owned());
+        let login = match (&self.user, password) {
+            (Some(user), password) => Some((user.clone(), password.unwrap_or_default())),
+            (None, Some(_)) => return Err(wrong("password_file", "a password needs its `user`".to_owned())),
+            (None, None) => None,
+        };
+        let tls = has_tls.then_some(TlsAccess { ca: optional(&self.ca)?, client });
+        Ok(BrokerAccess { host: host.to_owned(), port, login, tls })
+    }
+}

@@ -1,0 +1,16 @@
+//! Vehicles of VDA 5050 as robots of a fleet. The node of a robot starts `consort-vda5050 driver FILE`
+//! as its driver (`docs/reference/driver.md`).
+//!
+//! ```text
+//!  robot's node ── goal, keep, cancel ──▶ driver ──▶ OrderMachine ──▶ broker ── order, instantActions ──▶ vehicle
+//!               ◀── result, pose, charge ──       ◀── (core)      ◀──        ◀── state, connection ──────
+//! ```
+//!
+//! The crate knows the driver protocol and the broker, and nothing else of Consort: it decides nothing.
+
+pub mod catalog;
+pub mod check;
+pub mod driver;
+pub mod file;
+mod lines;
+mod mqtt;

@@ -1,0 +1,101 @@
+//! The connection to the broker.
+
+use crate::file::{BrokerAccess, TlsAccess};
+use consort_vda5050_core::{Topic, Vehicle};
+use rumqttc::{AsyncClient, Event, MqttOptions, Packet, QoS, Transport};
+use rustls::crypto::ring;
+use serde_json::Value;
+use std::time::Duration;
+use tokio::sync::mpsc::{Receiver, channel};
+use tokio::time::sleep;
+
+/// Interval of signs of life to the broker.
+const KEEP_ALIVE: Duration = Duration::from_secs(5);
+
+/// Maximum size of a message in bytes. States of long orders have some kilobytes.
+const MESSAGE_BYTES_MAX: usize = 1 << 20;
+
+/// Pause before the next attempt to connect.
+const RECONNECT_AFTER: Duration = Duration::from_millis(500);
+
+/// What happens on the connection.
+#[derive(Debug)]
+pub(crate) enum BrokerEvent {
+    /// The connection is up, and the topics of the vehicle are subscribed.
+    Up,
+    /// The connection is down, with the cause; it is opened again.
+    Down(String),
+    /// A message of the vehicle.
+    Message(Topic, Vec<u8>),
+}
+
+/// Publishes to the vehicle.
+#[derive(Debug)]
+pub(crate) struct Publisher {
+    client: AsyncClient,
+    vehicle: Vehicle,
+}
+
+impl Publisher {
+    /// Publishes a message with the quality of service that the standard prescribes. A lost message is
+    /// sent again by the state machine.
+    pub(crate) fn publish(&self, topic: Topic, message: &Value) -> Result<(), rumqttc::ClientError> {
+        self.client.try_publish(self.vehicle.topic(topic), QoS::AtMostOnce, false, message.to_string())
+    }
+
+    pub(crate) fn close(&self) {
+        // Without a connection there is nothing to close.
+        let _ = self.client.try_disconnect();
+    }
+}
+
+/// Connects to the broker, and again after each loss. Only the topics of the vehicle are subscribed.
+pub(crate) fn connect(access: &BrokerAccess, vehicle: &Vehicle, client_id: &str) -> (Publisher, Receiver<BrokerEvent>) {
+    let mut options = MqttOptions::new(client_id, &access.host, access.port);
+    options.set_keep_alive(KEEP_ALIVE).set_max_packet_size(MESSAGE_BYTES_MAX, MESSAGE_BYTES_MAX);
+    if let Some((user, password)) = &access.login {
+        options.set_credentials(user, password);
+    }
+    if let Some(TlsAccess { ca, client }) = &access.tls {
+        // The process has a single provider; a second call changes nothing.
+        let _ = ring::default_provider().install_default();
+        options.set_transport(match ca {
+            Some(ca) => Transport::tls(ca.clone(), client.clone(), None),
+            None => Transport::tls_with_default_config(),
+        });
+    }
+    let (client, mut events) = AsyncClient::new(options, 256);
+    let (sender, receiver) = channel(256);
+    let (subscriber, of_vehicle) = (client.clone(), vehicle.clone());
+    tokio::spawn(async move {
+        loop {
+            let event = match events.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => {
+                    let topics = Topic::OF_VEHICLES.map(|topic| (topic, of_vehicle.topic(topic)));
+                    for (topic, text) in topics {
+                        let qos = if topic == Topic::Connection { QoS::AtLeastOnce } else { QoS::AtMostOnce };
+                        // The queue is empty after a connection.
+                        let _ = subscriber.try_subscribe(text, qos);
+                    }
+                    BrokerEvent::Up
+                }
+                Ok(Event::Incoming(Packet::Publish(message))) => match of_vehicle.topic_of(&message.topic) {
+                    Some(topic) => BrokerEvent::Message(topic, message.payload.to_vec()),
+                    None => continue,
+                },
+                Ok(_) => continue,
+                Err(problem) => {
+                    if sender.send(BrokerEvent::Down(problem.to_string())).await.is_err() {
+                        return;
+                    }
+                    sleep(RECONNECT_AFTER).await;
+                    continue;
+                }
+            };
+            if sender.send(event).await.is_err() {
+                return;
+            }
+        }
+    });
+    (Publisher { client, vehicle: vehicle.clone() }, receiver)
+}

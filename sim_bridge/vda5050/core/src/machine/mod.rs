@@ -1,0 +1,633 @@
+//! The state machine for the orders of one vehicle: it takes events and returns commands, and never
+//! blocks. Time is the time since the start of the program.
+//!
+//! ```text
+//!            state of the vehicle: idle             last node, all actions finished
+//!  Waiting ───────────────────────────▶ Executing ───────────────────────────────▶ result
+//!     ▲    an order of this goal is there    │
+//!     └───── the vehicle lost a drive ───────┘
+//! ```
+//!
+//! - An order or an instant action is sent again, with the same ids, if a state that is younger than
+//!   the message does not contain it. A vehicle discards the second of two equal orders.
+//! - An unfinished order of an earlier process is continued if it is for the same goal, or for an
+//!   earlier goal with the same work: the node restarted. Any other unfinished order of Consort is
+//!   cancelled. Orders of other masters are not touched.
+//! - A vehicle that restarts loses its order. A drive is ordered again from where the vehicle is; an
+//!   action is not, since it may have happened.
+
+mod execution;
+#[cfg(test)]
+mod tests;
+mod vehicle_view;
+
+use crate::cause::{Cause, CauseTable};
+use crate::identity::Version;
+use crate::incoming::{ConnectionState, VehicleState};
+use crate::layout::Layout;
+use crate::order_id::OrderId;
+use crate::outgoing::{BlockingType, Order, VehicleAction};
+use execution::{ActionRun, DriveStart, OrderRun, Verdict};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::mem;
+use std::time::Duration;
+use vehicle_view::VehicleView;
+
+/// Interval of feedback during a goal.
+const FEEDBACK_INTERVAL: Duration = Duration::from_millis(500);
+
+/// What a goal asks of the vehicle.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Work {
+    /// Drive to a node.
+    Drive {
+        /// The node.
+        to: String,
+        /// Highest allowed speed in metres per second.
+        speed_max_mps: Option<f64>,
+    },
+    /// Execute an action.
+    Act {
+        /// Type of the action.
+        kind: String,
+        /// What the action excludes.
+        blocking: BlockingType,
+        /// Parameters, by key.
+        parameters: BTreeMap<String, Value>,
+        /// True for an instant action; false for an action on the node where the vehicle is.
+        is_instant: bool,
+    },
+}
+
+/// How a goal ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum GoalStatus {
+    /// The work is done; with the result that the vehicle described.
+    Succeeded(String),
+    /// The vehicle stopped.
+    Canceled,
+    /// The work failed.
+    Aborted(Cause),
+}
+
+/// An event.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// A goal of the node.
+    Goal {
+        /// Id.
+        id: u64,
+        /// Fingerprint of the action and its parameters.
+        fingerprint: u32,
+        /// The work.
+        work: Work,
+        /// Time for which the vehicle may act.
+        keep_for: Duration,
+    },
+    /// A renewed permission.
+    Keep {
+        /// The goal.
+        id: u64,
+        /// Time from now.
+        keep_for: Duration,
+    },
+    /// A goal is cancelled.
+    Cancel {
+        /// The goal.
+        id: u64,
+    },
+    /// The program ends: the vehicle has to stop.
+    Shutdown,
+    /// A state of the vehicle.
+    State(VehicleState),
+    /// The connection of the vehicle to the broker.
+    Connection(ConnectionState),
+    /// The connection of this program to the broker.
+    Broker {
+        /// True if it is up.
+        is_up: bool,
+    },
+    /// Time has passed.
+    Tick,
+}
+
+/// A command for the caller to perform, in the order given.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Command {
+    /// Publish an order.
+    SendOrder(Order),
+    /// Publish instant actions.
+    SendInstant(VehicleAction),
+    /// Report the end of a goal.
+    Result {
+        /// The goal.
+        goal: u64,
+        /// How it ended.
+        status: GoalStatus,
+    },
+    /// Report the progress of a goal.
+    Feedback {
+        /// The goal.
+        goal: u64,
+        /// Remaining distance of a drive, in metres.
+        distance_remaining_m: Option<f64>,
+    },
+}
+
+/// Settings of a machine.
+#[derive(Debug, Clone)]
+pub struct MachineSettings {
+    /// Version that the vehicle speaks.
+    pub version: Version,
+    /// Nodes and edges.
+    pub layout: Layout,
+    /// Map of the nodes.
+    pub map: String,
+    /// Number of nodes after the last reached node that are released: the base. Later nodes are the
+    /// horizon.
+    pub release_ahead: usize,
+    /// Codes of errors.
+    pub causes: CauseTable,
+    /// Time after which a message without effect is sent again. More is gentler to the broker, less
+    /// is faster after a loss.
+    pub retry_after: Duration,
+    /// Time for which a goal waits for a vehicle that is not ready.
+    pub ready_within: Duration,
+    /// Time without a state after which a goal fails.
+    pub silence_max: Duration,
+    /// Time for which an order of an earlier process may go on without a goal: the longest
+    /// permission.
+    pub adopt_within: Duration,
+    /// Number that differs between processes, for ids of instant actions.
+    pub session: u64,
+}
+
+/// The orders of one vehicle.
+#[derive(Debug)]
+pub struct OrderMachine {
+    settings: MachineSettings,
+    view: VehicleView,
+    goal: Option<ActiveGoal>,
+    /// The latest ended goal: a repeated goal repeats its result.
+    ended: Option<(u64, GoalStatus)>,
+    stray: Option<Stray>,
+    instants_sent: u64,
+    is_shut_down: bool,
+}
+
+#[derive(Debug)]
+struct ActiveGoal {
+    id: u64,
+    fingerprint: u32,
+    work: Work,
+    /// End of the permission.
+    until: Duration,
+    waiting_since: Duration,
+    attempt: u32,
+    phase: Phase,
+    stop: Option<Stop>,
+    feedback_at: Duration,
+}
+
+#[derive(Debug)]
+enum Phase {
+    Waiting,
+    Order(OrderRun),
+    Action(ActionRun),
+}
+
+/// The vehicle has to stop: the goal was cancelled, or has failed.
+#[derive(Debug, Default)]
+struct Stop {
+    failure: Option<Cause>,
+    sent_at: Option<Duration>,
+}
+
+/// An unfinished order of an earlier process that no goal continues.
+#[derive(Debug)]
+struct Stray {
+    order: OrderId,
+    since: Duration,
+    sent_at: Option<Duration>,
+}
+
+impl ActiveGoal {
+    fn order_id(&self) -> OrderId {
+        OrderId { goal: self.id, work: self.fingerprint, attempt: self.attempt }
+    }
+
+    fn stop(&mut self, failure: Option<Cause>) {
+        self.stop.get_or_insert(Stop { failure, sent_at: None });
+    }
+
+    /// Returns how a goal ends whose vehicle has stopped.
+    fn stopped(&mut self) -> Option<GoalStatus> {
+        let stop = self.stop.as_mut()?;
+        Some(stop.failure.take().map_or(GoalStatus::Canceled, GoalStatus::Aborted))
+    }
+}
+
+fn aborted(code: &str, message: String) -> Option<GoalStatus> {
+    Some(GoalStatus::Aborted(Cause::new(code, message)))
+}
+
+impl OrderMachine {
+    /// Creates a machine that knows nothing about the vehicle.
+    pub fn new(settings: MachineSettings) -> OrderMachine {
+        OrderMachine {
+            settings,
+            view: VehicleView::default(),
+            goal: None,
+            ended: None,
+            stray: None,
+            instants_sent: 0,
+            is_shut_down: false,
+        }
+    }
+
+    /// Returns the latest state of the vehicle.
+    pub fn state(&self) -> Option<&VehicleState> {
+        self.view.state()
+    }
+
+    /// Checks whether no goal is in progress and no order of Consort is under way, as far as known.
+    pub fn is_at_rest(&self) -> bool {
+        self.goal.is_none() && self.stray.is_none()
+    }
+
+    /// Handles an event.
+    pub fn step(&mut self, event: Event, now: Duration) -> Vec<Command> {
+        let mut commands = vec![];
+        match event {
+            Event::Goal { id, fingerprint, work, keep_for } => {
+                commands.extend(self.accept(id, fingerprint, work, now + keep_for, now));
+            }
+            Event::Keep { id, keep_for } => {
+                if let Some(goal) = self.goal.as_mut().filter(|goal| goal.id == id) {
+                    goal.until = now + keep_for;
+                }
+            }
+            Event::Cancel { id } => {
+                if let Some(goal) = self.goal.as_mut().filter(|goal| goal.id == id) {
+                    goal.stop(None);
+                }
+            }
+            Event::Shutdown => {
+                self.is_shut_down = true;
+                if let Some(goal) = &mut self.goal {
+                    goal.stop(None);
+                }
+            }
+            Event::State(state) => self.view.take_state(state, now),
+            Event::Connection(connection) => self.view.take_connection(connection),
+            Event::Broker { is_up } => {
+                self.view.take_broker(is_up);
+                if is_up {
+                    commands.push(self.instant("stateRequest"));
+                    commands.push(self.instant("factsheetRequest"));
+                }
+            }
+            Event::Tick => {}
+        }
+        self.proceed(now, &mut commands);
+        commands
+    }
+
+    fn accept(
+        &mut self,
+        id: u64,
+        fingerprint: u32,
+        work: Work,
+        until: Duration,
+        now: Duration,
+    ) -> Option<Command> {
+        if let Some((goal, status)) = self.ended.as_ref().filter(|(goal, _)| *goal == id) {
+            return Some(Command::Result { goal: *goal, status: status.clone() });
+        }
+        match &mut self.goal {
+            Some(goal) if goal.id == id => goal.until = until,
+            Some(goal) => {
+                let cause = Cause::new("busy", format!("goal {} is in progress", goal.id));
+                return Some(Command::Result { goal: id, status: GoalStatus::Aborted(cause) });
+            }
+            None => {
+                self.goal = Some(ActiveGoal {
+                    id,
+                    fingerprint,
+                    work,
+                    until,
+                    waiting_since: now,
+                    attempt: 0,
+                    phase: Phase::Waiting,
+                    stop: None,
+                    feedback_at: Duration::ZERO,
+                });
+            }
+        }
+        None
+    }
+
+    /// Creates an instant action of the protocol.
+    fn instant(&mut self, kind: &str) -> Command {
+        self.instants_sent += 1;
+        let id = format!("consort-i{}-{}", self.settings.session, self.instants_sent);
+        // The standard prescribes HARD for a cancel, and NONE for requests.
+        let blocking = if kind == "cancelOrder" { BlockingType::Hard } else { BlockingType::None };
+        Command::SendInstant(VehicleAction { id, kind: kind.to_owned(), blocking, parameters: BTreeMap::new() })
+    }
+
+    fn proceed(&mut self, now: Duration, commands: &mut Vec<Command>) {
+        if let Some(mut goal) = self.goal.take() {
+            if goal.until <= now {
+                goal.stop(None);
+            }
+            let status = match mem::replace(&mut goal.phase, Phase::Waiting) {
+                Phase::Waiting => self.begin(&mut goal, now, commands),
+                Phase::Order(run) => self.follow_order(&mut goal, run, now, commands),
+                Phase::Action(run) => self.follow_action(&mut goal, run, now, commands),
+            };
+            match status {
+                Some(status) => {
+                    self.ended = Some((goal.id, status.clone()));
+                    commands.push(Command::Result { goal: goal.id, status });
+                }
+                None => {
+                    if now.saturating_sub(goal.feedback_at) >= FEEDBACK_INTERVAL {
+                        goal.feedback_at = now;
+                        commands.push(self.feedback(&goal));
+                    }
+                    self.goal = Some(goal);
+                }
+            }
+        }
+        self.cancel_strays(now, commands);
+    }
+
+    fn feedback(&self, goal: &ActiveGoal) -> Command {
+        let distance = match &goal.phase {
+            Phase::Order(run) if !run.has_action() => self.view.state().and_then(|state| run.distance_remaining_m(state)),
+            _ => None,
+        };
+        Command::Feedback { goal: goal.id, distance_remaining_m: distance }
+    }
+
+    fn request_state(&mut self, now: Duration, commands: &mut Vec<Command>) {
+        if self.view.is_request_due(now, self.settings.retry_after) {
+            commands.push(self.instant("stateRequest"));
+        }
+    }
+
+    /// Cancels the order of the vehicle, and again until it has ended.
+    fn cancel_order(
+        &mut self,
+        sent_at: Option<Duration>,
+        now: Duration,
+        commands: &mut Vec<Command>,
+    ) -> Option<Duration> {
+        let is_due = sent_at.is_none_or(|sent_at| now.saturating_sub(sent_at) >= self.settings.retry_after);
+        if !is_due || !self.view.is_broker_up() {
+            return sent_at;
+        }
+        commands.push(self.instant("cancelOrder"));
+        Some(now)
+    }
+
+    /// Begins the work, or continues an order for it, once the vehicle is ready.
+    fn begin(&mut self, goal: &mut ActiveGoal, now: Duration, commands: &mut Vec<Command>) -> Option<GoalStatus> {
+        let waits_too_long = now.saturating_sub(goal.waiting_since) >= self.settings.ready_within;
+        let Some(state) = self.view.ready_state().cloned() else {
+            if goal.stop.is_some() {
+                return goal.stopped();
+            }
+            self.request_state(now, commands);
+            let problem = self.view.problem();
+            return waits_too_long.then(|| aborted("timed_out", format!("the vehicle is not ready: {problem}")))?;
+        };
+        let executed = state.order.parse::<OrderId>().ok().filter(|_| !state.is_idle());
+        if goal.stop.is_some() && (executed.is_none() || waits_too_long) {
+            return goal.stopped();
+        }
+        if goal.stop.is_none()
+            && let Some(status) = self.adopt(goal, &state)
+        {
+            return status;
+        }
+        if goal.stop.is_some() || !state.is_idle() || state.is_stopped {
+            let (code, reason) = match (executed, state.is_stopped) {
+                (_, true) => ("blocked", "its emergency stop is active".to_owned()),
+                (Some(order), _) if order.goal > goal.id => {
+                    return aborted("busy", format!("the vehicle executes {order} for a later goal"));
+                }
+                _ => ("busy", format!("it executes {:?}", state.order)),
+            };
+            return waits_too_long.then(|| aborted(code, format!("the vehicle is not ready: {reason}")))?;
+        }
+        if !["AUTOMATIC", "SEMIAUTOMATIC"].contains(&state.mode.as_str()) {
+            return aborted("failed", format!("the vehicle is in the mode {}; allowed: AUTOMATIC", state.mode));
+        }
+        // An error of an earlier order may stay until the next order.
+        let of_orders = |text: &str| text.starts_with("consort-");
+        let ends = |error: &&crate::cause::VehicleError| {
+            error.level.ends_orders() && !error.references.iter().any(|(_, value)| of_orders(value))
+        };
+        if let Some(error) = state.errors.iter().find(ends) {
+            return Some(GoalStatus::Aborted(self.settings.causes.cause(error)));
+        }
+        self.start(goal, &state, now, commands)
+    }
+
+    /// Continues what an earlier process began for this goal; `None` if there is nothing.
+    fn adopt(&mut self, goal: &mut ActiveGoal, state: &VehicleState) -> Option<Option<GoalStatus>> {
+        if let Work::Act { is_instant: true, .. } = goal.work {
+            let run = ActionRun::adopt(goal.order_id().action(0), state)?;
+            goal.phase = Phase::Action(run);
+            return Some(None);
+        }
+        let order: OrderId = state.order.parse().ok()?;
+        let is_same = order.goal == goal.id && order.work == goal.fingerprint;
+        let is_cancelled = self.stray.as_ref().is_some_and(|stray| stray.sent_at.is_some());
+        let is_earlier_life =
+            order.goal < goal.id && order.work == goal.fingerprint && !state.is_idle() && !is_cancelled;
+        // A later attempt of this process replaces an earlier order.
+        if !(is_same && order.attempt >= goal.attempt || is_earlier_life) {
+            return None;
+        }
+        let has_action = matches!(goal.work, Work::Act { .. });
+        let run = OrderRun::adopt(order, state, has_action, &self.settings.layout);
+        let at_end = match &goal.work {
+            Work::Drive { to, .. } => state.last_node == *to,
+            Work::Act { .. } => state.action(&order.action(0)).is_some(),
+        };
+        if state.is_idle() && !at_end {
+            // The order ended early; nothing of it has happened that must not be repeated.
+            goal.attempt = order.attempt + 1;
+            return None;
+        }
+        self.stray = None;
+        goal.phase = Phase::Order(run);
+        Some(None)
+    }
+
+    fn start(
+        &mut self,
+        goal: &mut ActiveGoal,
+        state: &VehicleState,
+        now: Duration,
+        commands: &mut Vec<Command>,
+    ) -> Option<GoalStatus> {
+        let id = goal.order_id();
+        let (target, speed_max_mps, action) = match &goal.work {
+            Work::Drive { to, speed_max_mps } => (Some(to.as_str()), *speed_max_mps, None),
+            Work::Act { kind, blocking, parameters, is_instant } => {
+                let action = VehicleAction {
+                    id: id.action(0),
+                    kind: kind.clone(),
+                    blocking: *blocking,
+                    parameters: parameters.clone(),
+                };
+                if *is_instant {
+                    commands.push(Command::SendInstant(action.clone()));
+                    goal.phase = Phase::Action(ActionRun::sent(action, state, now));
+                    return None;
+                }
+                (None, None, Some(action))
+            }
+        };
+        let start = DriveStart { state, layout: &self.settings.layout, map: &self.settings.map };
+        let stops = match start.plan(target) {
+            Ok(stops) => stops,
+            Err(cause) => return Some(GoalStatus::Aborted(cause)),
+        };
+        if target.is_some() && stops.len() == 1 && !state.is_driving {
+            return Some(GoalStatus::Succeeded(String::new()));
+        }
+        let run = OrderRun::new(id, stops, action, speed_max_mps, self.settings.release_ahead, state, now);
+        commands.push(Command::SendOrder(run.message(&self.settings.map)));
+        goal.phase = Phase::Order(run);
+        None
+    }
+
+    fn follow_order(
+        &mut self,
+        goal: &mut ActiveGoal,
+        mut run: OrderRun,
+        now: Duration,
+        commands: &mut Vec<Command>,
+    ) -> Option<GoalStatus> {
+        if let Some(stop) = &goal.stop {
+            let sent_at = self.cancel_order(stop.sent_at, now, commands);
+            if let Some(stop) = &mut goal.stop {
+                stop.sent_at = sent_at;
+            }
+        }
+        let since = self.view.state_at().max(run.sent_at());
+        if now.saturating_sub(since) >= self.settings.silence_max {
+            return aborted("timed_out", format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()));
+        }
+        let verdict = match self.view.state_after(run.sent_at()) {
+            Some(state) => run.judge(state, &self.settings.causes),
+            None => Verdict::Continues,
+        };
+        match verdict {
+            Verdict::Succeeded(result) => return Some(GoalStatus::Succeeded(result)),
+            Verdict::Ended(cause) => return goal.stopped().or(Some(GoalStatus::Aborted(cause))),
+            Verdict::Fails(cause) => goal.stop(Some(cause)),
+            Verdict::Absent if goal.stop.is_some() => {
+                let sent_at = goal.stop.as_ref().and_then(|stop| stop.sent_at);
+                if run.is_seen() || sent_at.is_some_and(|sent_at| self.view.state_after(sent_at).is_some()) {
+                    return goal.stopped();
+                }
+                self.request_state(now, commands);
+            }
+            Verdict::Absent if run.is_seen() => {
+                if run.has_action() {
+                    let text = "the vehicle restarted during the action, which is not repeated";
+                    return aborted("failed", text.to_owned());
+                }
+                goal.attempt = run.id().attempt + 1;
+                goal.waiting_since = now;
+                return None;
+            }
+            Verdict::Absent | Verdict::Continues => {}
+        }
+        if goal.stop.is_none() {
+            let reached = self.view.state_after(run.sent_at()).map(|state| state.last_sequence);
+            if run.is_seen() && reached.is_some_and(|reached| run.release(reached, self.settings.release_ahead, now)) {
+                commands.push(Command::SendOrder(run.message(&self.settings.map)));
+            } else if !run.is_seen() && now.saturating_sub(run.sent_at()) >= self.settings.retry_after {
+                if self.view.state_after(run.sent_at() + self.settings.retry_after / 2).is_some() {
+                    run.mark_sent(now);
+                    commands.push(Command::SendOrder(run.message(&self.settings.map)));
+                } else {
+                    self.request_state(now, commands);
+                }
+            }
+        }
+        goal.phase = Phase::Order(run);
+        None
+    }
+
+    fn follow_action(
+        &mut self,
+        goal: &mut ActiveGoal,
+        mut run: ActionRun,
+        now: Duration,
+        commands: &mut Vec<Command>,
+    ) -> Option<GoalStatus> {
+        let since = self.view.state_at().max(run.sent_at());
+        if now.saturating_sub(since) >= self.settings.silence_max {
+            return aborted("timed_out", format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()));
+        }
+        let verdict = match self.view.state_after(run.sent_at()) {
+            Some(state) => run.judge(state, &self.settings.causes),
+            None => Verdict::Continues,
+        };
+        match verdict {
+            Verdict::Succeeded(result) => return Some(GoalStatus::Succeeded(result)),
+            Verdict::Ended(cause) | Verdict::Fails(cause) => {
+                return goal.stopped().or(Some(GoalStatus::Aborted(cause)));
+            }
+            Verdict::Absent if run.is_seen() => {
+                let text = "the vehicle restarted during the action, which is not repeated";
+                return aborted("failed", text.to_owned());
+            }
+            // The vehicle does not know the action, and it is not sent again.
+            Verdict::Absent if goal.stop.is_some() => return goal.stopped(),
+            Verdict::Absent | Verdict::Continues => {}
+        }
+        if !run.is_seen() && goal.stop.is_none() && now.saturating_sub(run.sent_at()) >= self.settings.retry_after {
+            if self.view.state_after(run.sent_at() + self.settings.retry_after / 2).is_some() {
+                commands.extend(run.send_again(now).map(Command::SendInstant));
+            } else {
+                self.request_state(now, commands);
+            }
+        }
+        goal.phase = Phase::Action(run);
+        None
+    }
+
+    fn cancel_strays(&mut self, now: Duration, commands: &mut Vec<Command>) {
+        let own = match self.goal.as_ref().map(|goal| &goal.phase) {
+            Some(Phase::Order(run)) => Some(run.id()),
+            _ => None,
+        };
+        let unfinished = self.view.state().filter(|state| !state.is_idle());
+        let order = unfinished.and_then(|state| state.order.parse::<OrderId>().ok()).filter(|order| Some(*order) != own);
+        let Some(order) = order else {
+            self.stray = None;
+            return;
+        };
+        let known = self.stray.take().filter(|stray| stray.order == order);
+        let stray = known.unwrap_or(Stray { order, since: now, sent_at: None });
+        let is_over = now.saturating_sub(stray.since) >= self.settings.adopt_within;
+        // An order for a later goal belongs to another adapter, which has taken over.
+        let is_later = self.goal.as_ref().is_some_and(|goal| order.goal > goal.id);
+        let sent_at = if !is_later && (self.goal.is_some() || self.is_shut_down || is_over) {
+            self.cancel_order(stray.sent_at, now, commands)
+        } else {
+            stray.sent_at
+        };
+        self.stray = Some(Stray { sent_at, ..stray });
+    }
+}

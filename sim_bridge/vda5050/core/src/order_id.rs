@@ -1,0 +1,83 @@
+//! Ids of orders.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Id of an order. It contains the goal, so that an adapter that starts while the vehicle executes the
+/// order recognises it.
+///
+/// Ids of goals grow: a restarted node continues above all earlier ids, so the goal is a fencing token
+/// between two adapters for one vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct OrderId {
+    /// The goal of the node.
+    pub goal: u64,
+    /// Fingerprint of the action and its parameters ([`fingerprint`]).
+    pub work: u32,
+    /// Number of earlier orders for the goal. A vehicle that lost an order in a restart receives
+    /// another.
+    pub attempt: u32,
+}
+
+/// First part of the text of an id.
+const PREFIX: &str = "consort";
+
+impl OrderId {
+    /// Returns the id of an action of the order. It is a function of the order, so a repeated order
+    /// repeats no action.
+    pub fn action(&self, index: usize) -> String {
+        format!("{self}-a{index}")
+    }
+}
+
+impl fmt::Display for OrderId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{PREFIX}-{}-{:08x}-{}", self.goal, self.work, self.attempt)
+    }
+}
+
+/// A text is no id of an order of Consort.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("no id of an order of Consort")]
+pub struct OrderIdError;
+
+impl FromStr for OrderId {
+    type Err = OrderIdError;
+
+    fn from_str(text: &str) -> Result<OrderId, OrderIdError> {
+        let parts: Vec<&str> = text.split('-').collect();
+        let [PREFIX, goal, work, attempt] = parts[..] else { return Err(OrderIdError) };
+        let id = OrderId {
+            goal: goal.parse().map_err(|_| OrderIdError)?,
+            work: u32::from_str_radix(work, 16).map_err(|_| OrderIdError)?,
+            attempt: attempt.parse().map_err(|_| OrderIdError)?,
+        };
+        // Another spelling of the same numbers is the id of another program.
+        if id.to_string() == text { Ok(id) } else { Err(OrderIdError) }
+    }
+}
+
+/// Returns the fingerprint (FNV-1a) of a text. It is the same in every version of the program.
+pub fn fingerprint(text: &str) -> u32 {
+    text.bytes().fold(0x811c_9dc5, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id_is_read_back_from_its_text() {
+        let id = OrderId { goal: 1 << 60, work: fingerprint("vacuum"), attempt: 2 };
+        assert_eq!(id.to_string().parse(), Ok(id));
+        assert_eq!(id.action(0), format!("{id}-a0"));
+        for foreign in ["", "order-7", "consort-7-1", "consort-7-0000000G-0", "consort-07-00000001-0"] {
+            assert_eq!(foreign.parse::<OrderId>(), Err(OrderIdError), "{foreign}");
+        }
+    }
+
+    #[test]
+    fn the_fingerprint_is_that_of_fnv() {
+        assert_eq!((fingerprint(""), fingerprint("a")), (0x811c_9dc5, 0xe40c_292c));
+    }
+}

@@ -1,0 +1,147 @@
+//! Messages to a vehicle. The versions differ in few fields that fleet control needs; `to_json`
+//! writes those of a version.
+
+use crate::identity::Version;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+
+/// Which other activities an action of a vehicle excludes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
+pub enum BlockingType {
+    /// None: the vehicle may drive and act.
+    None,
+    /// Driving; other actions are allowed.
+    Soft,
+    /// Everything else.
+    #[default]
+    Hard,
+}
+
+impl BlockingType {
+    /// Returns the text in messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            BlockingType::None => "NONE",
+            BlockingType::Soft => "SOFT",
+            BlockingType::Hard => "HARD",
+        }
+    }
+}
+
+/// An action of a vehicle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VehicleAction {
+    /// Id, unique for the vehicle.
+    pub id: String,
+    /// Type, for example `pick`.
+    pub kind: String,
+    /// What the action excludes.
+    pub blocking: BlockingType,
+    /// Parameters, by key.
+    pub parameters: BTreeMap<String, Value>,
+}
+
+impl VehicleAction {
+    fn to_json(&self, blocking: BlockingType) -> Value {
+        let mut action = json!({ "actionId": self.id, "actionType": self.kind, "blockingType": blocking.as_str() });
+        if !self.parameters.is_empty() {
+            let parameters = self.parameters.iter().map(|(key, value)| json!({ "key": key, "value": value }));
+            action["actionParameters"] = Value::Array(parameters.collect());
+        }
+        action
+    }
+}
+
+/// Returns the body of a message with instant actions.
+pub fn instant_actions(actions: &[VehicleAction], version: Version) -> Map<String, Value> {
+    let json = |action: &VehicleAction| {
+        // Version 3.0 allows no other blocking type for instant actions.
+        action.to_json(if version == Version::V3_0 { BlockingType::None } else { action.blocking })
+    };
+    Map::from_iter([("actions".to_owned(), Value::Array(actions.iter().map(json).collect()))])
+}
+
+/// A node of an order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OrderNode {
+    /// Id.
+    pub id: String,
+    /// Number in the order: even, and growing by 2.
+    pub sequence: u64,
+    /// True if the node belongs to the base, which the vehicle may drive; false for the horizon.
+    pub released: bool,
+    /// Position on the map, in metres.
+    pub at_m: Option<(f64, f64)>,
+    /// Heading on arrival in radians, if the vehicle has to take it.
+    pub yaw_rad: Option<f64>,
+    /// Actions on the node.
+    pub actions: Vec<VehicleAction>,
+}
+
+/// An edge of an order, between the nodes before and after it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OrderEdge {
+    /// Number in the order: odd.
+    pub sequence: u64,
+    /// True if the edge belongs to the base.
+    pub released: bool,
+    /// Node at the start.
+    pub from: String,
+    /// Node at the end.
+    pub to: String,
+    /// Highest allowed speed in metres per second.
+    pub speed_max_mps: Option<f64>,
+}
+
+/// An order, or an update of the order with the same id.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Order {
+    /// Id.
+    pub id: String,
+    /// 0 for a new order, and growing by 1 with each update.
+    pub update: u64,
+    /// Map of the positions.
+    pub map: String,
+    /// Nodes; an update begins with the last node of the base.
+    pub nodes: Vec<OrderNode>,
+    /// Edges, one less than the nodes.
+    pub edges: Vec<OrderEdge>,
+}
+
+impl Order {
+    /// Returns the body of the message.
+    pub fn to_json(&self, version: Version) -> Map<String, Value> {
+        let node = |node: &OrderNode| {
+            let actions: Vec<Value> = node.actions.iter().map(|action| action.to_json(action.blocking)).collect();
+            let mut json = json!({
+                "nodeId": node.id, "sequenceId": node.sequence, "released": node.released, "actions": actions,
+            });
+            if let Some((x_m, y_m)) = node.at_m {
+                json["nodePosition"] = json!({ "x": x_m, "y": y_m, "mapId": self.map });
+                if let Some(yaw_rad) = node.yaw_rad {
+                    json["nodePosition"]["theta"] = json!(yaw_rad);
+                }
+            }
+            json
+        };
+        let edge = |edge: &OrderEdge| {
+            let mut json = json!({
+                "edgeId": format!("{}_{}", edge.from, edge.to), "sequenceId": edge.sequence, "released": edge.released,
+                "startNodeId": edge.from, "endNodeId": edge.to, "actions": [],
+            });
+            if let Some(speed_mps) = edge.speed_max_mps {
+                let key = if version == Version::V3_0 { "maximumSpeed" } else { "maxSpeed" };
+                json[key] = json!(speed_mps);
+            }
+            json
+        };
+        Map::from_iter([
+            ("orderId".to_owned(), json!(self.id)),
+            ("orderUpdateId".to_owned(), json!(self.update)),
+            ("nodes".to_owned(), Value::Array(self.nodes.iter().map(node).collect())),
+            ("edges".to_owned(), Value::Array(self.edges.iter().map(edge).collect())),
+        ])
+    }
+}
