@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant, SystemTime};
 use time::format_description::well_known::Rfc3339;
-use time::{OffsetDateTime, UtcOffset};
+use time::OffsetDateTime;
 use tokio::time::{MissedTickBehavior, interval};
 use tracing::{info, warn};
 
@@ -323,7 +323,7 @@ impl<'a> Driver<'a> {
 
 /// Returns the time as messages contain it: UTC, with milliseconds.
 fn timestamp() -> String {
-    let now = OffsetDateTime::now_utc().to_offset(UtcOffset::UTC);
+    let now = OffsetDateTime::now_utc();
     let millis = now.replace_nanosecond(now.nanosecond() / 1_000_000 * 1_000_000).unwrap_or(now);
     let text = millis.format(&Rfc3339).unwrap_or_default();
     // RFC 3339 leaves out trailing zeros.

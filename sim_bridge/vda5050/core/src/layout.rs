@@ -74,7 +74,7 @@ impl Layout {
             return Some(vec![from.to_owned(), to.to_owned()]);
         }
         // Dijkstra on a few hundred nodes.
-        let mut open = BTreeMap::from([(from.to_owned(), (0.0, from.to_owned()))]);
+        let mut open: BTreeMap<String, (f64, String)> = BTreeMap::from([(from.to_owned(), (0.0, from.to_owned()))]);
         let mut closed: BTreeMap<String, String> = BTreeMap::new();
         while let Some(id) = open.iter().min_by(|a, b| a.1.0.total_cmp(&b.1.0)).map(|(id, _)| id.clone()) {
             let Some((length_m, before)) = open.remove(&id) else { break };

@@ -1,0 +1,424 @@
+use super::*;
+use crate::cause::{ErrorLevel, VehicleError};
+use crate::incoming::{ActionReport, ActionStatus, Position, RemainingNode};
+use crate::layout::LayoutNode;
+use crate::order_id::fingerprint;
+
+/// A vehicle that executes orders as the standard prescribes.
+#[derive(Debug, Default)]
+struct FakeVehicle {
+    header_id: u64,
+    seconds: u64,
+    order: String,
+    update: u64,
+    at: Option<(String, u64)>,
+    ahead: Vec<OrderNode>,
+    actions: Vec<ActionReport>,
+    errors: Vec<VehicleError>,
+    /// Ids of actions in the order of their executions.
+    executed: Vec<String>,
+}
+
+use crate::outgoing::OrderNode;
+
+impl FakeVehicle {
+    fn at(node: &str) -> FakeVehicle {
+        FakeVehicle { at: Some((node.to_owned(), 0)), ..FakeVehicle::default() }
+    }
+
+    fn receive(&mut self, command: &Command) {
+        match command {
+            Command::SendOrder(order) if order.id == self.order && order.update <= self.update => {}
+            Command::SendOrder(order) => {
+                if order.id != self.order {
+                    (self.ahead, self.actions) = (vec![], vec![]);
+                }
+                (self.order, self.update) = (order.id.clone(), order.update);
+                let done = if order.update == 0 { None } else { self.at.as_ref().map(|(_, sequence)| *sequence) };
+                self.ahead.retain(|node| node.released);
+                for node in &order.nodes {
+                    let is_known = self.ahead.iter().any(|known| known.sequence == node.sequence);
+                    if !is_known && done.is_none_or(|done| node.sequence > done) {
+                        self.ahead.push(node.clone());
+                    }
+                }
+                for action in order.nodes.iter().flat_map(|node| &node.actions) {
+                    self.report(&action.id, ActionStatus::Waiting);
+                }
+                if order.update == 0 {
+                    self.step();
+                }
+            }
+            Command::SendInstant(action) => {
+                if action.kind == "cancelOrder" {
+                    self.ahead.clear();
+                    self.actions.iter_mut().filter(|own| !own.status.is_final()).for_each(|own| own.status = ActionStatus::Failed);
+                }
+                self.executed.push(action.kind.clone());
+                self.report(&action.id, ActionStatus::Finished);
+            }
+            Command::Result { .. } | Command::Feedback { .. } => {}
+        }
+    }
+
+    fn report(&mut self, id: &str, status: ActionStatus) {
+        self.actions.retain(|action| action.id != id);
+        self.actions.push(ActionReport { id: id.to_owned(), status, result: String::new() });
+    }
+
+    /// Drives to the next node of the base, and starts its actions.
+    fn step(&mut self) {
+        if self.ahead.first().is_some_and(|node| node.released) {
+            let node = self.ahead.remove(0);
+            self.at = Some((node.id, node.sequence));
+            for action in node.actions {
+                self.executed.push(action.id.clone());
+                self.report(&action.id, ActionStatus::Running);
+            }
+        }
+    }
+
+    fn finish_actions(&mut self) {
+        self.actions.iter_mut().for_each(|action| action.status = ActionStatus::Finished);
+    }
+
+    fn restart(&mut self) {
+        let at = self.at.take().map(|(node, _)| (node, 0));
+        *self = FakeVehicle { at, seconds: self.seconds, executed: self.executed.clone(), ..FakeVehicle::default() };
+    }
+
+    fn state(&mut self) -> VehicleState {
+        self.header_id += 1;
+        self.seconds += 1;
+        let (last_node, last_sequence) = self.at.clone().unwrap_or_default();
+        let layout = layout();
+        let position = layout.node(&last_node).map(|node| Position { x_m: node.x_m, y_m: node.y_m, yaw_rad: 0.0, map: "m".to_owned() });
+        VehicleState {
+            header_id: self.header_id,
+            timestamp: format!("2026-01-01T00:00:{:02}.000Z", self.seconds),
+            order: self.order.clone(),
+            update: self.update,
+            last_node,
+            last_sequence,
+            nodes: self.ahead.iter().map(|node| RemainingNode { id: node.id.clone(), sequence: node.sequence, released: node.released }).collect(),
+            edges_left: self.ahead.len(),
+            is_driving: !self.ahead.is_empty(),
+            position,
+            charge: 0.5,
+            actions: self.actions.clone(),
+            errors: self.errors.clone(),
+            mode: "AUTOMATIC".to_owned(),
+            is_stopped: false,
+        }
+    }
+}
+
+fn layout() -> Layout {
+    let nodes = ["a", "b", "c", "d"].into_iter().enumerate();
+    let nodes = nodes.map(|(index, id)| (id.to_owned(), LayoutNode { x_m: index as f64 * 5.0, y_m: 0.0, yaw_rad: None }));
+    let edges = [["a", "b"], ["b", "c"], ["c", "d"]].map(|edge| edge.map(str::to_owned));
+    Layout::new(nodes.collect(), &edges).unwrap()
+}
+
+fn machine(release_ahead: usize) -> OrderMachine {
+    let mut machine = OrderMachine::new(MachineSettings {
+        version: Version::V2_1,
+        layout: layout(),
+        map: "m".to_owned(),
+        release_ahead,
+        causes: CauseTable::default(),
+        retry_after: Duration::from_secs(2),
+        ready_within: Duration::from_secs(10),
+        silence_max: Duration::from_secs(30),
+        adopt_within: Duration::from_secs(3),
+        session: 1,
+    });
+    machine.step(Event::Broker { is_up: true }, Duration::ZERO);
+    machine
+}
+
+fn seconds(time: u64) -> Duration {
+    Duration::from_secs(time)
+}
+
+fn drive(to: &str) -> Work {
+    Work::Drive { to: to.to_owned(), speed_max_mps: None }
+}
+
+fn pick(is_instant: bool) -> Work {
+    Work::Act { kind: "pick".to_owned(), blocking: BlockingType::Hard, parameters: BTreeMap::new(), is_instant }
+}
+
+fn goal(id: u64, work: Work) -> Event {
+    let fingerprint = fingerprint(&format!("{work:?}"));
+    Event::Goal { id, fingerprint, work, keep_for: seconds(1_000) }
+}
+
+fn orders(commands: &[Command]) -> Vec<Order> {
+    let order = |command: &Command| match command {
+        Command::SendOrder(order) => Some(order.clone()),
+        _ => None,
+    };
+    commands.iter().filter_map(order).collect()
+}
+
+fn cancels(commands: &[Command]) -> usize {
+    commands.iter().filter(|command| matches!(command, Command::SendInstant(action) if action.kind == "cancelOrder")).count()
+}
+
+fn result(commands: &[Command]) -> Option<GoalStatus> {
+    commands.iter().find_map(|command| match command {
+        Command::Result { status, .. } => Some(status.clone()),
+        _ => None,
+    })
+}
+
+/// Passes a state to the machine, and its commands to the vehicle.
+fn exchange(machine: &mut OrderMachine, vehicle: &mut FakeVehicle, time: u64) -> Vec<Command> {
+    let commands = machine.step(Event::State(vehicle.state()), seconds(time));
+    commands.iter().for_each(|command| vehicle.receive(command));
+    commands
+}
+
+#[test]
+fn a_drive_is_released_node_by_node_and_stitched() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let sent = machine.step(goal(7, drive("d")), seconds(2));
+    let first = orders(&sent).remove(0);
+    let nodes = |order: &Order| {
+        Vec::from_iter(order.nodes.iter().map(|node| (node.id.clone(), node.sequence, node.released)))
+    };
+    let node = |id: &str, sequence, released| (id.to_owned(), sequence, released);
+    assert_eq!(nodes(&first), [node("a", 0, true), node("b", 2, true), node("c", 4, false), node("d", 6, false)]);
+    assert_eq!(Vec::from_iter(first.edges.iter().map(|edge| (edge.sequence, edge.released))), [(1, true), (3, false), (5, false)]);
+    vehicle.receive(&sent[0]);
+    vehicle.step();
+    let update = orders(&exchange(&mut machine, &mut vehicle, 3)).remove(0);
+    assert_eq!((update.id.as_str(), update.update), (first.id.as_str(), 1));
+    assert_eq!(nodes(&update), [node("b", 2, true), node("c", 4, true), node("d", 6, false)]);
+    vehicle.step();
+    assert_eq!(orders(&exchange(&mut machine, &mut vehicle, 4))[0].update, 2);
+    vehicle.step();
+    assert_eq!(result(&exchange(&mut machine, &mut vehicle, 5)), Some(GoalStatus::Succeeded(String::new())));
+    // A repeated goal repeats the result and starts nothing.
+    let repeated = machine.step(goal(7, drive("d")), seconds(6));
+    assert_eq!((repeated.len(), result(&repeated)), (1, Some(GoalStatus::Succeeded(String::new()))));
+}
+
+#[test]
+fn a_lost_order_is_sent_again_and_executed_once() {
+    for is_instant in [false, true] {
+        let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        let lost = machine.step(goal(7, pick(is_instant)), seconds(2));
+        let again = exchange(&mut machine, &mut vehicle, 5);
+        assert_eq!(lost[0], again[0], "the same ids");
+        // The first message arrives late.
+        if !is_instant {
+            vehicle.receive(&lost[0]);
+        }
+        vehicle.finish_actions();
+        assert!(matches!(result(&exchange(&mut machine, &mut vehicle, 6)), Some(GoalStatus::Succeeded(_))));
+        assert_eq!(vehicle.executed.len(), 1, "{:?}", vehicle.executed);
+    }
+}
+
+#[test]
+fn an_unanswered_order_is_not_repeated_before_a_younger_state() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    machine.step(goal(7, pick(true)), seconds(2));
+    let commands = machine.step(Event::Tick, seconds(20));
+    let kinds = commands.iter().filter_map(|command| match command {
+        Command::SendInstant(action) => Some(action.kind.as_str()),
+        _ => None,
+    });
+    assert_eq!(Vec::from_iter(kinds), ["stateRequest"], "the action may be under way");
+}
+
+#[test]
+fn late_and_repeated_states_change_nothing() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    let late = vehicle.state();
+    let sent = {
+        exchange(&mut machine, &mut vehicle, 1);
+        machine.step(goal(7, drive("b")), seconds(2))
+    };
+    vehicle.receive(&sent[0]);
+    let state = vehicle.state();
+    machine.step(Event::State(state.clone()), seconds(3));
+    for stale in [late, state] {
+        assert_eq!(orders(&machine.step(Event::State(stale), seconds(9))), [], "nothing is ordered again");
+    }
+    vehicle.step();
+    assert!(result(&exchange(&mut machine, &mut vehicle, 10)).is_some());
+}
+
+#[test]
+fn a_new_process_continues_an_action_without_repeating_it() {
+    for is_instant in [false, true] {
+        let mut vehicle = FakeVehicle::at("a");
+        let mut killed = machine(1);
+        exchange(&mut killed, &mut vehicle, 1);
+        let sent = killed.step(goal(7, pick(is_instant)), seconds(2));
+        vehicle.receive(&sent[0]);
+        drop(killed);
+
+        let mut next = machine(1);
+        let commands = next.step(goal(7, pick(is_instant)), seconds(1));
+        assert_eq!(orders(&commands), []);
+        exchange(&mut next, &mut vehicle, 2);
+        vehicle.finish_actions();
+        assert!(matches!(result(&exchange(&mut next, &mut vehicle, 3)), Some(GoalStatus::Succeeded(_))));
+        assert_eq!(vehicle.executed.iter().filter(|executed| *executed != "stateRequest").count(), 1, "{vehicle:?}");
+    }
+}
+
+#[test]
+fn an_order_of_an_earlier_life_is_continued_for_the_same_work_only() {
+    let under_way = || {
+        let (mut machine, mut vehicle) = (machine(3), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        let sent = machine.step(goal(7, drive("d")), seconds(2));
+        vehicle.receive(&sent[0]);
+        vehicle.step();
+        vehicle
+    };
+    // The node restarted: its goals have larger ids.
+    let (mut next, mut vehicle) = (machine(3), under_way());
+    next.step(goal(1 << 20, drive("d")), seconds(1));
+    assert_eq!(orders(&exchange(&mut next, &mut vehicle, 2)), []);
+    (0..3).for_each(|_| vehicle.step());
+    assert!(matches!(result(&exchange(&mut next, &mut vehicle, 3)), Some(GoalStatus::Succeeded(_))));
+
+    // Other work: the old order is cancelled first.
+    let (mut next, mut vehicle) = (machine(3), under_way());
+    next.step(goal(1 << 20, drive("a")), seconds(1));
+    assert_eq!(cancels(&exchange(&mut next, &mut vehicle, 2)), 1);
+    let order = orders(&exchange(&mut next, &mut vehicle, 3)).remove(0);
+    assert_eq!((order.nodes[0].id.as_str(), order.nodes[1].id.as_str()), ("b", "a"));
+
+    // A goal of an adapter that has been replaced does not touch the order of the later one.
+    let (mut stale, mut vehicle) = (machine(3), under_way());
+    stale.step(goal(6, drive("a")), seconds(1));
+    let commands = exchange(&mut stale, &mut vehicle, 2);
+    assert!(matches!(result(&commands), Some(GoalStatus::Aborted(cause)) if cause.code == "busy"));
+
+    // Without a goal the order ends with the longest permission.
+    let (mut idle, mut vehicle) = (machine(3), under_way());
+    assert_eq!(cancels(&exchange(&mut idle, &mut vehicle, 1)), 0);
+    assert_eq!(cancels(&idle.step(Event::Tick, seconds(5))), 1);
+}
+
+#[test]
+fn a_restarted_vehicle_drives_again_but_does_not_repeat_an_action() {
+    let restarted = |work: Work| {
+        let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        let sent = machine.step(goal(7, work), seconds(2));
+        vehicle.receive(&sent[0]);
+        exchange(&mut machine, &mut vehicle, 3);
+        machine.step(Event::Connection(ConnectionState::Broken), seconds(4));
+        vehicle.restart();
+        machine.step(Event::Connection(ConnectionState::Online), seconds(6));
+        let lost = exchange(&mut machine, &mut vehicle, 7);
+        let next = exchange(&mut machine, &mut vehicle, 8);
+        ([lost, next].concat(), sent)
+    };
+    let (commands, sent) = restarted(drive("d"));
+    let again = orders(&commands).remove(0);
+    let id = |order: &Order| order.id.parse::<OrderId>().unwrap();
+    assert_eq!(id(&again), OrderId { attempt: 1, ..id(&orders(&sent)[0]) });
+    for is_instant in [false, true] {
+        let (commands, _) = restarted(pick(is_instant));
+        assert_eq!(orders(&commands), []);
+        let Some(GoalStatus::Aborted(cause)) = result(&commands) else { panic!("{commands:?}") };
+        assert!(cause.message.contains("not repeated"), "{cause:?}");
+    }
+}
+
+#[test]
+fn a_goal_is_canceled_when_the_vehicle_has_stopped() {
+    let under_way = |keep_for: Duration| {
+        let (mut machine, mut vehicle) = (machine(3), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        let sent = machine.step(Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for }, seconds(2));
+        vehicle.receive(&sent[0]);
+        exchange(&mut machine, &mut vehicle, 3);
+        (machine, vehicle)
+    };
+    let (mut machine, mut vehicle) = under_way(seconds(100));
+    let commands = machine.step(Event::Cancel { id: 7 }, seconds(4));
+    assert_eq!((cancels(&commands), result(&commands)), (1, None), "the vehicle has not confirmed");
+    // The cancel is lost, and sent again.
+    assert_eq!(cancels(&exchange(&mut machine, &mut vehicle, 5)), 0);
+    assert_eq!(cancels(&exchange(&mut machine, &mut vehicle, 6)), 1);
+    assert_eq!(result(&exchange(&mut machine, &mut vehicle, 7)), Some(GoalStatus::Canceled));
+    assert!(machine.is_at_rest());
+    // The end of the permission does the same.
+    let (mut machine, mut vehicle) = under_way(seconds(2));
+    assert_eq!(cancels(&exchange(&mut machine, &mut vehicle, 4)), 1);
+    assert_eq!(result(&exchange(&mut machine, &mut vehicle, 5)), Some(GoalStatus::Canceled));
+    // A goal without permission is not sent.
+    let (mut machine, mut vehicle) = (super::tests::machine(3), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for: Duration::ZERO };
+    let commands = machine.step(event, seconds(2));
+    assert_eq!((orders(&commands), result(&commands)), (vec![], Some(GoalStatus::Canceled)));
+}
+
+#[test]
+fn errors_of_the_vehicle_end_a_goal_with_their_cause() {
+    let with_error = |kind: &str, level: ErrorLevel, is_accepted: bool| {
+        let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        let sent = machine.step(goal(7, drive("d")), seconds(2));
+        let order = orders(&sent).remove(0);
+        if is_accepted {
+            vehicle.receive(&sent[0]);
+        }
+        let references = vec![("orderId".to_owned(), order.id)];
+        vehicle.errors = vec![VehicleError { kind: kind.to_owned(), level, description: String::new(), references }];
+        let first = exchange(&mut machine, &mut vehicle, 3);
+        let second = exchange(&mut machine, &mut vehicle, 4);
+        ([&first, &second].iter().find_map(|commands| result(commands)), cancels(&first))
+    };
+    let code = |status: Option<GoalStatus>| match status {
+        Some(GoalStatus::Aborted(cause)) => cause.code,
+        other => panic!("{other:?}"),
+    };
+    // The vehicle rejects the order.
+    let (status, _) = with_error("noRouteError", ErrorLevel::Warning, false);
+    assert_eq!(code(status), "no_route");
+    // The vehicle fails in the order; the goal ends when it has stopped.
+    let (status, _) = with_error("obstacle", ErrorLevel::Fatal, true);
+    assert_eq!(code(status), "blocked");
+    // A warning of an accepted order changes nothing.
+    assert_eq!(with_error("dust", ErrorLevel::Warning, true), (None, 0));
+}
+
+#[test]
+fn an_order_of_another_master_is_not_touched() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    let node = OrderNode { id: "b".to_owned(), sequence: 2, released: true, at_m: None, yaw_rad: None, actions: vec![] };
+    (vehicle.order, vehicle.ahead) = ("of-another".to_owned(), vec![node]);
+    machine.step(goal(7, drive("d")), seconds(1));
+    let commands = [exchange(&mut machine, &mut vehicle, 2), exchange(&mut machine, &mut vehicle, 12)].concat();
+    let Some(GoalStatus::Aborted(cause)) = result(&commands) else { panic!("{commands:?}") };
+    assert_eq!((cause.code.as_str(), cancels(&commands), orders(&commands).len()), ("busy", 0, 0));
+    assert!(cause.message.contains("of-another"), "{cause:?}");
+}
+
+#[test]
+fn a_silent_vehicle_fails_the_goal_and_is_stopped_when_it_returns() {
+    let (mut machine, mut vehicle) = (machine(3), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let sent = machine.step(goal(7, drive("d")), seconds(2));
+    vehicle.receive(&sent[0]);
+    exchange(&mut machine, &mut vehicle, 3);
+    let status = result(&machine.step(Event::Tick, seconds(40)));
+    assert!(matches!(status, Some(GoalStatus::Aborted(cause)) if cause.code == "timed_out"));
+    let later = [exchange(&mut machine, &mut vehicle, 50), machine.step(Event::Tick, seconds(54))].concat();
+    assert_eq!(cancels(&later), 1);
+}
