@@ -1,0 +1,478 @@
+"""Cases with genuine software of VDA 5050. Each prints `pass NAME`, `fail NAME: why` or `skip NAME: why`."""
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+CASES = []
+
+
+class Skip(Exception):
+    """A case cannot run here."""
+
+
+def case(function):
+    CASES.append(function)
+    return function
+
+
+def starts(listener, kind):
+    """Ids of the actions of a type that any vehicle has begun, as its states tell."""
+    return {action["actionId"] for state in listener.of("state") for action in state["actionStates"]
+            if action.get("actionType") == kind and action["actionStatus"] not in ("WAITING",)}
+
+
+@case
+def a_vehicle_of_vda_5050_lib_drives_and_acts(case):
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker)
+    driver = case.driver(broker)
+    driver.wait("pose", place="Dock")
+    driver.wait("charge")
+    driver.drive(1, "Ward")
+    driver.result(1)
+    driver.wait("pose", place="Ward")
+    assert any(message.get("distance_remaining_m", 0) > 1 for message in driver.all if message["type"] == "feedback")
+    driver.goal(2, "pick_load", load="L-7")
+    driver.result(2)
+    driver.goal(3, "drop_load", load="L-7")
+    driver.result(3)
+    driver.goal(4, "dock")
+    driver.result(4)
+    driver.goal(5, "undock")
+    driver.result(5)
+    driver.goal(6, "pause")
+    driver.result(6)
+    driver.goal(7, "resume")
+    driver.result(7)
+    drive = [order for order in listener.of("order") if len(order["nodes"]) > 1]
+    assert [order["orderUpdateId"] for order in drive] == [0, 1], drive
+    assert drive[0]["orderId"] == drive[1]["orderId"] and drive[1]["nodes"][0]["nodeId"] == "n2", "stitched at n2"
+    assert [node["released"] for node in drive[0]["nodes"]] == [True, True, False], "base and horizon"
+    assert starts(listener, "pick"), "the vehicle executed the action"
+
+
+@case
+def a_vehicle_of_vda5050_sdk_drives_and_acts(case):
+    broker = case.broker()
+    case.sdk_vehicle(broker)
+    driver = case.driver(broker, "sdk-1", version="2.1")
+    driver.wait("pose")
+    driver.drive(1, "Ward")
+    driver.result(1)
+    driver.goal(2, "pick_load", load="L-7")
+    driver.result(2)
+    driver.goal(3, "dock")
+    driver.result(3)
+
+
+@case
+def every_message_fits_the_official_schemas(case):
+    import jsonschema
+    import vda5050.validation
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.sdk_vehicle(broker)
+    driver = case.driver(broker, "sdk-1", version="2.1")
+    driver.drive(1, "Ward")
+    driver.result(1)
+    driver.goal(2, "pick_load", load="L-7")
+    driver.result(2)
+    driver.goal(3, "dock")
+    driver.result(3)
+    driver.drive(4, "Dock")
+    driver.wait("feedback", id="4")
+    driver.send("cancel", id="4")
+    driver.wait("result", id="4")
+    folder = Path(vda5050.validation.__file__).parent / "schemas"
+    counts = {}
+    for level in ("order", "instantActions", "state", "connection"):
+        official = json.loads((folder / f"{level}.json").read_text())
+        printed = subprocess.run([case.program, "schema", level, "--vda", "2.1"], capture_output=True, text=True, check=True)
+        for message in listener.of(level):
+            jsonschema.validate(message, official)
+            jsonschema.validate(message, json.loads(printed.stdout))
+            counts[level] = counts.get(level, 0) + 1
+    assert min(counts.get(level, 0) for level in ("order", "instantActions", "state", "connection")) > 0, counts
+    return ", ".join(f"{count} {level}" for level, count in counts.items())
+
+
+@case
+def messages_of_3_0_fit_the_official_schemas(case):
+    raise Skip("none of the packages contains the official schemas of 3.0 (vda5050-sdk 0.2.0: 2.1; vda-5050-lib 1.4.0: 1.1, 2.0; "
+               "vda-5050-cli 2.0.13: 1.1)")
+
+
+@case
+def a_foreign_vehicle_of_3_0_drives(case):
+    raise Skip("none of the packages contains a vehicle of 3.0")
+
+
+@case
+def ten_vehicles_drive_at_the_same_time(case):
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker, 10)
+    drivers = [case.driver(broker, f"agv-{number}") for number in range(1, 11)]
+    for number, driver in enumerate(drivers, 1):
+        driver.drive(number, "Ward")
+    for number, driver in enumerate(drivers, 1):
+        driver.result(number, limit_s=60)
+    for number in range(1, 11):
+        ids = {order["orderId"] for order in listener.of("order", f"agv-{number}")}
+        assert len(ids) == 1 and f"-{number}-" in ids.pop(), "each vehicle received its own order"
+
+
+@case
+def a_drive_survives_a_restart_of_the_broker(case):
+    broker = case.broker()
+    case.agv(broker, speed=0.8)
+    driver = case.driver(broker)
+    driver.drive(1, "Ward")
+    driver.wait("feedback", id="1")
+    time.sleep(1)
+    broker.kill()
+    time.sleep(2)
+    broker.start()
+    driver.result(1, limit_s=60)
+    driver.drive(2, "Shelf")
+    driver.result(2, limit_s=60)
+
+
+@case
+def repeated_and_late_messages_change_nothing(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker)
+    driver = case.driver(broker)
+    driver.drive(1, "Ward")
+    driver.result(1)
+    recorded = [(topic, payload) for topic, payload in listener.messages if topic.endswith(("/order", "/state"))]
+    before = len(listener.of("order"))
+    # An hour later, everything again: old orders to the vehicle, and old states to the driver.
+    for topic, payload in recorded:
+        listener.client.publish(topic, payload)
+    driver.drive(2, "Shelf")
+    driver.result(2)
+    ids = [order["orderId"] for order in listener.of("order")[before:]]
+    new = {id for id in ids if "-2-" in id}
+    assert len(new) == 1, ids
+    wait_for("the vehicle ends the drive", lambda: listener.of("state")[-1]["lastNodeId"] == "n2", 20)
+    assert [message["id"] for message in driver.all if message["type"] == "result"] == ["1", "2"]
+
+
+@case
+def a_vehicle_that_restarts_in_a_drive_drives_again(case):
+    broker = case.broker()
+    listener = case.listener(broker)
+    agv = case.agv(broker, speed=0.5)
+    driver = case.driver(broker)
+    driver.drive(1, "Ward")
+    driver.wait("feedback", id="1")
+    time.sleep(2)
+    agv.kill()
+    time.sleep(1)
+    case.agv(broker, speed=4)
+    driver.result(1, limit_s=60)
+    ids = {order["orderId"] for order in listener.of("order")}
+    assert len(ids) == 2 and any(id.endswith("-1") for id in ids), ids
+
+
+@case
+def a_vehicle_that_restarts_in_an_action_does_not_repeat_it(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    agv = case.agv(broker)
+    driver = case.driver(broker)
+    driver.goal(1, "pick_load", load="L-7")
+    wait_for("the action begins", lambda: starts(listener, "pick"))
+    agv.kill()
+    case.agv(broker)
+    result = driver.result(1, "aborted", limit_s=60)
+    assert "not repeated" in result["message"], result
+    assert len(listener.of("order")) == 1
+
+
+@case
+def a_vehicle_that_loses_its_connection_continues(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    agv = case.agv(broker, speed=0.8)
+    driver = case.driver(broker)
+    driver.drive(1, "Ward")
+    driver.wait("feedback", id="1")
+    agv.child.send_signal(signal.SIGSTOP)
+    wait_for("the last will of the vehicle", lambda: any(
+        message["connectionState"] == "CONNECTIONBROKEN" for message in listener.of("connection")), 30)
+    agv.child.send_signal(signal.SIGCONT)
+    driver.result(1, limit_s=60)
+
+
+@case
+def a_killed_driver_continues_its_action_without_repeating_it(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker)
+    driver = case.driver(broker)
+    driver.goal(1, "pick_load", load="L-7")
+    wait_for("the action begins", lambda: starts(listener, "pick"))
+    driver.kill()
+    driver = case.driver(broker)
+    driver.goal(1, "pick_load", resumed=True, load="L-7")
+    driver.result(1)
+    assert len(starts(listener, "pick")) == 1 and len(listener.of("order")) == 1, "the action is executed once"
+    # The same for a drive, whose horizon the next process releases.
+    driver.drive(2, "Ward")
+    driver.wait("feedback", id="2")
+    wait_for("the order is under way", lambda: listener.of("state")[-1]["orderId"].startswith("consort-2-"))
+    driver.kill()
+    driver = case.driver(broker)
+    driver.drive(2, "Ward", resumed=True)
+    driver.result(2)
+    ids = {order["orderId"] for order in listener.of("order") if order["orderId"].startswith("consort-2-")}
+    assert len(ids) == 1, ids
+
+
+@case
+def a_restarted_node_continues_the_drive_under_way(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker, speed=0.8)
+    driver = case.driver(broker)
+    driver.drive(1, "Ward")
+    wait_for("the order is under way", lambda: listener.of("state") and listener.of("state")[-1]["orderId"].startswith("consort-1-"))
+    driver.kill()
+    driver = case.driver(broker)
+    driver.drive(1 << 20, "Ward")
+    driver.result(1 << 20)
+    assert {order["orderId"].split("-")[1] for order in listener.of("order")} == {"1"}
+
+
+@case
+def a_cancel_and_the_end_of_the_input_stop_the_vehicle(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker, speed=0.8)
+    driver = case.driver(broker)
+    driver.drive(1, "Ward")
+    wait_for("the vehicle drives", lambda: listener.of("state") and listener.of("state")[-1]["driving"])
+    driver.send("cancel", id="1")
+    driver.result(1, "canceled", limit_s=10)
+    state = listener.of("state")[-1]
+    assert not state["driving"] and not state["nodeStates"], state
+    driver.drive(2, "Ward")
+    wait_for("the vehicle drives again", lambda: listener.of("state")[-1]["driving"])
+    driver.goal_id = None  # the permission ends
+    driver.result(2, "canceled", limit_s=10)
+    driver.drive(3, "Ward")
+    wait_for("the vehicle drives a third time", lambda: listener.of("state")[-1]["driving"])
+    driver.goal_id = None
+    driver.process.child.stdin.close()
+    assert driver.process.child.wait(4) == 0
+    wait_for("the vehicle stands", lambda: not listener.of("state")[-1]["driving"], 5)
+
+
+@case
+def errors_of_a_vehicle_become_causes(case):
+    broker = case.broker()
+    case.agv(broker)
+    driver = case.driver(broker)
+    driver.wait("pose")
+    driver.goal(1, "pick_load", load="L-7")
+    driver.result(1)
+    # The vehicle carries a load already.
+    driver.goal(2, "pick_load", load="L-8")
+    result = driver.result(2, "aborted")
+    assert result["code"] == "failed" and result["message"], result
+    driver.goal(3, "navigate_to_pose", pose={"x_m": 99, "y_m": 0})
+    result = driver.result(3, "aborted")
+    assert result["code"] == "no_route" and "allowed: Dock, Shelf, Ward" in result["message"], result
+
+
+@case
+def malformed_messages_are_refused_with_their_path(case):
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker)
+    driver = case.driver(broker)
+    driver.wait("pose")
+    state = listener.of("state", "agv-1")[-1]
+    topic = "uagv/v2/Foreign/agv-1/state"
+    wrong = [{**state, "errors": [{"errorType": "x", "errorLevel": "LOUD"}]}, {**state, "orderUpdateId": "one"},
+             {**state, "serialNumber": "agv-2"}, {key: value for key, value in state.items() if key != "driving"}]
+    for message in [*(json.dumps(message) for message in wrong), "{", "\xff"]:
+        listener.client.publish(topic, message)
+    driver.drive(1, "Shelf")
+    driver.result(1)
+    text = driver.errors.read_text()
+    for part in ["/errors/0/errorLevel", "properties/errorLevel/enum", "/orderUpdateId", "/serialNumber", "`driving` is missing", "no JSON"]:
+        assert part in text, f"{part} is not in {text[-2000:]}"
+    assert "count=5" in text or "count\x1b[0m\x1b[2m=\x1b[0m5" in text, "refusals are counted"
+
+
+@case
+def topics_of_others_are_not_touched(case):
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker, 2)
+    driver = case.driver(broker)
+    other = "uagv/v2/Other/agv-1"
+    listener.client.publish(f"{other}/connection", json.dumps({"connectionState": "OFFLINE"}), retain=True)
+    driver.drive(1, "Ward")
+    driver.result(1)
+    driver.goal(2, "dock")
+    driver.result(2)
+    own = "uagv/v2/Foreign/agv-1/"
+    lines = [line for line in broker.text().splitlines() if "consort-" in line]
+    published = [line for line in lines if "Received PUBLISH from consort-" in line]
+    delivered = [line for line in lines if "Sending PUBLISH to consort-" in line]
+    assert published and delivered
+    assert all(own in line for line in published + delivered), "only topics of the own vehicle"
+    subscribed = {line.split()[1] for line in broker.text().splitlines() if line.split()[1:2] and line.split()[1].startswith(own)}
+    assert {f"{own}{level}" for level in ("state", "visualization", "connection", "factsheet")} <= subscribed, subscribed
+
+
+@case
+def a_broker_with_tls_and_passwords_is_used(case):
+    if not shutil.which("openssl"):
+        raise Skip("openssl is not installed")
+    folder = case.folder
+
+    def openssl(*words):
+        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+    openssl("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2", "-subj", "/CN=ca",
+            "-keyout", "ca.key", "-out", "ca.pem")
+    openssl("req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-subj", "/CN=localhost", "-keyout", "broker.key", "-out", "broker.csr")
+    (folder / "names").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost\nbasicConstraints=CA:FALSE\n")
+    openssl("x509", "-req", "-in", "broker.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2", "-extfile", "names", "-out", "broker.pem")
+    subprocess.run(["mosquitto_passwd", "-b", "-c", "users", "consort", "secret"], cwd=folder, check=True, capture_output=True)
+    (folder / "password").write_text("secret\n")
+    (folder / "wrong").write_text("guess\n")
+    from kit import free_port
+    plain = free_port()
+    broker = case.broker([f"cafile {folder}/ca.pem", f"certfile {folder}/broker.pem", f"keyfile {folder}/broker.key",
+                          f"password_file {folder}/users", "allow_anonymous false"], scheme="mqtts")
+    access = {"user": "consort", "password_file": "password", "ca": "ca.pem"}
+    check = lambda **more: subprocess.run([case.program, "check", str(case.file(broker, name="check", access={**access, **more})), "--connect", "2"],
+                                          capture_output=True, text=True)
+    refused = check(password_file="wrong")
+    assert refused.returncode == 1 and "NotAuthorized" in refused.stdout, refused
+    # Without the authority the broker's certificate is not accepted.
+    (folder / "other.pem").write_bytes((folder / "ca.pem").read_bytes())
+    openssl("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2", "-subj", "/CN=other", "-keyout", "other.key", "-out", "other.pem")
+    untrusted = check(ca="other.pem")
+    assert untrusted.returncode == 1 and "certificate" in untrusted.stdout.lower(), untrusted
+    accepted = check()
+    assert "NotAuthorized" not in accepted.stdout and "problem" not in accepted.stdout, accepted
+    assert f"consort-check" in broker.text() and "u'consort'" in broker.text(), "the broker knows the user"
+    return "connection, user and refusals; the virtual vehicle has no TLS"
+
+
+@case
+def the_broker_of_vda_5050_cli_is_used(case):
+    from kit import Process, free_port, wait_for
+    import socket
+    port = free_port()
+    command = [case.kit / "node_modules/.bin/vda-5050", "broker", "-q", "-p", port, "--ws-port", free_port()]
+    case.keep(Process(command, case.folder / "cli.log", stdout=subprocess.DEVNULL))
+    wait_for("the broker listens", lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, 20)
+    url = f"mqtt://127.0.0.1:{port}"
+    case.agv(url)
+    driver = case.driver(url)
+    driver.drive(1, "Shelf")
+    driver.result(1)
+
+
+@case
+def the_vehicle_is_checked_by_its_factsheet(case):
+    broker = case.broker()
+    case.agv(broker)
+    file = case.file(broker)
+    output = subprocess.run([case.program, "check", str(file), "--connect", "5"], capture_output=True, text=True)
+    assert output.returncode == 0, output
+    for part in ["vehicle Foreign/agv-1, VDA 5050 2.0.0", "action  pick_load: action on the node pick, blocking HARD", "state   mode AUTOMATIC", "factsheet"]:
+        assert part in output.stdout, f"{part!r} is not in {output.stdout}"
+
+
+@case
+def the_driver_passes_the_conformance_check(case):
+    root = Path(__file__).resolve().parents[3]
+    target = Path(os.environ.get("CARGO_TARGET_DIR", root / "target"))
+    programs = [Path(os.environ[name]) for name in ["CONSORT"] if name in os.environ]
+    programs += [target / "release/consort", target / "debug/consort"]
+    consort = next((program for program in programs if program.exists()), None)
+    if consort is None:
+        raise Skip("the program consort is not built: cargo build, or CONSORT=PATH")
+    broker = case.broker()
+    case.agv(broker, speed=1.0)
+    file = case.file(broker, actions={
+        "wait_in_place": {"type": "noop", "blocking": "HARD", "parameters": {"duration": 2}, "example": {}}})
+    domain = case.folder / "domain.yaml"
+    domain.write_text("domain: foreign\ndescription: actions of the virtual vehicle\nactions:\n  wait_in_place:\n    description: stands still\n"
+                      "    repeatable: true\n    simulate: { duration_s: [2, 2] }\n")
+    command = [consort, "driver", "check", "--domain", domain, "--action", "wait_in_place", "--", case.program, "driver", file]
+    output = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=600)
+    failed = [line for line in output.stdout.splitlines() if line.startswith("FAILED")]
+    assert output.returncode == 0, failed or output.stderr[-500:]
+    return f"{sum(line.startswith('ok') for line in output.stdout.splitlines())} cases of consort driver check"
+
+
+@case
+def the_tutorial_works(case):
+    import tutorial
+    return tutorial.play(case)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--program")
+    parser.add_argument("--kit")
+    parser.add_argument("--list", action="store_true")
+    parser.add_argument("names", nargs="*")
+    arguments = parser.parse_args()
+    if arguments.list:
+        print("\n".join(function.__name__ for function in CASES))
+        return
+    sys.path.insert(0, str(Path(__file__).parent))
+    import kit
+    base = Path(tempfile.mkdtemp(prefix="vda5050-"))
+    failed = False
+    for function in CASES:
+        name = function.__name__
+        if arguments.names and name not in arguments.names:
+            continue
+        case = kit.Case(str(Path(arguments.program).resolve()), Path(arguments.kit).resolve(), base / name)
+        try:
+            note = function(case)
+            print(f"pass {name}" + (f": {note}" if note else ""), flush=True)
+        except Skip as reason:
+            print(f"skip {name}: {reason}", flush=True)
+        except Exception as problem:  # every problem of a case is its failure
+            failed = True
+            where = traceback.extract_tb(problem.__traceback__)
+            line = next((frame.lineno for frame in reversed(where) if frame.filename == __file__), 0)
+            text = " ".join(str(problem).split())[:600] or type(problem).__name__
+            print(f"fail {name}: line {line}: {text}", flush=True)
+        finally:
+            case.end()
+    if not failed:
+        shutil.rmtree(base, ignore_errors=True)
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()

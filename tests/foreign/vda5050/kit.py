@@ -1,0 +1,210 @@
+"""Brokers, vehicles and drivers for the cases: each a process of its own."""
+import json
+import os
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import paho.mqtt.client as mqtt
+
+HERE = Path(__file__).parent
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_for(what, condition, limit_s=30.0):
+    """Polls a condition; its first true value is returned."""
+    until = time.monotonic() + limit_s
+    while time.monotonic() < until:
+        if value := condition():
+            return value
+        time.sleep(0.02)
+    raise AssertionError(f"not within {limit_s:.0f} s: {what}")
+
+
+class Process:
+    """A child process that ends with its case."""
+
+    def __init__(self, command, log, **options):
+        self.log = open(log, "ab")
+        self.child = subprocess.Popen([str(word) for word in command], stderr=self.log, **options)
+
+    def kill(self, number=signal.SIGKILL):
+        if self.child.poll() is None:
+            self.child.send_signal(signal.SIGCONT)
+            self.child.send_signal(number)
+        self.child.wait(10)
+        self.log.close()
+
+
+class Broker:
+    """mosquitto, with the lines of a configuration."""
+
+    def __init__(self, folder, lines=("allow_anonymous true",), port=None, scheme="mqtt"):
+        self.folder, self.port, self.scheme = folder, port or free_port(), scheme
+        self.file = folder / "mosquitto.conf"
+        self.file.write_text("\n".join([f"listener {self.port} 127.0.0.1", "log_type all", "user root", *lines]) + "\n")
+        self.start()
+
+    @property
+    def url(self):
+        return f"{self.scheme}://127.0.0.1:{self.port}"
+
+    def start(self):
+        self.process = Process(["mosquitto", "-c", self.file], self.folder / "broker.log", stdout=subprocess.DEVNULL)
+        wait_for("the broker listens", lambda: socket.socket().connect_ex(("127.0.0.1", self.port)) == 0, 10)
+
+    def kill(self):
+        self.process.kill()
+
+    def text(self):
+        return (self.folder / "broker.log").read_text(errors="replace")
+
+
+class Listener:
+    """Records every message on the broker, and publishes."""
+
+    def __init__(self, broker):
+        self.messages = []
+        self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        self.client.on_connect = lambda client, *_: client.subscribe("#")
+        self.client.on_message = lambda _client, _data, message: self.messages.append((message.topic, message.payload))
+        self.client.reconnect_delay_set(1, 1)
+        self.client.connect("127.0.0.1", broker.port)
+        self.client.loop_start()
+        wait_for("the listener is connected", self.client.is_connected, 10)
+
+    def of(self, level, serial=None):
+        return [json.loads(payload) for topic, payload in list(self.messages)
+                if topic.endswith(f"/{level}") and (serial is None or f"/{serial}/" in topic)]
+
+    def kill(self):
+        self.client.loop_stop()
+        self.client.disconnect()
+
+
+class Driver:
+    """The program under test, with the node's side of its standard streams."""
+
+    def __init__(self, program, file, log):
+        self.lines, self.all, self.errors = queue.Queue(), [], log
+        self.process = Process([program, "driver", file], log, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        threading.Thread(target=self.read, daemon=True).start()
+        self.goal_id = None
+        threading.Thread(target=self.keep, daemon=True).start()
+        self.wait("hello")
+        self.send("start", protocol=1, robot="carrier", place="Dock", pose={"x_m": 0, "y_m": 0, "yaw_rad": 0})
+
+    def read(self):
+        for line in self.process.child.stdout:
+            message = json.loads(line)
+            self.all.append(message)
+
+    def keep(self):
+        """Renews the permission of the goal, as a node does."""
+        while self.process.child.poll() is None:
+            if self.goal_id:
+                self.send("keep", id=self.goal_id, keep_for_ms=900)
+            time.sleep(0.3)
+
+    def send(self, kind, **fields):
+        try:
+            self.process.child.stdin.write((json.dumps({"type": kind, **fields}) + "\n").encode())
+        except (BrokenPipeError, ValueError):
+            pass
+
+    def goal(self, id, action, resumed=False, **parameters):
+        self.send("goal", id=str(id), action=action, parameters=parameters, keep_for_ms=900, resumed=resumed)
+        self.goal_id = str(id)
+
+    def drive(self, id, place, resumed=False):
+        x_m = {"Dock": 0.0, "Shelf": 4.0, "Ward": 8.0}[place]
+        self.goal(id, "navigate_to_pose", resumed, place=place, pose={"x_m": x_m, "y_m": 0.0, "yaw_rad": 0.0})
+
+    def wait(self, kind, limit_s=30.0, **fields):
+        def found():
+            return next((message for message in self.all if message["type"] == kind
+                         and all(message.get(key) == value for key, value in fields.items())), None)
+        return wait_for(f"{kind} {fields}, after {self.all[-3:]}", found, limit_s)
+
+    def result(self, id, status="succeeded", limit_s=40.0):
+        result = self.wait("result", limit_s, id=str(id))
+        assert result["status"] == status, result
+        return result
+
+    def kill(self, number=signal.SIGKILL):
+        self.goal_id = None
+        self.process.kill(number)
+
+
+class Case:
+    """A folder, and what has to end with the case."""
+
+    def __init__(self, program, kit, folder):
+        self.program, self.kit, self.folder, self.open = program, kit, folder, []
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def keep(self, part):
+        self.open.append(part)
+        return part
+
+    def broker(self, *arguments, **options):
+        return self.keep(Broker(self.folder, *arguments, **options))
+
+    def listener(self, broker):
+        return self.keep(Listener(broker))
+
+    def started(self, command, name):
+        process = self.keep(Process(command, self.folder / f"{name}.log", stdout=subprocess.PIPE))
+        line = process.child.stdout.readline()
+        assert b"started" in line, f"{name} did not start: {(self.folder / f'{name}.log').read_text()[-500:]}"
+        return process
+
+    def agv(self, broker, count=1, speed=2.0):
+        url = getattr(broker, "url", broker)
+        return self.started(["node", HERE / "agv.js", self.kit, url, count, speed], "agv")
+
+    def sdk_vehicle(self, broker):
+        return self.started([sys.executable, HERE / "sdk_vehicle.py", broker.url], "sdk")
+
+    def file(self, broker, serial="agv-1", version="2.0", name=None, **more):
+        url = getattr(broker, "url", broker)
+        content = {
+            "broker": {"url": url, **more.pop("access", {})}, "version": version, "manufacturer": "Foreign",
+            "serial": serial, "map": "hall", "release_ahead": 1,
+            "places": {"Dock": {"node": "n1", "x_m": 0, "y_m": 0}, "Shelf": {"node": "n2", "x_m": 4, "y_m": 0},
+                       "Ward": {"node": "n3", "x_m": 8, "y_m": 0}},
+            "edges": [["n1", "n2"], ["n2", "n3"]],
+            "actions": {
+                "pick_load": {"type": "pick", "blocking": "HARD", "result": "load",
+                              "parameters": {"stationType": "floor", "loadType": "EPAL", "loadId": "{load}", "duration": 1}},
+                "drop_load": {"type": "drop", "blocking": "HARD",
+                              "parameters": {"stationType": "floor", "loadType": "EPAL", "loadId": "{load}", "duration": 1}},
+                "dock": {"type": "startCharging", "scope": "instant", "blocking": "HARD"},
+                "undock": {"type": "stopCharging", "scope": "instant", "blocking": "HARD"},
+                "pause": {"type": "startPause", "scope": "instant", "blocking": "HARD"},
+                "resume": {"type": "stopPause", "scope": "instant", "blocking": "HARD"},
+            }, **more}
+        path = self.folder / f"{name or serial}.yaml"
+        path.write_text(json.dumps(content))  # JSON is YAML
+        return path
+
+    def driver(self, broker, serial="agv-1", **options):
+        file = self.file(broker, serial, **options)
+        return self.keep(Driver(self.program, file, self.folder / f"driver-{serial}.log"))
+
+    def end(self):
+        for part in reversed(self.open):
+            try:
+                part.kill()
+            except (OSError, ValueError, subprocess.TimeoutExpired):
+                pass
