@@ -4,7 +4,8 @@ use crate::catalog::ScopeForm;
 use crate::file::VehicleSettings;
 use crate::mqtt::{BrokerEvent, connect};
 use consort_vda5050_core::{
-    Event, Factsheet, Malformed, OrderMachine, Topic, VehicleState, instant_actions, read_factsheet, read_state,
+    Command, Event, Factsheet, Malformed, OrderMachine, Topic, VehicleState, instant_actions, read_factsheet,
+    read_state,
 };
 use std::time::{Duration, SystemTime};
 use tokio::time::{Instant, timeout_at};
@@ -52,7 +53,7 @@ pub async fn ask(settings: &VehicleSettings, limit: Duration) -> VehicleReport {
         match event {
             BrokerEvent::Up => {
                 for command in machine.step(Event::Broker { is_up: true }, Duration::ZERO) {
-                    if let consort_vda5050_core::Command::SendInstant(action) = command {
+                    if let Command::SendInstant(action) = command {
                         let body = instant_actions(&[action], vehicle.version());
                         let message = vehicle.message(0, "1970-01-01T00:00:00.000Z", body);
                         report.problems.extend(
@@ -94,7 +95,9 @@ impl VehicleReport {
                 state.order,
                 state.errors.len()
             )),
-            None => lines.push("state   none: is the vehicle connected, and are version, manufacturer and serial right?".to_owned()),
+            None => lines.push(
+                "state   none: is the vehicle connected, and are version, manufacturer and serial right?".to_owned(),
+            ),
         }
         let Some(sheet) = &self.factsheet else {
             lines.push("factsheet none: the vehicle does not send one".to_owned());
@@ -103,10 +106,15 @@ impl VehicleReport {
         let speed = sheet.speed_max_mps.map_or("unknown".to_owned(), |speed| format!("{speed} m/s"));
         let size = sheet.size_m.map_or("unknown".to_owned(), |(length, width)| format!("{length} m by {width} m"));
         let series = sheet.series.as_deref().unwrap_or("unknown");
-        lines.push(format!("factsheet series {series}, speed {speed}, size {size}, actions {}", sheet.actions.join(", ")));
+        lines.push(format!(
+            "factsheet series {series}, speed {speed}, size {size}, actions {}",
+            sheet.actions.join(", ")
+        ));
         let is_missing = |kind: &String| !sheet.actions.is_empty() && !sheet.actions.contains(kind);
         let missing = settings.catalog.actions().filter(|(_, form)| is_missing(&form.kind));
-        lines.extend(missing.map(|(name, form)| format!("problem action {name}: the factsheet does not list {}", form.kind)));
+        lines.extend(
+            missing.map(|(name, form)| format!("problem action {name}: the factsheet does not list {}", form.kind)),
+        );
         lines
     }
 }

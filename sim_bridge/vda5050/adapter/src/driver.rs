@@ -1,18 +1,18 @@
 //! The driver: performs the commands of the state machine, and passes events on to it.
 
-use crate::catalog::GoalError;
+use crate::catalog::{ActionForm, GoalError};
 use crate::file::VehicleSettings;
 use crate::lines::{Input, NodeLine, Output, permission, read_input};
 use crate::mqtt::{BrokerEvent, Publisher, connect};
 use consort_vda5050_core::{
-    Command, Event, GoalStatus, Malformed, OrderMachine, Position, Topic, instant_actions, read_connection,
-    read_factsheet, read_state, read_visualization,
+    Command, Event, GoalStatus, Malformed, OrderMachine, Position, Topic, VehicleError, instant_actions,
+    read_connection, read_factsheet, read_state, read_visualization,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant, SystemTime};
-use time::format_description::well_known::Rfc3339;
 use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
 use tokio::time::{MissedTickBehavior, interval};
 use tracing::{info, warn};
 
@@ -196,9 +196,10 @@ impl<'a> Driver<'a> {
         match self.read_message(topic, &bytes) {
             Ok(event) => event,
             Err(problem) => {
-                let count = self.refused.entry(topic.level()).or_default();
-                *count += 1;
-                if *count <= REFUSALS_LOGGED {
+                let counter = self.refused.entry(topic.level()).or_default();
+                *counter += 1;
+                let count = *counter;
+                if count <= REFUSALS_LOGGED {
                     warn!(%vehicle, topic = topic.level(), count, %problem, "refused a message of the vehicle");
                 }
                 None
@@ -229,7 +230,7 @@ impl<'a> Driver<'a> {
             }
             Topic::Factsheet => {
                 let factsheet = read_factsheet(vehicle, bytes)?;
-                let is_missing = |(_, form): &(&str, &crate::catalog::ActionForm)| {
+                let is_missing = |(_, form): &(&str, &ActionForm)| {
                     !factsheet.actions.is_empty() && !factsheet.actions.contains(&form.kind)
                 };
                 for (action, form) in self.settings.catalog.actions().filter(is_missing) {
@@ -303,7 +304,8 @@ impl<'a> Driver<'a> {
     /// the vehicle is known.
     fn report(&mut self) {
         let since = self.reported_at.map(|at| at.elapsed());
-        let is_due = since.is_none_or(|since| since >= REPORT_INTERVAL && (self.has_news || since >= 2 * REPORT_INTERVAL));
+        let is_due =
+            since.is_none_or(|since| since >= REPORT_INTERVAL && (self.has_news || since >= 2 * REPORT_INTERVAL));
         let Some(state) = self.machine.state().filter(|_| is_due) else { return };
         if let Some(position) = &self.position {
             let mut pose = json!({ "x_m": position.x_m, "y_m": position.y_m, "yaw_rad": position.yaw_rad });
@@ -313,9 +315,8 @@ impl<'a> Driver<'a> {
             }
             self.output.send("pose", pose);
         }
-        let is_low = |error: &consort_vda5050_core::VehicleError| {
-            error.level.ends_orders() && error.kind.to_ascii_lowercase().contains("battery")
-        };
+        let is_low =
+            |error: &VehicleError| error.level.ends_orders() && error.kind.to_ascii_lowercase().contains("battery");
         self.output.send("charge", json!({ "share": state.charge, "able": !state.errors.iter().any(is_low) }));
         (self.reported_at, self.has_news) = (Some(Instant::now()), false);
     }

@@ -1,9 +1,7 @@
 //! The file of a vehicle.
 
 use crate::catalog::{ActionForm, Catalog, PlaceForm};
-use consort_vda5050_core::{
-    CauseTable, Layout, LayoutError, LayoutNode, MachineSettings, Vehicle, Version, class_of,
-};
+use consort_vda5050_core::{CauseTable, Layout, LayoutError, LayoutNode, MachineSettings, Vehicle, Version, class_of};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -168,11 +166,8 @@ impl VehicleSettings {
         let text = fs::read_to_string(path).map_err(|problem| FileError::Read { path: path.to_owned(), problem })?;
         let file: VehicleFile = serde_saphyr::from_str(&text)
             .map_err(|problem| FileError::Form { path: path.to_owned(), problem: problem.to_string() })?;
-        let wrong = |place: &str, problem: String| FileError::Value {
-            path: path.to_owned(),
-            place: place.to_owned(),
-            problem,
-        };
+        let wrong =
+            |place: &str, problem: String| FileError::Value { path: path.to_owned(), place: place.to_owned(), problem };
         let version: Version = file.version.parse().map_err(|problem| wrong("version", format!("{problem}")))?;
         let vehicle = Vehicle::new(&file.interface, version, &file.manufacturer, &file.serial)
             .map_err(|problem| wrong(problem.field, problem.to_string()))?;
@@ -182,21 +177,31 @@ impl VehicleSettings {
         if file.release_ahead == 0 {
             return Err(wrong("release_ahead", "0 releases nothing; allowed is 1 or more".to_owned()));
         }
-        for (kind, code) in file.errors.iter().filter(|(_, code)| code.is_empty()) {
-            return Err(wrong(&format!("errors.{kind}"), format!("{code:?} is no code; allowed: blocked, no_route, …")));
+        if let Some((kind, code)) = file.errors.iter().find(|(_, code)| code.is_empty()) {
+            return Err(wrong(
+                &format!("errors.{kind}"),
+                format!("{code:?} is no code; allowed: blocked, no_route, …"),
+            ));
         }
         let layout = file.layout().map_err(|problem| wrong("edges", problem.to_string()))?;
         let broker = file.broker.access(path)?;
         let catalog =
             Catalog::new(file.places, file.actions).map_err(|problem| wrong(&problem.place, problem.problem))?;
         let causes = CauseTable { by_type: file.errors };
-        Ok(VehicleSettings { vehicle, broker, catalog, layout, map: file.map, release_ahead: file.release_ahead, causes })
+        Ok(VehicleSettings {
+            vehicle,
+            broker,
+            catalog,
+            layout,
+            map: file.map,
+            release_ahead: file.release_ahead,
+            causes,
+        })
     }
 
     /// Returns the settings of the state machine.
     pub fn machine(&self, session: u64) -> MachineSettings {
         MachineSettings {
-            version: self.vehicle.version(),
             layout: self.layout.clone(),
             map: self.map.clone(),
             release_ahead: self.release_ahead,
@@ -217,12 +222,14 @@ impl VehicleSettings {
 
 impl VehicleFile {
     fn layout(&self) -> Result<Layout, LayoutError> {
-        let of_places = self.places.values().map(|place| {
-            (place.node.clone(), LayoutNode { x_m: place.x_m, y_m: place.y_m, yaw_rad: place.yaw_rad })
-        });
-        let others = self.nodes.iter().map(|(id, node)| {
-            (id.clone(), LayoutNode { x_m: node.x_m, y_m: node.y_m, yaw_rad: None })
-        });
+        let of_places = self
+            .places
+            .values()
+            .map(|place| (place.node.clone(), LayoutNode { x_m: place.x_m, y_m: place.y_m, yaw_rad: place.yaw_rad }));
+        let others = self
+            .nodes
+            .iter()
+            .map(|(id, node)| (id.clone(), LayoutNode { x_m: node.x_m, y_m: node.y_m, yaw_rad: None }));
         Layout::new(of_places.chain(others).collect(), &self.edges)
     }
 }
@@ -260,9 +267,12 @@ impl BrokerForm {
         let client = match (optional(&self.certificate)?, optional(&self.key)?) {
             (Some(certificate), Some(key)) => Some((certificate, key)),
             (None, None) => None,
-            _ => return Err(wrong("certificate", "a certificate needs its `key`, and a key its certificate".to_owned())),
+            _ => {
+                return Err(wrong("certificate", "a certificate needs its `key`, and a key its certificate".to_owned()));
+            }
         };
-        let password = optional(&self.password_file)?.map(|bytes| String::from_utf8_lossy(&bytes).trim_end().to_owned());
+        let password =
+            optional(&self.password_file)?.map(|bytes| String::from_utf8_lossy(&bytes).trim_end().to_owned());
         let login = match (&self.user, password) {
             (Some(user), password) => Some((user.clone(), password.unwrap_or_default())),
             (None, Some(_)) => return Err(wrong("password_file", "a password needs its `user`".to_owned())),

@@ -82,7 +82,8 @@ impl Layout {
             if id == to {
                 let mut route = vec![id];
                 while let Some(last) = route.last().filter(|last| *last != from) {
-                    route.push(closed[last].clone());
+                    let before = closed[last].clone();
+                    route.push(before);
                 }
                 route.reverse();
                 return Some(route);

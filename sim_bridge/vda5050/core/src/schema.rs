@@ -4,6 +4,7 @@
 
 use crate::identity::{Topic, Version};
 use serde_json::{Value, json};
+use std::cmp::Ordering;
 
 /// A message does not fit its schema.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -63,16 +64,16 @@ pub fn schema(topic: Topic, version: Version) -> Value {
         ("serialNumber", text()),
     ];
     // The official schemas require no header of a visualization, and no `headerId` of a factsheet.
-    let required = match topic {
-        Topic::Visualization => &[][..],
-        Topic::Factsheet => &["version", "manufacturer", "serialNumber"][..],
-        _ => &["headerId", "timestamp", "version", "manufacturer", "serialNumber"][..],
+    let required: &[&str] = match topic {
+        Topic::Visualization => &[],
+        Topic::Factsheet => &["version", "manufacturer", "serialNumber"],
+        _ => &["headerId", "timestamp", "version", "manufacturer", "serialNumber"],
     };
     for (name, form) in header {
         schema["properties"][name] = form;
     }
     if let Some(names) = schema["required"].as_array_mut() {
-        names.splice(0..0, required.iter().map(|name| json!(name)));
+        *names = required.iter().map(|name| json!(name)).chain(names.drain(..)).collect();
     }
     schema["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
     schema["title"] = json!(format!("{} {version}", topic.level()));
@@ -96,7 +97,9 @@ fn action(version: Version, is_instant: bool) -> Value {
 }
 
 fn order(version: Version) -> Value {
-    let angle = json!({ "type": "number", "minimum": -3.141_592_653_59, "maximum": 3.141_592_653_59 });
+    // The published schemas round the number to 11 digits.
+    let half_turn = (std::f64::consts::PI * 1e11).round() / 1e11;
+    let angle = json!({ "type": "number", "minimum": -half_turn, "maximum": half_turn });
     let position =
         object(&["x", "y", "mapId"], json!({ "x": number(), "y": number(), "theta": angle, "mapId": text() }));
     let node = object(
@@ -126,14 +129,15 @@ fn position(version: Version) -> (&'static str, Value) {
         Version::V3_0 => ("mobileRobotPosition", "localized"),
         _ => ("agvPosition", "positionInitialized"),
     };
-    let fields =
-        json!({ "x": number(), "y": number(), "theta": number(), "mapId": text(), flagged: flag() });
+    let fields = json!({ "x": number(), "y": number(), "theta": number(), "mapId": text(), flagged: flag() });
     (name, object(&["x", "y", "theta", "mapId", flagged], fields))
 }
 
 fn state(version: Version) -> Value {
     let is_3 = version == Version::V3_0;
-    let step = |id: &str| object(&[id, "sequenceId", "released"], json!({ id: text(), "sequenceId": count(), "released": flag() }));
+    let step = |id: &str| {
+        object(&[id, "sequenceId", "released"], json!({ id: text(), "sequenceId": count(), "released": flag() }))
+    };
     let statuses: &[&str] = if is_3 {
         &["WAITING", "INITIALIZING", "RUNNING", "PAUSED", "RETRIABLE", "FINISHED", "FAILED"]
     } else {
@@ -155,15 +159,31 @@ fn state(version: Version) -> Value {
     );
     let (position_name, position) = position(version);
     let (power, power_form) = if is_3 {
-        ("powerSupply", object(&["stateOfCharge", "charging"], json!({ "stateOfCharge": number(), "charging": flag() })))
+        (
+            "powerSupply",
+            object(&["stateOfCharge", "charging"], json!({ "stateOfCharge": number(), "charging": flag() })),
+        )
     } else {
-        ("batteryState", object(&["batteryCharge", "charging"], json!({ "batteryCharge": number(), "charging": flag() })))
+        (
+            "batteryState",
+            object(&["batteryCharge", "charging"], json!({ "batteryCharge": number(), "charging": flag() })),
+        )
     };
     let stop = if is_3 { "activeEmergencyStop" } else { "eStop" };
     let mut state = object(
         &[
-            "orderId", "orderUpdateId", "lastNodeId", "lastNodeSequenceId", "nodeStates", "edgeStates", "driving",
-            "actionStates", "operatingMode", "errors", "safetyState", power,
+            "orderId",
+            "orderUpdateId",
+            "lastNodeId",
+            "lastNodeSequenceId",
+            "nodeStates",
+            "edgeStates",
+            "driving",
+            "actionStates",
+            "operatingMode",
+            "errors",
+            "safetyState",
+            power,
         ],
         json!({
             "orderId": text(), "orderUpdateId": count(), "lastNodeId": text(), "lastNodeSequenceId": count(),
@@ -229,16 +249,18 @@ fn check_at(schema: &Value, value: &Value, path: &str, rule: &str) -> Result<(),
         _ => vec![],
     };
     if !kinds.is_empty() && !kinds.iter().any(|kind| is_of_type(value, kind)) {
-        return Err(violation("type", format!("{} is {}; allowed: {}", shown(value), kind_of(value), kinds.join(", "))));
+        return Err(violation(
+            "type",
+            format!("{} is {}; allowed: {}", shown(value), kind_of(value), kinds.join(", ")),
+        ));
     }
     if let Some(allowed) = schema["enum"].as_array().filter(|allowed| !allowed.contains(value)) {
         let allowed: Vec<&str> = allowed.iter().filter_map(Value::as_str).collect();
         return Err(violation("enum", format!("{} is not allowed; allowed: {}", shown(value), allowed.join(", "))));
     }
-    let limits: [(&str, fn(f64, f64) -> bool); 2] = [("minimum", |v, limit| v < limit), ("maximum", |v, limit| v > limit)];
-    for (keyword, is_beyond) in limits {
+    for (keyword, beyond) in [("minimum", Ordering::Less), ("maximum", Ordering::Greater)] {
         if let (Some(limit), Some(number)) = (schema[keyword].as_f64(), value.as_f64())
-            && is_beyond(number, limit)
+            && number.partial_cmp(&limit) == Some(beyond)
         {
             return Err(violation(keyword, format!("{number} is beyond the {keyword} {limit}")));
         }
@@ -299,7 +321,8 @@ mod tests {
     #[test]
     fn a_violation_names_the_place_in_message_and_schema() {
         let schema = schema(Topic::Connection, Version::V2_1);
-        let header = json!({ "headerId": 1, "timestamp": "t", "version": "2.1.0", "manufacturer": "a", "serialNumber": "b" });
+        let header =
+            json!({ "headerId": 1, "timestamp": "t", "version": "2.1.0", "manufacturer": "a", "serialNumber": "b" });
         let with = |state: Value| {
             let mut message = header.clone();
             message["connectionState"] = state;

@@ -63,9 +63,8 @@ impl DriveStart<'_> {
         let at_m = position.as_ref().map(|position| (position.x_m, position.y_m));
         let nearest = at_m.and_then(|at_m| self.layout.nearest(at_m));
         let known = self.layout.node(last_node).map(|node| (last_node.as_str(), node));
-        let is_on = |node: &LayoutNode| {
-            at_m.is_none_or(|(x_m, y_m)| (node.x_m - x_m).hypot(node.y_m - y_m) <= ON_NODE_M)
-        };
+        let is_on =
+            |node: &LayoutNode| at_m.is_none_or(|(x_m, y_m)| (node.x_m - x_m).hypot(node.y_m - y_m) <= ON_NODE_M);
         // (first node of the route, true if the vehicle stands beside the nodes)
         let (from, is_beside) = match (known, nearest) {
             (Some((id, node)), _) if is_on(node) => (id, false),
@@ -196,7 +195,7 @@ impl OrderRun {
             actions: self.action.iter().filter_map(|(_, action)| action.clone()).collect(),
         };
         let edge = |(index, stop): (usize, &RouteStop)| OrderEdge {
-            sequence: stop.sequence - 1,
+            sequence: stop.sequence.saturating_sub(1),
             released: is_released(index),
             from: self.stops[index - 1].id.clone(),
             to: stop.id.clone(),
@@ -256,7 +255,9 @@ impl OrderRun {
         let has_acted = action.is_none_or(|report| report.is_some_and(|report| report.status.is_final()));
         let is_over = state.nodes.is_empty() && state.edges_left == 0 && has_acted;
         let is_at_end = self.stops.last().is_none_or(|last| state.last_sequence >= last.sequence);
-        let of_order = |error: &&VehicleError| error.refers_to(&id) || self.action.as_ref().is_some_and(|(action, _)| error.refers_to(action));
+        let of_order = |error: &&VehicleError| {
+            error.refers_to(&id) || self.action.as_ref().is_some_and(|(action, _)| error.refers_to(action))
+        };
         let cause = || {
             let errors = || state.errors.iter().filter(is_new);
             let error = errors().find(of_order).or_else(|| errors().find(|error| error.level.ends_orders()));

@@ -21,8 +21,7 @@ mod execution;
 mod tests;
 mod vehicle_view;
 
-use crate::cause::{Cause, CauseTable};
-use crate::identity::Version;
+use crate::cause::{Cause, CauseTable, VehicleError};
 use crate::incoming::{ConnectionState, VehicleState};
 use crate::layout::Layout;
 use crate::order_id::OrderId;
@@ -138,8 +137,6 @@ pub enum Command {
 /// Settings of a machine.
 #[derive(Debug, Clone)]
 pub struct MachineSettings {
-    /// Version that the vehicle speaks.
-    pub version: Version,
     /// Nodes and edges.
     pub layout: Layout,
     /// Map of the nodes.
@@ -294,14 +291,7 @@ impl OrderMachine {
         commands
     }
 
-    fn accept(
-        &mut self,
-        id: u64,
-        fingerprint: u32,
-        work: Work,
-        until: Duration,
-        now: Duration,
-    ) -> Option<Command> {
+    fn accept(&mut self, id: u64, fingerprint: u32, work: Work, until: Duration, now: Duration) -> Option<Command> {
         if let Some((goal, status)) = self.ended.as_ref().filter(|(goal, _)| *goal == id) {
             return Some(Command::Result { goal: *goal, status: status.clone() });
         }
@@ -366,7 +356,9 @@ impl OrderMachine {
 
     fn feedback(&self, goal: &ActiveGoal) -> Command {
         let distance = match &goal.phase {
-            Phase::Order(run) if !run.has_action() => self.view.state().and_then(|state| run.distance_remaining_m(state)),
+            Phase::Order(run) if !run.has_action() => {
+                self.view.state().and_then(|state| run.distance_remaining_m(state))
+            }
             _ => None,
         };
         Command::Feedback { goal: goal.id, distance_remaining_m: distance }
@@ -408,10 +400,8 @@ impl OrderMachine {
         if goal.stop.is_some() && (executed.is_none() || waits_too_long) {
             return goal.stopped();
         }
-        if goal.stop.is_none()
-            && let Some(status) = self.adopt(goal, &state)
-        {
-            return status;
+        if goal.stop.is_none() && self.adopt(goal, &state) {
+            return None;
         }
         if goal.stop.is_some() || !state.is_idle() || state.is_stopped {
             let (code, reason) = match (executed, state.is_stopped) {
@@ -428,7 +418,7 @@ impl OrderMachine {
         }
         // An error of an earlier order may stay until the next order.
         let of_orders = |text: &str| text.starts_with("consort-");
-        let ends = |error: &&crate::cause::VehicleError| {
+        let ends = |error: &&VehicleError| {
             error.level.ends_orders() && !error.references.iter().any(|(_, value)| of_orders(value))
         };
         if let Some(error) = state.errors.iter().find(ends) {
@@ -437,21 +427,22 @@ impl OrderMachine {
         self.start(goal, &state, now, commands)
     }
 
-    /// Continues what an earlier process began for this goal; `None` if there is nothing.
-    fn adopt(&mut self, goal: &mut ActiveGoal, state: &VehicleState) -> Option<Option<GoalStatus>> {
+    /// Continues what an earlier process began for this goal. Returns false if there is nothing.
+    fn adopt(&mut self, goal: &mut ActiveGoal, state: &VehicleState) -> bool {
         if let Work::Act { is_instant: true, .. } = goal.work {
-            let run = ActionRun::adopt(goal.order_id().action(0), state)?;
-            goal.phase = Phase::Action(run);
-            return Some(None);
+            let run = ActionRun::adopt(goal.order_id().action(0), state);
+            let is_known = run.is_some();
+            goal.phase = run.map_or(Phase::Waiting, Phase::Action);
+            return is_known;
         }
-        let order: OrderId = state.order.parse().ok()?;
+        let Ok(order) = state.order.parse::<OrderId>() else { return false };
         let is_same = order.goal == goal.id && order.work == goal.fingerprint;
         let is_cancelled = self.stray.as_ref().is_some_and(|stray| stray.sent_at.is_some());
         let is_earlier_life =
             order.goal < goal.id && order.work == goal.fingerprint && !state.is_idle() && !is_cancelled;
         // A later attempt of this process replaces an earlier order.
         if !(is_same && order.attempt >= goal.attempt || is_earlier_life) {
-            return None;
+            return false;
         }
         let has_action = matches!(goal.work, Work::Act { .. });
         let run = OrderRun::adopt(order, state, has_action, &self.settings.layout);
@@ -462,11 +453,11 @@ impl OrderMachine {
         if state.is_idle() && !at_end {
             // The order ended early; nothing of it has happened that must not be repeated.
             goal.attempt = order.attempt + 1;
-            return None;
+            return false;
         }
         self.stray = None;
         goal.phase = Phase::Order(run);
-        Some(None)
+        true
     }
 
     fn start(
@@ -515,15 +506,12 @@ impl OrderMachine {
         now: Duration,
         commands: &mut Vec<Command>,
     ) -> Option<GoalStatus> {
-        if let Some(stop) = &goal.stop {
-            let sent_at = self.cancel_order(stop.sent_at, now, commands);
-            if let Some(stop) = &mut goal.stop {
-                stop.sent_at = sent_at;
-            }
-        }
         let since = self.view.state_at().max(run.sent_at());
         if now.saturating_sub(since) >= self.settings.silence_max {
-            return aborted("timed_out", format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()));
+            return aborted(
+                "timed_out",
+                format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()),
+            );
         }
         let verdict = match self.view.state_after(run.sent_at()) {
             Some(state) => run.judge(state, &self.settings.causes),
@@ -551,7 +539,9 @@ impl OrderMachine {
             }
             Verdict::Absent | Verdict::Continues => {}
         }
-        if goal.stop.is_none() {
+        if let Some(stop) = &mut goal.stop {
+            stop.sent_at = self.cancel_order(stop.sent_at, now, commands);
+        } else {
             let reached = self.view.state_after(run.sent_at()).map(|state| state.last_sequence);
             if run.is_seen() && reached.is_some_and(|reached| run.release(reached, self.settings.release_ahead, now)) {
                 commands.push(Command::SendOrder(run.message(&self.settings.map)));
@@ -577,7 +567,10 @@ impl OrderMachine {
     ) -> Option<GoalStatus> {
         let since = self.view.state_at().max(run.sent_at());
         if now.saturating_sub(since) >= self.settings.silence_max {
-            return aborted("timed_out", format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()));
+            return aborted(
+                "timed_out",
+                format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()),
+            );
         }
         let verdict = match self.view.state_after(run.sent_at()) {
             Some(state) => run.judge(state, &self.settings.causes),
@@ -613,7 +606,8 @@ impl OrderMachine {
             _ => None,
         };
         let unfinished = self.view.state().filter(|state| !state.is_idle());
-        let order = unfinished.and_then(|state| state.order.parse::<OrderId>().ok()).filter(|order| Some(*order) != own);
+        let order =
+            unfinished.and_then(|state| state.order.parse::<OrderId>().ok()).filter(|order| Some(*order) != own);
         let Some(order) = order else {
             self.stray = None;
             return;

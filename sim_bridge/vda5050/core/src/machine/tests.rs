@@ -1,8 +1,9 @@
 use super::*;
-use crate::cause::{ErrorLevel, VehicleError};
+use crate::cause::ErrorLevel;
 use crate::incoming::{ActionReport, ActionStatus, Position, RemainingNode};
 use crate::layout::LayoutNode;
 use crate::order_id::fingerprint;
+use crate::outgoing::OrderNode;
 
 /// A vehicle that executes orders as the standard prescribes.
 #[derive(Debug, Default)]
@@ -18,8 +19,6 @@ struct FakeVehicle {
     /// Ids of actions in the order of their executions.
     executed: Vec<String>,
 }
-
-use crate::outgoing::OrderNode;
 
 impl FakeVehicle {
     fn at(node: &str) -> FakeVehicle {
@@ -52,10 +51,14 @@ impl FakeVehicle {
             Command::SendInstant(action) => {
                 if action.kind == "cancelOrder" {
                     self.ahead.clear();
-                    self.actions.iter_mut().filter(|own| !own.status.is_final()).for_each(|own| own.status = ActionStatus::Failed);
+                    self.actions
+                        .iter_mut()
+                        .filter(|own| !own.status.is_final())
+                        .for_each(|own| own.status = ActionStatus::Failed);
                 }
                 self.executed.push(action.kind.clone());
-                self.report(&action.id, ActionStatus::Finished);
+                let goes_on = action.kind == "pick";
+                self.report(&action.id, if goes_on { ActionStatus::Running } else { ActionStatus::Finished });
             }
             Command::Result { .. } | Command::Feedback { .. } => {}
         }
@@ -92,7 +95,12 @@ impl FakeVehicle {
         self.seconds += 1;
         let (last_node, last_sequence) = self.at.clone().unwrap_or_default();
         let layout = layout();
-        let position = layout.node(&last_node).map(|node| Position { x_m: node.x_m, y_m: node.y_m, yaw_rad: 0.0, map: "m".to_owned() });
+        let position = layout.node(&last_node).map(|node| Position {
+            x_m: node.x_m,
+            y_m: node.y_m,
+            yaw_rad: 0.0,
+            map: "m".to_owned(),
+        });
         VehicleState {
             header_id: self.header_id,
             timestamp: format!("2026-01-01T00:00:{:02}.000Z", self.seconds),
@@ -100,7 +108,11 @@ impl FakeVehicle {
             update: self.update,
             last_node,
             last_sequence,
-            nodes: self.ahead.iter().map(|node| RemainingNode { id: node.id.clone(), sequence: node.sequence, released: node.released }).collect(),
+            nodes: self
+                .ahead
+                .iter()
+                .map(|node| RemainingNode { id: node.id.clone(), sequence: node.sequence, released: node.released })
+                .collect(),
             edges_left: self.ahead.len(),
             is_driving: !self.ahead.is_empty(),
             position,
@@ -115,14 +127,14 @@ impl FakeVehicle {
 
 fn layout() -> Layout {
     let nodes = ["a", "b", "c", "d"].into_iter().enumerate();
-    let nodes = nodes.map(|(index, id)| (id.to_owned(), LayoutNode { x_m: index as f64 * 5.0, y_m: 0.0, yaw_rad: None }));
+    let nodes =
+        nodes.map(|(index, id)| (id.to_owned(), LayoutNode { x_m: index as f64 * 5.0, y_m: 0.0, yaw_rad: None }));
     let edges = [["a", "b"], ["b", "c"], ["c", "d"]].map(|edge| edge.map(str::to_owned));
     Layout::new(nodes.collect(), &edges).unwrap()
 }
 
 fn machine(release_ahead: usize) -> OrderMachine {
     let mut machine = OrderMachine::new(MachineSettings {
-        version: Version::V2_1,
         layout: layout(),
         map: "m".to_owned(),
         release_ahead,
@@ -163,7 +175,10 @@ fn orders(commands: &[Command]) -> Vec<Order> {
 }
 
 fn cancels(commands: &[Command]) -> usize {
-    commands.iter().filter(|command| matches!(command, Command::SendInstant(action) if action.kind == "cancelOrder")).count()
+    commands
+        .iter()
+        .filter(|command| matches!(command, Command::SendInstant(action) if action.kind == "cancelOrder"))
+        .count()
 }
 
 fn result(commands: &[Command]) -> Option<GoalStatus> {
@@ -186,12 +201,14 @@ fn a_drive_is_released_node_by_node_and_stitched() {
     exchange(&mut machine, &mut vehicle, 1);
     let sent = machine.step(goal(7, drive("d")), seconds(2));
     let first = orders(&sent).remove(0);
-    let nodes = |order: &Order| {
-        Vec::from_iter(order.nodes.iter().map(|node| (node.id.clone(), node.sequence, node.released)))
-    };
+    let nodes =
+        |order: &Order| Vec::from_iter(order.nodes.iter().map(|node| (node.id.clone(), node.sequence, node.released)));
     let node = |id: &str, sequence, released| (id.to_owned(), sequence, released);
     assert_eq!(nodes(&first), [node("a", 0, true), node("b", 2, true), node("c", 4, false), node("d", 6, false)]);
-    assert_eq!(Vec::from_iter(first.edges.iter().map(|edge| (edge.sequence, edge.released))), [(1, true), (3, false), (5, false)]);
+    assert_eq!(
+        Vec::from_iter(first.edges.iter().map(|edge| (edge.sequence, edge.released))),
+        [(1, true), (3, false), (5, false)]
+    );
     vehicle.receive(&sent[0]);
     vehicle.step();
     let update = orders(&exchange(&mut machine, &mut vehicle, 3)).remove(0);
@@ -361,7 +378,7 @@ fn a_goal_is_canceled_when_the_vehicle_has_stopped() {
     assert_eq!(cancels(&exchange(&mut machine, &mut vehicle, 4)), 1);
     assert_eq!(result(&exchange(&mut machine, &mut vehicle, 5)), Some(GoalStatus::Canceled));
     // A goal without permission is not sent.
-    let (mut machine, mut vehicle) = (super::tests::machine(3), FakeVehicle::at("a"));
+    let (mut machine, mut vehicle) = (self::machine(3), FakeVehicle::at("a"));
     exchange(&mut machine, &mut vehicle, 1);
     let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for: Duration::ZERO };
     let commands = machine.step(event, seconds(2));
@@ -401,7 +418,8 @@ fn errors_of_the_vehicle_end_a_goal_with_their_cause() {
 #[test]
 fn an_order_of_another_master_is_not_touched() {
     let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
-    let node = OrderNode { id: "b".to_owned(), sequence: 2, released: true, at_m: None, yaw_rad: None, actions: vec![] };
+    let node =
+        OrderNode { id: "b".to_owned(), sequence: 2, released: true, at_m: None, yaw_rad: None, actions: vec![] };
     (vehicle.order, vehicle.ahead) = ("of-another".to_owned(), vec![node]);
     machine.step(goal(7, drive("d")), seconds(1));
     let commands = [exchange(&mut machine, &mut vehicle, 2), exchange(&mut machine, &mut vehicle, 12)].concat();
@@ -419,6 +437,6 @@ fn a_silent_vehicle_fails_the_goal_and_is_stopped_when_it_returns() {
     exchange(&mut machine, &mut vehicle, 3);
     let status = result(&machine.step(Event::Tick, seconds(40)));
     assert!(matches!(status, Some(GoalStatus::Aborted(cause)) if cause.code == "timed_out"));
-    let later = [exchange(&mut machine, &mut vehicle, 50), machine.step(Event::Tick, seconds(54))].concat();
+    let later = [exchange(&mut machine, &mut vehicle, 50), exchange(&mut machine, &mut vehicle, 54)].concat();
     assert_eq!(cancels(&later), 1);
 }
