@@ -137,7 +137,7 @@ impl Offered {
         let ros = router.join("consort_bridge");
         offered.tasks.spawn(async move {
             let planner = Arc::new(RoutePlanner::new(hospital()).unwrap());
-            let settings = ServeSettings { bus: shared, keys: keys(), planner, run: 1 };
+            let settings = ServeSettings { bus: shared, keys: keys(), planner, run: 1, graph: None };
             panic!("the bridge stopped: {}", serve(&ros, settings, std::future::pending()).await.unwrap_err());
         });
         offered
