@@ -211,12 +211,13 @@ impl Execution {
         let Some(lifecycle) = &self.description.lifecycle else { return Ok(()) };
         for node in &lifecycle.nodes {
             let node = self.graph.resolve(node);
-            loop {
+            // It is configured, and then activated.
+            for attempt in 0..3 {
                 let state = lifecycle_state(&self.graph, &node).await?;
                 let transition = match state.as_str() {
                     "active" => break,
-                    "unconfigured" if lifecycle.activate => 1,
-                    "inactive" if lifecycle.activate => 3,
+                    "unconfigured" if lifecycle.activate && attempt < 2 => 1,
+                    "inactive" if lifecycle.activate && attempt < 2 => 3,
                     _ => return Err(format!("the lifecycle node {node} is {state}")),
                 };
                 let request = json!({"transition": {"id": transition}});

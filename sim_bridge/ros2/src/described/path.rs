@@ -80,7 +80,7 @@ impl FieldPath {
         self.0.iter().try_fold(message, |value, step| match step {
             Step::Field(name) => value.get(name),
             Step::Index(index) => value.get(index),
-            Step::Where(field, text) => value.as_array()?.iter().find(|item| item[field].as_str() == Some(text)),
+            Step::Where(field, text) => value.as_array()?.iter().find(|item| item[field].as_str() == Some(text.as_str())),
         })
     }
 

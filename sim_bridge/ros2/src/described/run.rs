@@ -273,7 +273,10 @@ impl Driver {
                         false
                     }
                 },
-                Some((id, end)) = self.ends.1.recv() => self.ended(id, end).await?,
+                Some((id, end)) = self.ends.1.recv() => {
+                    self.ended(id, end).await?;
+                    false
+                }
                 Some(received) = self.messages.1.recv() => {
                     self.receive(received).await?;
                     false
@@ -360,17 +363,12 @@ impl Driver {
         }
     }
 
-    async fn ended(&mut self, id: GoalId, end: End) -> Result<bool, std::io::Error> {
-        self.active.take_if(|active| active.id == id);
+    async fn ended(&mut self, id: GoalId, end: End) -> Result<(), std::io::Error> {
+        drop(self.active.take_if(|active| active.id == id));
         info!(goal = id.0, status = ?end.status, message = end.message, "goal ended");
         // The pose at the end is known before the end.
         self.report().await?;
         let effects = self.session.ended(id, end);
-        self.perform_sends(effects).await?;
-        Ok(false)
-    }
-
-    async fn perform_sends(&self, effects: Vec<Effect>) -> Result<(), std::io::Error> {
         for effect in effects {
             if let Effect::Send(message) = effect {
                 self.send(&message).await?;
@@ -385,7 +383,9 @@ impl Driver {
         while self.session.active().is_some() {
             let left = limit.saturating_duration_since(Instant::now());
             match timeout(left, self.ends.1.recv()).await {
-                Ok(Some((id, end))) => drop(self.ended(id, end).await?),
+                Ok(Some((id, end))) => {
+                    self.ended(id, end).await?;
+                }
                 Ok(None) => return Ok(()),
                 Err(_) => {
                     warn!("the robot has not ended its goal in {STOP_TIMEOUT:?} after the cancel");

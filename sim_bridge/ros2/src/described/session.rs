@@ -207,10 +207,9 @@ mod tests {
         session.handle(goal(7, 900), at(0));
         let busy = End::aborted("busy", "the previous goal has not ended");
         assert_eq!(session.handle(goal(8, 900), at(1)), [Effect::Send(result(GoalId(8), busy))]);
-        let [Effect::Send(DriverMessage::Result { status, .. })] = &session.ended(GoalId(7), End::canceled())[..] else {
-            panic!("a result")
-        };
-        assert_eq!(*status, ResultStatus::Aborted);
+        let cause = "another client of ROS 2 has canceled the goal";
+        let failed = result(GoalId(7), End::aborted("failed", cause));
+        assert_eq!(session.ended(GoalId(7), End::canceled()), [Effect::Send(failed)]);
     }
 
     #[test]

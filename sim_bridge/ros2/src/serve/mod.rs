@@ -13,8 +13,10 @@
 //! goals of other clients; the ROS 2 client receives that result.
 
 pub mod goal_executor;
+pub mod sensors;
 
 use crate::action_server::{ActionServer, ClientRequest, GoalUpdate};
+use crate::dynamic::graph::Graph;
 use crate::mapping;
 use crate::messages::Progress;
 use crate::ros::{Ros, RosError};
@@ -53,6 +55,9 @@ pub struct ServeSettings {
     /// Number of this run: greater than in any previous run, for example the milliseconds since 1970.
     /// Goals of previous runs are canceled.
     pub run: u64,
+    /// Session for the states of the robots: `/NAME/odom`, `/NAME/battery_state` and `/tf`. `None`: they are
+    /// not published.
+    pub graph: Option<Arc<Graph>>,
 }
 
 /// The bridge cannot serve, or no longer.
@@ -119,7 +124,8 @@ impl Bridges {
                 let executor = GoalExecutor::new(robot.clone(), Arc::clone(&settings.planner), settings.run);
                 let command = settings.keys.write(&Key::Driver(robot.clone(), DriverCall::Command));
                 let since = Instant::now();
-                let bridge = Bridge { robot, server, executor, bus: settings.bus.clone(), command, since };
+                let graph = settings.graph.clone();
+                let bridge = Bridge { robot, name, graph, server, executor, bus: settings.bus.clone(), command, since };
                 self.tasks.spawn(bridge.run(states));
             }
             // A robot that is not offered has no receiver.
@@ -139,6 +145,9 @@ impl Bridges {
 /// Performs the actions of a robot's executor.
 struct Bridge {
     robot: RobotId,
+    /// Its name in ROS 2.
+    name: String,
+    graph: Option<Arc<Graph>>,
     server: ActionServer,
     executor: GoalExecutor,
     bus: SharedBus,
@@ -154,7 +163,12 @@ impl Bridge {
             let now = self.since.elapsed();
             let actions = tokio::select! {
                 state = states.recv() => match state {
-                    Some(state) => self.executor.handle_state(state, now),
+                    Some(state) => {
+                        if let Some(graph) = &self.graph {
+                            sensors::publish(graph, &self.name, &state.telemetry).await;
+                        }
+                        self.executor.handle_state(state, now)
+                    }
                     None => return self.stop().await,
                 },
                 request = self.server.next_request() => match request {
