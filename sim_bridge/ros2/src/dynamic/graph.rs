@@ -557,7 +557,6 @@ struct Target<'a> {
 }
 
 /// A subscription, which ends when it is dropped.
-#[derive(Debug)]
 pub struct Subscription {
     _subscriber: Subscriber<()>,
     tasks: [tokio::task::AbortHandle; 2],

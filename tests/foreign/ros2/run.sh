@@ -1,0 +1,33 @@
+#!/bin/bash
+# Tries consort-ros2 against genuine ROS 2: rclpy on rmw_zenoh. Prints `pass NAME`, `fail NAME: why` or `skip NAME: why`
+# for each case; ends with 1 if a case failed. Settings, all optional:
+#   ROS2_KIT      folder with make-venv.sh, env.sh and overlay.tar.xz (default: foreign/ros2 beside the repository's folder)
+#   ROS2_VENV     virtual environment; made if missing (default: target/foreign/ros2/venv)
+#   CONSORT, CONSORT_ROS2   the programs (default: those of target/debug and sim_bridge/ros2/target/debug)
+set -uo pipefail
+here=$(cd "$(dirname "$0")" && pwd); root=$(cd "$here/../../.." && pwd)
+kit=${ROS2_KIT:-$root/../shared/foreign/ros2}
+export V=${ROS2_VENV:-$root/target/foreign/ros2/venv}
+export CONSORT=${CONSORT:-$root/target/debug/consort} CONSORT_ROS2=${CONSORT_ROS2:-$root/sim_bridge/ros2/target/debug/consort-ros2}
+skip_all() { for name in $(python3 "$here/cases.py" --list); do echo "skip ros2_$name: $1"; done; exit 0; }
+[ -f "$kit/make-venv.sh" ] || skip_all "the kit with ROS 2 is absent (ROS2_KIT=$kit)"
+command -v python3.11 >/dev/null || skip_all "python3.11 is absent, for which the wheels of ROS 2 are built"
+command -v gcc >/dev/null && command -v g++ >/dev/null || skip_all "gcc and g++ are absent, which compile further messages"
+[ -x "$CONSORT_ROS2" ] || skip_all "consort-ros2 is not built (cargo build --manifest-path sim_bridge/ros2/Cargo.toml)"
+[ -x "$CONSORT" ] || skip_all "consort is not built (cargo build)"
+work=$(dirname "$V"); mkdir -p "$work"
+if [ ! -e "$V/.consort-messages" ]; then
+    {
+        [ -x "$V/bin/python" ] || "$kit/make-venv.sh" "$V"
+        "$V/bin/pip" install -q ros-jazzy-sensor-msgs==5.3.6 ros-jazzy-nav-msgs==5.3.6 ros-jazzy-diagnostic-msgs==5.3.6 catkin_pkg
+        . "$kit/env.sh"
+        rm -rf "$work/messages"; cp -r "$here/messages" "$work/messages"
+        # Nav2's definitions and those of tf2, from the shipped ones.
+        python3 "$here/definitions.py" "$root/sim_bridge/ros2/types/jazzy.txt" "$work/messages"
+        "$V/bin/python" "$here/make_messages.py" "$V" "$work/messages" nav2_msgs tf2_msgs consort_test_msgs && touch "$V/.consort-messages"
+    } > "$work/make.log" 2>&1 || true
+    [ -e "$V/.consort-messages" ] || skip_all "the environment of ROS 2 cannot be made ($work/make.log)"
+fi
+. "$kit/env.sh"
+export ROS_PRELOAD
+exec python3 "$here/cases.py" "$@"
