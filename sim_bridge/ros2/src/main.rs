@@ -82,14 +82,14 @@ enum Command {
     },
     /// Be the driver of a robot that a file describes: JSON lines on the standard streams
     Driver {
-        /// Description: a file, or the name of a shipped one (nav2, turtlebot)
+        /// Description: a file, or the name of a shipped one (nav2, nav2_moves, turtlebot)
         file: String,
         #[command(flatten)]
         graph: GraphArgs,
     },
     /// Check the description of a robot without a robot
     Check {
-        /// Description: a file, or the name of a shipped one (nav2, turtlebot)
+        /// Description: a file, or the name of a shipped one (nav2, nav2_moves, turtlebot)
         file: String,
     },
     /// Print the JSON Schema of descriptions

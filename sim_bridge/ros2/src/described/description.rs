@@ -9,8 +9,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Shipped descriptions, by name.
-pub const SHIPPED: [(&str, &str); 2] =
-    [("nav2", include_str!("../../robots/nav2.yaml")), ("turtlebot", include_str!("../../robots/turtlebot.yaml"))];
+pub const SHIPPED: [(&str, &str); 3] = [
+    ("nav2", include_str!("../../robots/nav2.yaml")),
+    ("nav2_moves", include_str!("../../robots/nav2_moves.yaml")),
+    ("turtlebot", include_str!("../../robots/turtlebot.yaml")),
+];
 
 /// Greatest number of descriptions that extend each other.
 const EXTENDS_DEPTH: usize = 8;
@@ -19,7 +22,7 @@ const EXTENDS_DEPTH: usize = 8;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RobotDescription {
-    /// Descriptions that this one extends: `nav2`, `turtlebot`, or files relative to this one. A later one
+    /// Descriptions that this one extends: `nav2`, `nav2_moves`, `turtlebot`, or files relative to this one. A later one
     /// replaces the actions and readings of an earlier one by name, and this file those of all.
     pub extends: Vec<String>,
     /// Description for people.

@@ -479,8 +479,7 @@ mod tests {
     fn the_hello_offers_the_described_actions() {
         let DriverMessage::Hello { actions, resumes, .. } = hello(&load("nav2").unwrap(), "x") else { panic!("a hello") };
         let names: Vec<&str> = actions.keys().map(|name| name.as_str()).collect();
-        let expected =
-            ["back_up", "dock", "follow_waypoints", "navigate_through_poses", "navigate_to_pose", "spin", "undock", "wait"];
+        let expected = ["dock", "follow_waypoints", "navigate_to_pose", "spin", "undock", "wait"];
         assert_eq!((names, resumes), (expected.to_vec(), true));
     }
 }
