@@ -119,7 +119,7 @@ fn a_site_survives_a_restart_of_its_router() {
     });
 }
 
-/// Zenoh's own router, built by `nodes/consort/tests/processes/foreign/router.sh`.
+/// Zenoh's own router, built by `tests/foreign/zenoh/router.sh`.
 const ZENOHD: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/foreign-router/zenohd");
 
 #[test]

@@ -1,7 +1,6 @@
 //! A fleet over plain HTTP: Zenoh's own router with its REST plug-in, both unmodified.
 //!
-//! `nodes/consort/tests/processes/foreign/router.sh` builds both in some minutes. This test runs
-//! the script if `CONSORT_FOREIGN_ROUTER` is set; otherwise, without the programs, it is skipped.
+//! `tests/foreign/run.sh zenoh` builds both in some minutes, and runs this test. It is skipped without the programs.
 
 use crate::support::{Folder, LONG, VIEWS, free_port, hospital_by, skip, until};
 use serde_json::{Value, json};
@@ -20,17 +19,8 @@ fn programs() -> Option<PathBuf> {
     if folder.join("zenohd").exists() {
         return Some(folder);
     }
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/foreign/router.sh");
-    if std::env::var_os("CONSORT_FOREIGN_ROUTER").is_none() {
-        skip("no zenohd with REST plug-in (nodes/consort/tests/processes/foreign/router.sh builds them)");
-        return None;
-    }
-    let built = Command::new(script).arg(&folder).stdin(Stdio::null()).output().expect("there is a bash");
-    if !built.status.success() {
-        skip(&format!("zenohd cannot be built: {}", String::from_utf8_lossy(&built.stderr)));
-        return None;
-    }
-    Some(folder)
+    skip("no zenohd with REST plug-in (tests/foreign/run.sh zenoh builds them)");
+    None
 }
 
 /// A router with the plug-in, killed on drop.

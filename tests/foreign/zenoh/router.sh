@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Builds Zenoh's router, zenohd, and its REST plug-in into a folder, in the version of Consort:
 #
-#     nodes/consort/tests/processes/foreign/router.sh [FOLDER]    # default: the tests' folder
+#     tests/foreign/zenoh/router.sh [FOLDER]    # default: the tests' folder
 #
 # A router loads a plug-in only if the same compiler has built both, with the same features of
 # zenoh. So the published sources become two members of a workspace. Shared crates have the versions
 # of Consort's Cargo.lock.
 set -euo pipefail
-checkout=$(cd "$(dirname "$0")/../../../../.." && pwd)
+checkout=$(cd "$(dirname "$0")/../../.." && pwd)
 folder=${1:-${CARGO_TARGET_DIR:-$checkout/target}/tmp/foreign-router}
 version=$(sed -n '/^name = "zenoh"$/{n;s/version = "\(.*\)"/\1/p;}' "$checkout/Cargo.lock")
 
