@@ -198,7 +198,9 @@ mod tests {
             "actions.spin: no server of /spin/_action/send_goal; the graph has /ada/spin/_action/send_goal"
         );
         let wrong = server("/spin/_action/send_goal", "a/action/Turn_SendGoal", "/x");
-        assert!(compare(spin, &[wrong]).unwrap_err().contains("has the type a/action/Turn_SendGoal; expected nav2_msgs"));
+        assert!(
+            compare(spin, &[wrong]).unwrap_err().contains("has the type a/action/Turn_SendGoal; expected nav2_msgs")
+        );
         let right = |node: &str| server("/spin/_action/send_goal", kind, node);
         assert_eq!(compare(spin, &[right("/a")]), Ok(right("/a")));
         assert!(compare(spin, &[right("/a"), right("/b")]).unwrap_err().contains("2 servers of"));

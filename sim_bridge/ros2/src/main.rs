@@ -45,7 +45,7 @@ Examples:
   consort-ros2 drive --connect tcp/127.0.0.1:7448 --map hospital --robot ada --place Dock
   consort-ros2 check robot.yaml
   consort-ros2 doctor robot.yaml
-  driver = ["consort-ros2", "driver", "robot.yaml"]        # in the robot file of consort robot
+  consort-ros2 driver robot.yaml          # as `driver` in the robot file of `consort robot`
 
 ROS 2 needs its router (ros2 run rmw_zenoh_cpp rmw_zenohd), by default at tcp/localhost:7447. The nodes of
 the fleet must listen at another port on that machine."

@@ -56,7 +56,10 @@ impl Check<'_> {
     fn namespace(&mut self, robot: &RobotDescription) {
         let valid = |letter: char| letter.is_ascii_alphanumeric() || letter == '_' || letter == '/';
         if !robot.namespace.chars().all(valid) {
-            self.add("namespace", format!("{:?} is no name of ROS 2; allowed: letters, digits, _ and /", robot.namespace));
+            self.add(
+                "namespace",
+                format!("{:?} is no name of ROS 2; allowed: letters, digits, _ and /", robot.namespace),
+            );
         }
     }
 

@@ -336,10 +336,8 @@ pub enum DescriptionError {
 /// [`DescriptionError`] with the file and the place.
 pub fn load(name: &str) -> Result<RobotDescription, DescriptionError> {
     let merged = merged(name, Path::new(""), 0)?;
-    let syntax = |problem: serde_json::Error| DescriptionError::Syntax {
-        file: name.to_owned(),
-        problem: problem.to_string(),
-    };
+    let syntax =
+        |problem: serde_json::Error| DescriptionError::Syntax { file: name.to_owned(), problem: problem.to_string() };
     serde_json::from_value(Value::Object(merged)).map_err(syntax)
 }
 
@@ -371,7 +369,9 @@ fn merged(name: &str, folder: &Path, depth: usize) -> Result<Map<String, Value>,
     }
     let own = serde_json::to_value(own).map_err(|problem| syntax(problem.to_string()))?;
     let Value::Object(mut own) = own else { return Ok(result) };
-    own.retain(|_, value| *value != Value::Bool(false) && *value != Value::from("") && *value != Value::from(Vec::<Value>::new()));
+    own.retain(|_, value| {
+        *value != Value::Bool(false) && *value != Value::from("") && *value != Value::from(Vec::<Value>::new())
+    });
     merge(&mut result, own);
     Ok(result)
 }

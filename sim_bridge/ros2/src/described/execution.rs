@@ -103,7 +103,9 @@ impl Execution {
         let execute = async {
             if goal.resumed {
                 return match action.result(id).await {
-                    ActionEnd::Unknown => End::aborted("failed", "the robot does not know the goal of the previous process"),
+                    ActionEnd::Unknown => {
+                        End::aborted("failed", "the robot does not know the goal of the previous process")
+                    }
                     end => self.end(&goal.mapping, end),
                 };
             }
@@ -199,7 +201,9 @@ impl Execution {
         let _subscription = subscribed.map_err(|problem| problem.to_string())?;
         while let Some(received) = messages.recv().await {
             let message = received.message?;
-            if path.get(&message).is_some_and(|value| *value == expected || value.as_f64().is_some_and(|number| expected.as_f64() == Some(number))) {
+            if path.get(&message).is_some_and(|value| {
+                *value == expected || value.as_f64().is_some_and(|number| expected.as_f64() == Some(number))
+            }) {
                 return Ok(());
             }
         }
@@ -223,7 +227,12 @@ impl Execution {
                 let request = json!({"transition": {"id": transition}});
                 let changed = self
                     .graph
-                    .call(&format!("{node}/change_state"), "lifecycle_msgs/srv/ChangeState", &request, LIFECYCLE_TIMEOUT)
+                    .call(
+                        &format!("{node}/change_state"),
+                        "lifecycle_msgs/srv/ChangeState",
+                        &request,
+                        LIFECYCLE_TIMEOUT,
+                    )
                     .await
                     .map_err(|problem| problem.to_string())?;
                 if changed["success"] != true {
@@ -298,7 +307,8 @@ pub fn feedback(mapping: &ActionMapping, id: GoalId, message: &Value) -> (Driver
         value => value.as_f64(),
     };
     let standard = |name: &str| mapping.feedback.get(name).and_then(|path| get(path));
-    let declared = mapping.feedback.iter().filter(|(name, _)| !super::check::STANDARD_FEEDBACK.contains(&name.as_str()));
+    let declared =
+        mapping.feedback.iter().filter(|(name, _)| !super::check::STANDARD_FEEDBACK.contains(&name.as_str()));
     let values = declared.filter_map(|(name, path)| {
         let value = get(path)?;
         // A duration is a number of seconds.

@@ -20,7 +20,9 @@ pub struct FieldPath(Vec<Step>);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PathError {
     /// The text is no path.
-    #[error("{0:?} is no path of a field; allowed is for example pose.position.x or status[name=motor].values[0].value")]
+    #[error(
+        "{0:?} is no path of a field; allowed is for example pose.position.x or status[name=motor].values[0].value"
+    )]
     Syntax(String),
     /// The message has no such field.
     #[error("{message} has no field {field:?}; allowed: {allowed}")]
@@ -80,7 +82,9 @@ impl FieldPath {
         self.0.iter().try_fold(message, |value, step| match step {
             Step::Field(name) => value.get(name),
             Step::Index(index) => value.get(index),
-            Step::Where(field, text) => value.as_array()?.iter().find(|item| item[field].as_str() == Some(text.as_str())),
+            Step::Where(field, text) => {
+                value.as_array()?.iter().find(|item| item[field].as_str() == Some(text.as_str()))
+            }
         })
     }
 

@@ -91,7 +91,8 @@ impl Reports {
 
     /// Replaces the pose, for a robot whose description has no source of it.
     pub fn set_pose(&mut self, pose: Pose) {
-        let has_source = self.purposes.iter().any(|(_, purpose)| matches!(purpose, Purpose::Pose(_) | Purpose::Transforms));
+        let has_source =
+            self.purposes.iter().any(|(_, purpose)| matches!(purpose, Purpose::Pose(_) | Purpose::Transforms));
         if !has_source {
             self.pose = Some(pose);
         }
@@ -177,14 +178,13 @@ fn transform(stamped: &Value) -> Option<(String, (String, Pose))> {
 
 /// Converts a value to a reading; `None` if it is none.
 fn converted(value: &Value, to: Option<Conversion>) -> Option<Scalar> {
-    let number = || value.as_f64().or_else(|| value.as_str()?.trim().parse().ok()).filter(|number: &f64| number.is_finite());
+    let number =
+        || value.as_f64().or_else(|| value.as_str()?.trim().parse().ok()).filter(|number: &f64| number.is_finite());
     match to {
         None => Scalar::from_json(value),
         Some(Conversion::Number) => number().map(Scalar::Number),
         Some(Conversion::Integer) => number().map(|number| Scalar::Integer(number.round() as i64)),
-        Some(Conversion::Text) => {
-            Some(Scalar::Text(value.as_str().map_or_else(|| value.to_string(), str::to_owned)))
-        }
+        Some(Conversion::Text) => Some(Scalar::Text(value.as_str().map_or_else(|| value.to_string(), str::to_owned))),
         Some(Conversion::Boolean) => match value {
             Value::Bool(value) => Some(Scalar::Bool(*value)),
             Value::String(text) => text.trim().to_lowercase().parse().ok().map(Scalar::Bool),
@@ -237,6 +237,9 @@ readings:
         reports.handle(1, &json!({"transforms": [step("map", "odom", 5.0, quarter.0, quarter.1)]}));
         let DriverMessage::Pose { x_m, y_m, yaw_rad, .. } = reports.messages()[0].clone() else { panic!("a pose") };
         let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
-        assert!(near(x_m, 5.0) && near(y_m, 1.0) && near(yaw_rad, std::f64::consts::FRAC_PI_2), "{x_m} {y_m} {yaw_rad}");
+        assert!(
+            near(x_m, 5.0) && near(y_m, 1.0) && near(yaw_rad, std::f64::consts::FRAC_PI_2),
+            "{x_m} {y_m} {yaw_rad}"
+        );
     }
 }

@@ -447,7 +447,10 @@ impl Driver {
         let newest = self.active.as_ref().map(|active| active.id.0);
         for id in in_progress {
             // A goal that this process has just ended is no leftover.
-            if own != Some(id) && newest.is_none_or(|newest| number(&id) < newest) && !self.session.has_ended(number(&id)) {
+            if own != Some(id)
+                && newest.is_none_or(|newest| number(&id) < newest)
+                && !self.session.has_ended(number(&id))
+            {
                 self.leftovers.insert(id, action.clone());
             }
         }
@@ -477,7 +480,9 @@ mod tests {
 
     #[test]
     fn the_hello_offers_the_described_actions() {
-        let DriverMessage::Hello { actions, resumes, .. } = hello(&load("nav2").unwrap(), "x") else { panic!("a hello") };
+        let DriverMessage::Hello { actions, resumes, .. } = hello(&load("nav2").unwrap(), "x") else {
+            panic!("a hello")
+        };
         let names: Vec<&str> = actions.keys().map(|name| name.as_str()).collect();
         let expected = ["dock", "follow_waypoints", "navigate_to_pose", "spin", "undock", "wait"];
         assert_eq!((names, resumes), (expected.to_vec(), true));

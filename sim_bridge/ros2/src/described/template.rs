@@ -55,7 +55,10 @@ pub fn check(types: &TypeRegistry, message: &str, template: &Value, path: &str) 
                 };
                 let Some(field) = fields.iter().find(|field| field.name == *name) else {
                     let allowed = fields.iter().map(|field| field.name.as_str()).collect::<Vec<_>>().join(", ");
-                    return Err(TemplateError { path, problem: format!("{message} has no such field; allowed: {allowed}") });
+                    return Err(TemplateError {
+                        path,
+                        problem: format!("{message} has no such field; allowed: {allowed}"),
+                    });
                 };
                 let inner = match &field.base {
                     Base::Message(inner) => inner.as_str(),
@@ -66,12 +69,10 @@ pub fn check(types: &TypeRegistry, message: &str, template: &Value, path: &str) 
             Ok(())
         }
         Value::Array(items) => items.iter().try_for_each(|item| check(types, message, item, path)),
-        Value::String(text) => {
-            pieces(text, path)?.into_iter().try_for_each(|piece| match piece {
-                Piece::Text(_) => Ok(()),
-                Piece::Expression(expression) => Expression::parse(expression, path).map(drop),
-            })
-        }
+        Value::String(text) => pieces(text, path)?.into_iter().try_for_each(|piece| match piece {
+            Piece::Text(_) => Ok(()),
+            Piece::Expression(expression) => Expression::parse(expression, path).map(drop),
+        }),
         _ => Ok(()),
     }
 }
@@ -214,9 +215,7 @@ fn convert_field(types: &TypeRegistry, field: &Field, value: Value, scope: &Scop
     let Base::Message(inner) = &field.base else { return value };
     match (field.shape, value) {
         (Shape::Single, value) => convert_message(types, inner, value, scope),
-        (_, Value::Array(items)) => {
-            items.into_iter().map(|item| convert_message(types, inner, item, scope)).collect()
-        }
+        (_, Value::Array(items)) => items.into_iter().map(|item| convert_message(types, inner, item, scope)).collect(),
         (_, other) => other,
     }
 }
@@ -281,7 +280,8 @@ mod tests {
 
     #[test]
     fn expressions_compare_multiply_and_interpolate() {
-        let on = filled("std_srvs/srv/SetBool_Request", json!({"data": "${action == open}"}), json!({"action": "open"}));
+        let on =
+            filled("std_srvs/srv/SetBool_Request", json!({"data": "${action == open}"}), json!({"action": "open"}));
         assert_eq!(on["data"], true);
         let text = filled("std_msgs/msg/String", json!({"data": "${robot}: ${dose * 2} ml"}), json!({"dose": 1.5}));
         assert_eq!(text["data"], "ada: 3.0 ml");
@@ -289,7 +289,8 @@ mod tests {
 
     #[test]
     fn a_missing_parameter_leaves_the_default() {
-        let goal = filled("nav2_msgs/action/DockRobot_Goal", json!({"dock_id": "${charger}"}), json!({"charger": null}));
+        let goal =
+            filled("nav2_msgs/action/DockRobot_Goal", json!({"dock_id": "${charger}"}), json!({"charger": null}));
         assert_eq!((&goal["dock_id"], &goal["use_dock_id"]), (&json!(""), &json!(true)));
     }
 
@@ -299,7 +300,9 @@ mod tests {
             let types = TypeRegistry::shipped();
             check(&types, "nav2_msgs/action/DockRobot_Goal", &template, "actions.dock.send").unwrap_err().to_string()
         };
-        assert!(error(json!({"dock": "x"})).starts_with("actions.dock.send.dock: nav2_msgs/action/DockRobot_Goal has no such field; allowed: use_dock_id"));
+        assert!(error(json!({"dock": "x"})).starts_with(
+            "actions.dock.send.dock: nav2_msgs/action/DockRobot_Goal has no such field; allowed: use_dock_id"
+        ));
         assert!(error(json!({"dock_id": "${charger"})).contains("lacks the end of an expression"));
         assert!(error(json!({"dock_pose": {"pose": "${a b}"}})).contains("is no expression"));
     }

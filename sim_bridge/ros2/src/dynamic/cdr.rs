@@ -291,8 +291,11 @@ mod tests {
     #[test]
     fn a_message_is_read_as_it_was_written() {
         let mut types = TypeRegistry::shipped();
-        types.define("a/msg/B", "bool on\nfloat64 x\nuint16[] list\nint64 big\nstring text\nfloat32[3] three\n").unwrap();
-        let value = json!({"on": true, "x": 0.5, "list": [1, 65535], "big": -5, "text": "wörter", "three": [1.0, 0.9, -2.0]});
+        types
+            .define("a/msg/B", "bool on\nfloat64 x\nuint16[] list\nint64 big\nstring text\nfloat32[3] three\n")
+            .unwrap();
+        let value =
+            json!({"on": true, "x": 0.5, "list": [1, 65535], "big": -5, "text": "wörter", "three": [1.0, 0.9, -2.0]});
         let bytes = encode(&types, "a/msg/B", &value).unwrap();
         assert_eq!(decode(&types, "a/msg/B", &bytes).unwrap(), value);
         for length in 0..bytes.len() {

@@ -406,7 +406,8 @@ impl Graph {
         if !is_declared {
             self.declare(EndpointKind::Publisher, topic, type_name, &hash).await?;
         }
-        let put = self.session.put(self.key(topic, type_name, &hash), bytes).attachment(ZBytes::from(self.attachment()));
+        let put =
+            self.session.put(self.key(topic, type_name, &hash), bytes).attachment(ZBytes::from(self.attachment()));
         put.await.map_err(|problem| RosError::of(format!("publish on {topic}"), problem))?;
         Ok(())
     }
@@ -422,8 +423,7 @@ impl Graph {
         request: &Value,
         limit: Duration,
     ) -> Result<Value, CallError> {
-        let server =
-            self.find(EndpointKind::Server, name).ok_or_else(|| CallError::NotServed(name.to_owned()))?;
+        let server = self.find(EndpointKind::Server, name).ok_or_else(|| CallError::NotServed(name.to_owned()))?;
         if server.type_name != type_name {
             let (name, expected) = (name.to_owned(), type_name.to_owned());
             return Err(CallError::OtherType { name, found: server.type_name, expected });

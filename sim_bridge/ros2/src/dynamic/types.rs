@@ -184,7 +184,14 @@ impl TypeRegistry {
                 parts.last_mut().expect("there is a part").push(field);
             }
         }
-        parts.resize(match kind { "msg" => 1, "srv" => 2, _ => 3 }, vec![]);
+        parts.resize(
+            match kind {
+                "msg" => 1,
+                "srv" => 2,
+                _ => 3,
+            },
+            vec![],
+        );
         let mut parts = parts.into_iter();
         let mut next = || parts.next().unwrap_or_default();
         match kind {
@@ -220,9 +227,8 @@ impl TypeRegistry {
         ];
         self.insert(&format!("{name}_Event"), event.into());
         let parts = ["Request", "Response", "Event"];
-        let field = |part: &str| {
-            message(&format!("{}_message", part.to_lowercase()), &format!("{name}_{part}"), Shape::Single)
-        };
+        let field =
+            |part: &str| message(&format!("{}_message", part.to_lowercase()), &format!("{name}_{part}"), Shape::Single);
         self.insert(name, parts.map(field).into());
     }
 
@@ -283,10 +289,8 @@ impl TypeRegistry {
         self.collect_contained(name, &mut contained, 0)?;
         let main = self.described(name)?;
         let others = contained.iter().map(|name| self.described(name)).collect::<Result<Vec<_>, _>>()?;
-        let json = format!(
-            "{{\"type_description\": {main}, \"referenced_type_descriptions\": [{}]}}",
-            others.join(", ")
-        );
+        let json =
+            format!("{{\"type_description\": {main}, \"referenced_type_descriptions\": [{}]}}", others.join(", "));
         let digest = Sha256::digest(json);
         Ok(digest.iter().fold("RIHS01_".to_owned(), |text, byte| format!("{text}{byte:02x}")))
     }
@@ -449,10 +453,7 @@ mod tests {
                 "nav2_msgs/action/NavigateToPose_FeedbackMessage",
                 "RIHS01_9d1f6fa2eb975ce733b419ac2e97b134d8ff92b6478b6559feed9a50bdfd82b3",
             ),
-            (
-                "action_msgs/srv/CancelGoal",
-                "RIHS01_573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a",
-            ),
+            ("action_msgs/srv/CancelGoal", "RIHS01_573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a"),
         ] {
             assert_eq!(types.hash(name).unwrap(), hash, "{name}");
         }

@@ -73,10 +73,11 @@ mod tests {
             readings: [].into(),
         };
         let types = TypeRegistry::shipped();
-        let read = messages("ada", &telemetry, crate::messages::Time { sec: 1, nanosec: 2 }).map(|(topic, kind, value)| {
-            let bytes = cdr::encode(&types, kind, &value).unwrap();
-            (topic, cdr::decode(&types, kind, &bytes).unwrap())
-        });
+        let read =
+            messages("ada", &telemetry, crate::messages::Time { sec: 1, nanosec: 2 }).map(|(topic, kind, value)| {
+                let bytes = cdr::encode(&types, kind, &value).unwrap();
+                (topic, cdr::decode(&types, kind, &bytes).unwrap())
+            });
         let topics = read.iter().map(|(topic, _)| topic.as_str()).collect::<Vec<_>>();
         assert_eq!(topics, ["/ada/odom", "/tf", "/ada/battery_state"]);
         assert_eq!(read[0].1["pose"]["pose"]["position"], json!({"x": 1.0, "y": 2.0, "z": 0.0}));
