@@ -85,7 +85,7 @@ pub fn compare(needed: &Needed, endpoints: &[Endpoint]) -> Result<Endpoint, Stri
         endpoints.iter().filter(|endpoint| endpoint.kind == *kind && endpoint.name == *name).collect();
     let Some(first) = found.first() else {
         let last = name.rsplit('/').find(|part| !matches!(*part, "_action" | "send_goal")).unwrap_or_default();
-        let similar = endpoints.iter().filter(|other| other.kind == *kind && other.name.contains(last));
+        let similar = endpoints.iter().filter(|other| other.type_name == *type_name && other.name.contains(last));
         let names: Vec<&str> = similar.map(|other| other.name.as_str()).collect();
         let hint = if names.is_empty() { String::new() } else { format!("; the graph has {}", names.join(", ")) };
         return Err(format!("{place}: no {what} of {name}{hint}"));

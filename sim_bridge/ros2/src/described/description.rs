@@ -379,12 +379,16 @@ fn merged(name: &str, folder: &Path, depth: usize) -> Result<Map<String, Value>,
 /// Adds the entries of another description. Actions and readings are replaced by name.
 fn merge(into: &mut Map<String, Value>, other: Map<String, Value>) {
     for (key, value) in other {
-        match (into.get_mut(&key), value) {
-            (Some(Value::Object(entries)), Value::Object(more)) if key == "actions" || key == "readings" => {
+        let Some(old) = into.get_mut(&key) else {
+            into.insert(key, value);
+            continue;
+        };
+        match (old, value) {
+            (Value::Object(entries), Value::Object(more)) if key == "actions" || key == "readings" => {
                 entries.extend(more);
             }
-            (Some(Value::Array(folders)), Value::Array(more)) if key == "types" => folders.extend(more),
-            (_, value) => drop(into.insert(key, value)),
+            (Value::Array(folders), Value::Array(more)) if key == "types" => folders.extend(more),
+            (old, value) => *old = value,
         }
     }
 }
@@ -392,4 +396,29 @@ fn merge(into: &mut Map<String, Value>, other: Map<String, Value>) {
 /// Returns the JSON Schema of a description.
 pub fn schema() -> Value {
     schema_for!(RobotDescription).to_value()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_description_replaces_by_name_what_it_extends() {
+        let turtlebot = load("turtlebot").unwrap();
+        assert!(turtlebot.actions.contains_key("dock"), "of nav2");
+        assert_eq!(turtlebot.charge.as_ref().unwrap().field, "percentage");
+        let folder = std::env::temp_dir().join(format!("consort-ros2-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("robot.yaml");
+        let text = "extends: [turtlebot]\nactions:\n  dock: { service: dock, type: std_srvs/srv/Trigger }\n";
+        std::fs::write(&path, text).unwrap();
+        let robot = load(&path.display().to_string()).unwrap();
+        assert_eq!(robot.actions["dock"].via(), Some(Via::Service("dock")));
+        assert_eq!((robot.actions.len(), &robot.readings), (turtlebot.actions.len(), &turtlebot.readings));
+        std::fs::write(&path, "actoins: {}\n").unwrap();
+        let error = load(&path.display().to_string()).unwrap_err().to_string();
+        assert!(error.contains("robot.yaml") && error.contains("actoins") && error.contains("actions"), "{error}");
+        assert!(load("nav3").unwrap_err().to_string().contains("allowed is a file, or one of nav2, nav2_moves"));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 }
