@@ -323,7 +323,7 @@ def simulated_robots_for_ros_2(world):
     """A simulated robot drives by a genuine action client, and publishes odometry, transform and battery; a second bridge is refused."""
     port = free_port()
     world.file("world.toml", f'name = "world"\nspeed = 10.0\n[fleet]\nname = "sim"\nmap = "hospital"\n[bus]\nlisten = ["tcp/127.0.0.1:{port}"]\n'
-               '[[robots]]\nname = "ada"\nplace = "Dock"\nspeed_mps = 0.6\nbattery = 0.9\ndischarge_share_per_s = 0.0001\n')
+               '[[robot]]\nid = "ada"\nplace = "Dock"\nspeed_mps = 0.6\nbattery = 0.9\ndischarge_share_per_s = 0.0001\n')
     Process(world, [CONSORT, "world", "--config", "world.toml"])
     serve = [ROS2, "serve", "--fleet", "sim", "--map", "hospital", "--connect", f"tcp/127.0.0.1:{port}", "--router", f"tcp/127.0.0.1:{world.port}"]
     Process(world, serve)
