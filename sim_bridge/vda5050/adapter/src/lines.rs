@@ -2,11 +2,10 @@
 
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
-use std::io::Write as _;
+use std::io::{BufRead as _, Write as _};
 use std::sync::mpsc;
 use std::time::Duration;
 use std::{io, thread};
-use tokio::io::{AsyncBufReadExt as _, BufReader};
 use tokio::sync::mpsc::{Receiver, channel};
 
 /// Maximum size of a line.
@@ -54,15 +53,15 @@ pub(crate) fn permission(keep_for_ms: u64) -> Duration {
     Duration::from_millis(keep_for_ms.min(86_400_000))
 }
 
-/// Reads the standard input.
+/// Reads the standard input in a thread of its own.
 pub(crate) fn read_input() -> Receiver<Input> {
     let (sender, receiver) = channel(64);
-    tokio::spawn(async move {
-        let mut input = BufReader::new(tokio::io::stdin());
+    thread::spawn(move || {
+        let mut input = io::stdin().lock();
         let mut line = vec![];
         loop {
             line.clear();
-            let message = match input.read_until(b'\n', &mut line).await {
+            let message = match input.read_until(b'\n', &mut line) {
                 Ok(0) | Err(_) => Input::End,
                 Ok(_) => match parse(&line) {
                     Some(input) => input,
@@ -70,7 +69,7 @@ pub(crate) fn read_input() -> Receiver<Input> {
                 },
             };
             let is_end = matches!(message, Input::End);
-            if sender.send(message).await.is_err() || is_end {
+            if sender.blocking_send(message).is_err() || is_end {
                 return;
             }
         }
