@@ -10,7 +10,7 @@ use super::submission::{Definitions, SubmitError, prepare};
 use crate::robot::ChargingSettings;
 use consort_protocol::api::{MissionSource, SubmitRequest};
 use consort_protocol::ids::{NodeId, RobotId};
-use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::knowledge::{Availability, KnowledgeBase, RobotKnowledge};
 use consort_protocol::ledger::{Command, Ledger, Submission};
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
@@ -77,18 +77,21 @@ impl BatterySwaps {
 /// Returns the robots in contact whose batteries are swapped, and whose charge is low.
 fn low_robots(context: &SessionContext, charging: &ChargingSettings) -> BTreeSet<RobotId> {
     let knowledge = &context.settings.parts.knowledge;
+    let low = knowledge.read(|base| known_as_low(base, charging));
+    low.into_iter().filter(|node| knowledge.is_alive(node)).map(RobotId::from).collect()
+}
+
+/// Returns the nodes of the robots whose batteries are swapped, and whose latest known charge is low.
+fn known_as_low(base: &KnowledgeBase, charging: &ChargingSettings) -> Vec<NodeId> {
     let is_low = |robot: &RobotId, worker: &RobotKnowledge| {
         let is_in_service = !matches!(worker.availability, Availability::OutOfService { .. });
         is_in_service && worker.battery < charging.thresholds.below && charging.swaps(robot, worker)
     };
-    let low: Vec<NodeId> = knowledge.read(|base| {
-        let known = base.iter().filter(|(node, known)| {
-            let worker = known.record.knowledge.robot.as_ref();
-            worker.is_some_and(|worker| is_low(&RobotId::from(NodeId::clone(node)), worker))
-        });
-        known.map(|(node, _)| node.clone()).collect()
+    let known = base.iter().filter(|(node, known)| {
+        let worker = known.knowledge().robot.as_ref();
+        worker.is_some_and(|worker| is_low(&RobotId::from(NodeId::clone(node)), worker))
     });
-    low.into_iter().filter(|node| knowledge.is_alive(node)).map(RobotId::from).collect()
+    known.map(|(node, _)| node.clone()).collect()
 }
 
 /// Returns the robots with an active mission of this name.
@@ -116,6 +119,32 @@ fn submission(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::test_values::idle_robot;
+    use crate::robot::{BatterySwap, ChargeThresholds};
+    use consort_protocol::charging_curve::ChargingCurve;
+    use consort_protocol::knowledge::{Knowledge, Motion, MotionUpdate, Record, RecordStamp};
+    use consort_protocol::units::{BatteryShare, MetresPerSecond};
+
+    #[test]
+    fn a_charge_counts_as_low_by_motion_that_the_record_lacks() {
+        let [below, low] = [0.4, 0.3].map(|share| BatteryShare::new(share).unwrap());
+        let charging = ChargingSettings {
+            thresholds: ChargeThresholds { below, until: BatteryShare::FULL, opportunistic: None },
+            chargers: vec![],
+            parking: BTreeSet::new(),
+            curve: ChargingCurve::default(),
+            swap: Some(BatterySwap { mission: "battery-swap".to_owned(), eligible: None }),
+        };
+        let (owner, stamp) = (NodeId::new("ada").unwrap(), RecordStamp::default());
+        let robot = RobotKnowledge { speed: Some(MetresPerSecond::new(1.0).unwrap()), ..idle_robot() };
+        let knowledge = Knowledge::of(Some(robot.clone()));
+        let mut base = KnowledgeBase::default();
+        base.merge(Record { owner: owner.clone(), stamp, knowledge, proof: None }, NodeTime::ZERO);
+        assert!(known_as_low(&base, &charging).is_empty());
+        let motion = Some(Motion::of(&RobotKnowledge { battery: low, ..robot }));
+        assert!(base.receive_motion(&owner, &MotionUpdate { stamp, number: 1, motion }));
+        assert_eq!(known_as_low(&base, &charging), [owner]);
+    }
 
     #[test]
     fn a_swap_is_due_once_the_charge_has_been_low_for_a_while() {
