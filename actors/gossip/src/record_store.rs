@@ -131,15 +131,12 @@ impl RecordStore {
         state: &mut GossipState,
         now: NodeTime,
     ) -> Result<bool, RecordTooLarge> {
-        let mut record = self.own.clone();
-        change(&mut record.knowledge);
-        if record.knowledge == self.own.knowledge {
-            return Ok(false);
-        }
         // The new version has the latest motion, even if something else has changed.
-        let is_robot_unchanged = record.knowledge.robot == self.own.knowledge.robot;
-        if let (true, Some(motion), Some(robot)) = (is_robot_unchanged, &self.motion, &mut record.knowledge.robot) {
-            motion.apply_to(robot);
+        let latest = self.own_with_motion();
+        let mut record = latest.clone();
+        change(&mut record.knowledge);
+        if record.knowledge == latest.knowledge {
+            return Ok(false);
         }
         let bytes = encoded_size(&record);
         if bytes > RECORD_MAX {
@@ -165,9 +162,27 @@ impl RecordStore {
     /// Continues after a stamp that other nodes store as this node's latest.
     pub(super) fn overtake(&mut self, stamp: RecordStamp, state: &mut GossipState, now: NodeTime) {
         self.own.stamp = self.own.stamp.max(stamp);
+        self.include_motion();
         self.renew(state, now);
         // The content of earlier versions is unknown to this node.
         self.since = self.own.stamp.version;
+    }
+
+    /// Adds the latest motion to the content of the next version: all nodes replace what they know of this version.
+    fn include_motion(&mut self) {
+        let record = self.own_with_motion();
+        if encoded_size(&record) <= RECORD_MAX {
+            (self.own, self.motion) = (record, None);
+        }
+    }
+
+    /// Returns the own record with the latest motion of the robot.
+    fn own_with_motion(&self) -> Record {
+        let mut record = self.own.clone();
+        if let (Some(motion), Some(robot)) = (&self.motion, &mut record.knowledge.robot) {
+            motion.apply_to(robot);
+        }
+        record
     }
 
     fn renew(&mut self, state: &mut GossipState, now: NodeTime) {
@@ -194,6 +209,7 @@ impl RecordStore {
 
     /// Publishes the same knowledge again, in full.
     pub(super) fn republish(&mut self, state: &mut GossipState, now: NodeTime) {
+        self.include_motion();
         self.renew(state, now);
         self.since = self.own.stamp.version;
     }

@@ -225,6 +225,22 @@ fn motion_in_a_large_fleet_changes_the_record_with_its_next_version() {
 }
 
 #[test]
+fn a_record_after_a_later_stamp_of_the_own_node_has_the_latest_motion() {
+    let (mut ada, mut state) = ada_of_large_fleet();
+    ada.handle(Event::MotionChanged(Motion::of(&robot("Lab"))), &mut state, at(0)).unwrap();
+    let later = RecordStamp { incarnation: 2, version: 0 };
+    let digest = Digest::from([(node("ada"), later)]);
+    let request = Exchange { sums: vec![], scope: DigestScope::NONE, digest, records: vec![] };
+    let actions = ada.handle(Event::RequestReceived(request), &mut state, at(100)).unwrap();
+    let record = |action: &Action| match action {
+        Action::Publish(RecordUpdate::Record(record)) => Some((record.stamp > later, record.knowledge.robot.clone())),
+        _ => None,
+    };
+    // Each node drops the motion of the earlier version.
+    assert_eq!(actions.iter().find_map(record), Some((true, Some(robot("Lab")))));
+}
+
+#[test]
 fn a_motion_update_confirms_the_record_or_shows_that_it_was_missed() {
     let (mut ada, mut state) = ada_of_large_fleet();
     let stamp = RecordStamp { incarnation: 4, version: 9 };
