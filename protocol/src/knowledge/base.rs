@@ -2,7 +2,7 @@
 
 use super::content::Knowledge;
 use super::digest::{CLASSES_MAX, Digest, DigestScope, class, hash, mix};
-use super::motion::MotionUpdate;
+use super::motion::{Motion, MotionUpdate};
 use super::record::{Proof, Record, RecordStamp};
 use crate::ids::NodeId;
 use crate::units::NodeTime;
@@ -32,6 +32,8 @@ pub struct KnownRecord {
 struct KnownMotion {
     /// Number of the update.
     number: u64,
+    /// Latest motion.
+    motion: Motion,
     /// Content of the record with this motion.
     knowledge: Box<Knowledge>,
 }
@@ -95,14 +97,17 @@ impl KnowledgeBase {
         true
     }
 
-    /// Merges the motion of a robot since this version of its record. Returns true if it was later than the known motion of
-    /// the same version; otherwise nothing changes.
+    /// Merges the motion of a robot since this version of its record, unless a later motion of the same version is known.
+    /// Returns true if the known content changed. A heartbeat repeats the latest motion, which changes nothing.
     pub fn receive_motion(&mut self, owner: &NodeId, update: &MotionUpdate) -> bool {
         let MotionUpdate { stamp, number, motion: Some(motion) } = update else { return false };
         let Some(entry) = self.records.get_mut(owner).filter(|entry| entry.record.stamp == *stamp) else {
             return false;
         };
-        if entry.motion.as_ref().is_some_and(|known| known.number >= *number) {
+        if let Some(known) = &mut entry.motion
+            && (known.number >= *number || known.motion == *motion)
+        {
+            known.number = known.number.max(*number);
             return false;
         }
         let mut knowledge = match entry.motion.take() {
@@ -112,7 +117,7 @@ impl KnowledgeBase {
         if let Some(robot) = &mut knowledge.robot {
             motion.apply_to(robot);
         }
-        entry.motion = Some(KnownMotion { number: *number, knowledge });
+        entry.motion = Some(KnownMotion { number: *number, motion: motion.clone(), knowledge });
         true
     }
 

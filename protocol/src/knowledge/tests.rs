@@ -142,7 +142,9 @@ fn motion_counts_for_its_version_of_the_record_and_is_not_forwarded() {
     assert!(base.receive_motion(&owner, &update(2, "Lab", known.stamp)));
     assert!(!base.receive_motion(&owner, &update(2, "Store", known.stamp)), "repeated");
     assert!(!base.receive_motion(&owner, &update(1, "Store", known.stamp)), "late");
-    assert!(!base.receive_motion(&owner, &update(3, "Store", RecordStamp { incarnation: 1, version: 2 })), "unknown");
+    assert!(!base.receive_motion(&owner, &update(4, "Lab", known.stamp)), "a heartbeat");
+    assert!(!base.receive_motion(&owner, &update(3, "Store", known.stamp)), "from before the heartbeat");
+    assert!(!base.receive_motion(&owner, &update(5, "Store", RecordStamp { incarnation: 1, version: 2 })), "unknown");
     assert_eq!(place(&base).as_deref(), Some("Lab"));
     // The record that other nodes receive has the content that its owner has signed.
     assert_eq!(base.missing_for(DigestScope::ALL, &Digest::new()), [&known]);
