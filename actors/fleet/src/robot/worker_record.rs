@@ -89,17 +89,20 @@ impl WorkerRecord {
         let record = || Publication::Record(Box::new(self.worker.clone()));
         let Some(published) = &self.published else { return Some(record()) };
         let is_due = now.since(self.published_at) >= PUBLISH_INTERVAL;
+        let is_new_state =
+            published.availability != self.worker.availability || published.charging != self.worker.charging;
+        let is_new_place = published.place != self.worker.place;
         match &self.scope {
             MotionScope::InRecord => {
-                let is_urgent = published.availability != self.worker.availability
-                    || published.place != self.worker.place
-                    || published.charging != self.worker.charging;
+                let is_urgent = is_new_state || is_new_place;
                 (is_urgent || is_due && is_worth_publishing(published, &self.worker)).then(record)
             }
-            MotionScope::Apart { shared_places } if is_for_all(published, &self.worker, shared_places) => {
-                Some(record())
-            }
-            MotionScope::Apart { .. } => {
+            MotionScope::Apart { shared_places } => {
+                let is_shared = |worker: &RobotKnowledge| shared_places.contains(&worker.place);
+                let is_urgent = is_new_state || is_new_place && (is_shared(published) || is_shared(&self.worker));
+                if is_urgent || is_due && is_for_all(published, &self.worker) {
+                    return Some(record());
+                }
                 let motion = Motion::of(&self.worker);
                 let has_passed_place = self.sent.as_ref().is_none_or(|sent| sent.place() != motion.place());
                 let is_worth_sending = self.sent.as_ref().is_none_or(|sent| motion.is_worth_sending(sent));
@@ -109,14 +112,11 @@ impl WorkerRecord {
     }
 }
 
-/// Checks whether all nodes use the change of the worker since its published record.
-fn is_for_all(published: &RobotKnowledge, now: &RobotKnowledge, shared_places: &BTreeSet<PlaceId>) -> bool {
-    let is_shared = |worker: &RobotKnowledge| shared_places.contains(&worker.place);
+/// Checks whether all nodes use the change of the worker since its published record, apart from its place.
+fn is_for_all(published: &RobotKnowledge, now: &RobotKnowledge) -> bool {
     let RobotKnowledge { place, pose, battery, .. } = published;
     let in_place = RobotKnowledge { place: place.clone(), pose: *pose, battery: *battery, ..now.clone() };
-    in_place != *published
-        || is_useful(published) != is_useful(now)
-        || published.place != now.place && (is_shared(published) || is_shared(now))
+    in_place != *published || is_useful(published) != is_useful(now)
 }
 
 /// Checks whether the robot has enough charge to be useful.
@@ -189,6 +189,21 @@ mod tests {
         assert_eq!(worker(update("Lab", 1.1, 0.8, 10_300)).place.as_str(), "Lab", "departs from a charger");
         let problem = Availability::OutOfService { problem: "its driver does not reply".to_owned() };
         assert_eq!(worker(record.update(None, problem.clone(), None, at(10_400))).availability, problem);
+    }
+
+    #[test]
+    fn a_charge_about_the_useful_charge_changes_the_record_once_a_second() {
+        let apart = MotionScope::Apart { shared_places: BTreeSet::new() };
+        let mut record = WorkerRecord::new(idle_robot(), apart, at(0));
+        let useful = idle_robot().useful_charge.get();
+        let mut records = 0;
+        for step in 0..40_u64 {
+            let noise = if step.is_multiple_of(2) { 0.001 } else { -0.001 };
+            let telemetry = telemetry("Dock", useful + noise);
+            let published = record.update(Some(&telemetry), Availability::Free, None, at(step * 250));
+            records += u32::from(published.is_some());
+        }
+        assert!((2..=10).contains(&records), "{records} records in 10 s");
     }
 
     #[test]
