@@ -1,5 +1,7 @@
-//! The part of the view of a fleet that comes from the ledger. A node without a ledger takes it from the view of a voter.
+//! Views that come from the ledger, and the part of the view of a fleet that does. A node without a ledger takes
+//! them from a voter.
 
+use consort_protocol::keys::Key;
 use serde_json::Value;
 
 /// Members of the view of a fleet, by the ledger.
@@ -8,8 +10,25 @@ const OF_FLEET: [&str; 4] = ["closures", "speed_limits", "alarms", "chargers"];
 /// Members of the view of a node, by the ledger.
 const OF_NODE: [&str; 3] = ["holds", "orders", "promised"];
 
+/// Checks whether a view contains data of the ledger.
+pub(super) fn is_of_ledger(key: &Key) -> bool {
+    match key {
+        Key::ViewMissions | Key::ViewRequests | Key::ViewSchedules | Key::ViewAudit | Key::ViewMission(_) => true,
+        key => matches!(key, Key::ViewAuctions | Key::ViewHealth),
+    }
+}
+
+/// Checks whether a view shows that the node that drew it has a ledger. Any node draws the view of the health.
+pub(super) fn shows_ledger(key: &Key, view: &Value) -> bool {
+    match key {
+        Key::ViewFleet => has_ledger_part(view),
+        Key::ViewHealth => false,
+        key => is_of_ledger(key),
+    }
+}
+
 /// Checks whether the node that drew a view of the fleet had a ledger.
-pub(super) fn has_ledger_part(fleet: &Value) -> bool {
+fn has_ledger_part(fleet: &Value) -> bool {
     fleet.get("closures").is_some_and(|closures| !closures.is_null())
 }
 
@@ -43,6 +62,22 @@ fn copy(members: &[&str], from: &Value, to: &mut Value) {
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn the_views_of_a_former_voter_show_no_ledger() {
+        let of_former_voter = [
+            (Key::ViewFleet, json!({ "closures": null, "nodes": [] })),
+            (Key::ViewFleet, json!({ "nodes": [] })),
+            (Key::ViewHealth, json!({ "findings": [] })),
+            (Key::ViewEnsembles, json!({ "ensembles": [] })),
+            (Key::ViewRobot("fern".parse().unwrap()), json!({ "node": "fern" })),
+        ];
+        for (key, view) in of_former_voter {
+            assert!(!shows_ledger(&key, &view), "{key}");
+        }
+        assert!(shows_ledger(&Key::ViewFleet, &json!({ "closures": [], "nodes": [] })));
+        assert!(shows_ledger(&Key::ViewMissions, &json!({ "missions": [] })));
+    }
 
     #[test]
     fn only_what_the_ledger_states_is_copied() {

@@ -54,7 +54,7 @@ use consort_protocol::units::NodeTime;
 use consort_protocol::view::{ChargingView, DeclarationsView, MapView, RobotView};
 use consort_raft::{RaftId, Replica};
 use draw::{Copies, DriverValues, ViewContext, json, millis};
-use ledger_part::{copy_ledger_part, has_ledger_part};
+use ledger_part::{copy_ledger_part, is_of_ledger, shows_ledger};
 use list_parts::{ListParts, PartRequest};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
@@ -312,9 +312,18 @@ impl ViewService {
                 let of_ledger = is_of_ledger(key) || *key == Key::ViewFleet;
                 wanted(key) && (lacks_ledger && of_ledger || lacks_motion && self.shows_motion(key))
             };
-            match self.query_voter(requested, &context.status, &is_lacking).await {
+            let only_health = requested.as_str() == self.views.keys.write(&Key::ViewHealth);
+            let is_shown = |key: &Key, view: &Value| match key {
+                Key::ViewHealth => only_health,
+                key => shows_ledger(key, view) || !lacks_ledger && *key != Key::ViewFleet && is_lacking(key),
+            };
+            match self.query_voter(requested, &context.status, &is_shown).await {
                 Some(voter_views) => {
-                    let contributes = |(key, value): &(Key, Value)| is_lacking(key) && value.get("error").is_none();
+                    let is_usable = |key: &Key, view: &Value| match key {
+                        Key::ViewFleet => shows_ledger(key, view),
+                        _ => view.get("error").is_none(),
+                    };
+                    let contributes = |(key, view): &(Key, Value)| is_lacking(key) && is_usable(key, view);
                     for (key, mut value) in voter_views.into_iter().filter(contributes) {
                         let own = views.iter().position(|(own, _)| *own == key);
                         if let Some(own) = own.filter(|_| key == Key::ViewFleet && !lacks_motion) {
@@ -370,15 +379,15 @@ impl ViewService {
         }
     }
 
-    /// Returns the views that this node lacks from the coordinator, else from any other voter.
+    /// Returns the views that this node lacks from the coordinator, else from any other voter. A voter has what this
+    /// node lacks if `is_shown` is true for any of its views: a former voter has no ledger.
     async fn query_voter(
         &self,
         requested: &keyexpr,
         status: &ClusterStatus,
-        is_lacking: &(impl Fn(&Key) -> bool + Sync),
+        is_shown: &(impl Fn(&Key, &Value) -> bool + Sync),
     ) -> Option<Vec<(Key, Value)>> {
         let Views { keys, bus, knowledge, node, .. } = &*self.views;
-        let only_health = requested.as_str() == keys.write(&Key::ViewHealth);
         let coordinator = status.coordinator.iter();
         let others = status.voters.iter().filter(|voter| Some(*voter) != status.coordinator.as_ref());
         let voters = coordinator.chain(others).filter(|voter| *voter != node && knowledge.is_alive(voter));
@@ -396,13 +405,7 @@ impl ViewService {
                     views.push((*view, value));
                 }
             }
-            // A former voter has no ledger.
-            let is_shown = |(key, view): &(Key, Value)| match key {
-                Key::ViewFleet => has_ledger_part(view),
-                Key::ViewHealth => only_health,
-                key => is_lacking(key),
-            };
-            if views.iter().any(is_shown) {
+            if views.iter().any(|(key, view)| is_shown(key, view)) {
                 return Some(views);
             }
         }
@@ -526,13 +529,5 @@ fn keep_driver_values(own: &Value, of_voter: &mut Value) {
         if let (Some(value), Some(view)) = (own.get(field), of_voter.as_object_mut()) {
             view.insert(field.to_owned(), value.clone());
         }
-    }
-}
-
-/// Checks whether a view contains data of the ledger.
-fn is_of_ledger(key: &Key) -> bool {
-    match key {
-        Key::ViewMissions | Key::ViewRequests | Key::ViewSchedules | Key::ViewAudit | Key::ViewMission(_) => true,
-        key => matches!(key, Key::ViewAuctions | Key::ViewHealth),
     }
 }
