@@ -25,7 +25,8 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use tracing::debug;
 
-/// Number of consecutive views with other declarations than the known ones after which the latest count. Raised: a changed fleet file is shown later, and files of two nodes alternate less often. A guess: some seconds.
+/// Number of consecutive views with other declarations than the known ones after which the latest count. Raised: a
+/// changed fleet file is shown later, and files of two nodes alternate less often. A guess: some seconds.
 const OTHER_DECLARATIONS: u32 = 5;
 
 impl FleetModel {
