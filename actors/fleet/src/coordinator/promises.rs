@@ -12,15 +12,17 @@ use consort_protocol::ledger::{Alarm, Ledger, Priority};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Time after the planned start of a role before which its robot charges, in milliseconds. Until then the robot gets no role that
-/// follows. Raised: a robot that finds no charger does nothing for longer. A guess: a few minutes.
+/// follows; then the charge that it has decides. Raised: a robot that finds no charger does nothing for longer. A guess: a few
+/// minutes.
 const CHARGING_LATE_MS: u64 = 5 * 60 * 1000;
 
 /// Returns the awards of promised roles to free robots, in the order of the promises, and the
 /// releases of promises that cannot be kept, or that those of a higher priority have displaced. A robot
 /// that only waits for others in its role is asked to return the role for a promised role that can start. A robot whose charge
 /// is too low by now would give up the role, and would get it no more: its promise is released, so that it can charge. A robot
-/// that has planned to charge before a role gets it when it has charged, and no later one before. `now_ms` is the time of
-/// day that a majority of the voters confirms.
+/// that has planned to charge before a role gets it when it has charged, and no later one before. A robot that does not charge
+/// in time (it may have restarted, or have lost charge since) gets the role if its charge suffices, and loses it otherwise.
+/// `now_ms` is the time of day that a majority of the voters confirms.
 pub(super) fn promises_due(
     ledger: &Ledger,
     scope: Scope<'_>,
@@ -58,9 +60,13 @@ pub(super) fn promises_due(
         let is_free = !taken.contains(&robot.robot);
         let is_idle = is_free || waiting.contains_key(&robot.robot);
         let spare = spare_charge.get(&robot.robot);
-        let charges_first = robot.charging.as_ref().is_some_and(|stop| has_to_charge(stop, spare));
-        let lacks_charge = |spare: &f64| robot.charging.is_none() && robot.energy.get() > spare + CHARGE_TOLERANCE;
-        let is_too_low = can_start && is_idle && spare.is_some_and(lacks_charge);
+        let late_ms = robot.planned_ms.saturating_add(CHARGING_LATE_MS);
+        let may_charge = robot.charging.as_ref().filter(|_| now_ms.is_none_or(|now_ms| now_ms < late_ms));
+        let charges_first = may_charge.is_some_and(|stop| has_to_charge(stop, spare));
+        // A robot that only waits in another role cannot charge before it has returned that.
+        let is_checked = is_free || is_idle && robot.charging.is_none();
+        let lacks_charge = |spare: &f64| robot.energy.get() > spare + CHARGE_TOLERANCE;
+        let is_too_low = can_start && is_checked && !charges_first && spare.is_some_and(lacks_charge);
         let displaced = || format!("{} has promised enough roles of a higher priority", robot.robot);
         let too_low = || format!("the charge of {} is too low for it", robot.robot);
         let reason = unfit.get(&robot.robot).cloned();
@@ -70,10 +76,7 @@ pub(super) fn promises_due(
         } else if !can_start {
             continue;
         } else if charges_first && is_free {
-            let late_ms = robot.planned_ms.saturating_add(CHARGING_LATE_MS);
-            if now_ms.is_none_or(|now_ms| now_ms < late_ms) {
-                taken.insert(&robot.robot);
-            }
+            taken.insert(&robot.robot);
         } else if is_free {
             if ledger.check_promise(&entry.id, role, robot.epoch).is_ok() {
                 taken.insert(&robot.robot);
@@ -174,14 +177,22 @@ mod tests {
     const NOW_MS: u64 = 1_000;
     const USUAL: Case = Case { promises_max: 16, unfit: &[], spare: None, is_due: true };
 
-    fn due(ledger: &Ledger, Case { promises_max, unfit, spare, is_due }: Case) -> Vec<CoordinatorAction> {
+    fn due(ledger: &Ledger, case: Case) -> Vec<CoordinatorAction> {
+        due_at(ledger, case, NOW_MS)
+    }
+
+    fn due_at(
+        ledger: &Ledger,
+        Case { promises_max, unfit, spare, is_due }: Case,
+        now_ms: u64,
+    ) -> Vec<CoordinatorAction> {
         let (rounds, notified) = (&BTreeMap::new(), &BTreeMap::new());
         let unfit = &unfit.iter().map(|robot| (robot.parse().unwrap(), "judged dead".to_owned())).collect();
         let spare_charge = &spare.map(|spare| ("lab-arm".parse().unwrap(), spare)).into_iter().collect();
         let lease_monitor = &LeaseMonitor::new(LeaseTerms::default());
         let ahead = Seconds::ZERO;
         let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
-        promises_due(ledger, Scope::All, &state, Some(NOW_MS), |_| is_due)
+        promises_due(ledger, Scope::All, &state, Some(now_ms), |_| is_due)
     }
 
     /// Returns the missions whose promised roles are awarded.
@@ -256,13 +267,16 @@ mod tests {
         assert_eq!(with_spare(&log, 0.3), [], "it charges before the role, and before those that follow");
         let awarded = with_spare(&log, 0.79);
         assert!(matches!(&awarded[..], [CoordinatorAction::AwardPromised(role)] if role.mission == charged));
-        let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
-        let spare_charge = &BTreeMap::from([("lab-arm".parse().unwrap(), 0.3)]);
-        let (lease_monitor, promises_max) = (&LeaseMonitor::new(LeaseTerms::default()), 16);
-        let ahead = Seconds::ZERO;
-        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
-        let late = promises_due(&log.0, Scope::All, &state, Some(CHARGING_LATE_MS), |_| true);
-        assert!(matches!(&late[..], [CoordinatorAction::AwardPromised(role)] if role.mission == next), "{late:?}");
+        let late = |spare| due_at(&log.0, Case { spare: Some(spare), ..USUAL }, CHARGING_LATE_MS);
+        let by_charge = late(0.3);
+        let gets_it = matches!(&by_charge[..], [CoordinatorAction::AwardPromised(role)] if role.mission == charged);
+        assert!(gets_it, "its charge suffices, although it has not charged: {by_charge:?}");
+        let too_low = late(0.07);
+        let released = too_low.iter().filter_map(|action| match action {
+            CoordinatorAction::ReleaseRole(role, _) => Some(&role.mission),
+            _ => None,
+        });
+        assert!(released.eq([&charged, &next]), "{too_low:?}");
     }
 
     #[test]
