@@ -1,9 +1,9 @@
 //! Battery swaps: the coordinator submits the mission in which a person swaps the battery of a robot.
 //!
 //! A robot with low charge that does not charge at chargers waits for a person. Its mission is requested once: the id of the
-//! request contains the robot and the minute, and no further mission is requested while one for the robot is active. The
-//! charge must have been low for some seconds without such a mission, since the record of a robot may be older than the end of
-//! its mission.
+//! request contains the robot and the minute, a session requests no other for more than a minute, which is longer than a
+//! proposal takes, and none while one for the robot is active. The charge must have been low for some seconds without such a
+//! mission, since the record of a robot may be older than the end of its mission.
 
 use super::session_context::SessionContext;
 use super::submission::{Definitions, SubmitError, prepare};
@@ -27,6 +27,10 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// within seconds.
 const LOW_TIME: Duration = Duration::from_secs(10);
 
+/// Time after a request in which no other is made for the robot. Raised: a robot whose mission has failed at once waits longer.
+/// It is longer than the minute that the id of a request contains, and than the time limit of a proposal.
+const REPEAT_INTERVAL: Duration = Duration::from_secs(70);
+
 /// Priority of the mission: only this robot does it, and it can do little else.
 const PRIORITY: i64 = 100;
 
@@ -35,6 +39,8 @@ const PRIORITY: i64 = 100;
 pub(super) struct BatterySwaps {
     /// Robots with low charge and without an active mission for it, and since when.
     low_since: BTreeMap<RobotId, NodeTime>,
+    /// Times of the latest requests.
+    requested_at: BTreeMap<RobotId, NodeTime>,
     /// Time of the latest examination.
     checked_at: Option<NodeTime>,
 }
@@ -54,23 +60,30 @@ impl BatterySwaps {
         let (requested, has_room) = context.read_ledger(|ledger| {
             (requested_swaps(ledger, &swap.mission), missions_max == 0 || !ledger.has_active(missions_max))
         });
-        for robot in self.due(low.difference(&requested).cloned().collect(), now) {
+        let due = self.due(low.difference(&requested).cloned().collect(), has_room, now);
+        for robot in due {
             match submission(&robot, &swap.mission, context, now_ms) {
-                Ok(submission) if has_room => context.propose(Command::Submit(Box::new(submission))),
-                Ok(_) => {}
+                Ok(submission) => context.propose(Command::Submit(Box::new(submission))),
                 Err(problem) => warn!(%robot, %problem, "cannot request a swap of the battery"),
             }
         }
     }
 
-    /// Returns the robots that have been among those with low charge for long enough.
-    fn due(&mut self, low: BTreeSet<RobotId>, now: NodeTime) -> Vec<RobotId> {
+    /// Returns the robots that have been among those with low charge for long enough, unless a swap was requested for them a
+    /// short time ago. A fleet without room for further missions requests none.
+    fn due(&mut self, low: BTreeSet<RobotId>, has_room: bool, now: NodeTime) -> Vec<RobotId> {
+        self.requested_at.retain(|_, at| now.since(*at) < REPEAT_INTERVAL);
         self.low_since.retain(|robot, _| low.contains(robot));
         for robot in low {
             self.low_since.entry(robot).or_insert(now);
         }
-        let due = self.low_since.iter().filter(|(_, since)| now.since(**since) >= LOW_TIME);
-        due.map(|(robot, _)| robot.clone()).collect()
+        let is_due = |(robot, since): &(&RobotId, &NodeTime)| {
+            now.since(**since) >= LOW_TIME && !self.requested_at.contains_key(*robot)
+        };
+        let due = self.low_since.iter().filter(is_due).filter(|_| has_room);
+        let due: Vec<RobotId> = due.map(|(robot, _)| robot.clone()).collect();
+        self.requested_at.extend(due.iter().map(|robot| (robot.clone(), now)));
+        due
     }
 }
 
@@ -146,18 +159,33 @@ mod tests {
         assert_eq!(known_as_low(&base, &charging), [owner]);
     }
 
+    /// Returns the robots of these with low charge for which a swap is requested at this second.
+    fn due(swaps: &mut BatterySwaps, low: &[&str], has_room: bool, at_s: u64) -> Vec<String> {
+        let low = low.iter().map(|name| name.parse().unwrap()).collect();
+        let due = swaps.due(low, has_room, NodeTime::ZERO + Duration::from_secs(at_s));
+        due.iter().map(ToString::to_string).collect()
+    }
+
     #[test]
     fn a_swap_is_due_once_the_charge_has_been_low_for_a_while() {
-        let robots = |names: &[&str]| names.iter().map(|name| name.parse().unwrap()).collect::<BTreeSet<RobotId>>();
         let mut swaps = BatterySwaps::default();
-        let mut due = |low: &[&str], at_s: u64| {
-            let due = swaps.due(robots(low), NodeTime::ZERO + Duration::from_secs(at_s));
-            due.iter().map(ToString::to_string).collect::<Vec<_>>()
-        };
+        let mut due = |low: &[&str], at_s: u64| due(&mut swaps, low, true, at_s);
         assert!(due(&["ada"], 0).is_empty());
         assert_eq!(due(&["ada", "bob"], 10), ["ada"]);
         assert!(due(&["bob"], 11).is_empty(), "the mission of ada is active");
-        assert_eq!(due(&["ada", "bob"], 20), ["bob"], "the record of ada may be older than the end of its mission");
-        assert_eq!(due(&["ada"], 30), ["ada"]);
+        assert_eq!(due(&["ada", "bob"], 85), ["bob"], "the record of ada may be older than the end of its mission");
+        assert_eq!(due(&["ada"], 95), ["ada"]);
+    }
+
+    #[test]
+    fn a_swap_is_not_requested_again_while_its_proposal_is_under_way() {
+        let mut swaps = BatterySwaps::default();
+        let mut due = |has_room, at_s| due(&mut swaps, &["ada"], has_room, at_s);
+        assert!(due(true, 0).is_empty());
+        assert!(due(false, 10).is_empty(), "the fleet has no room for another mission");
+        assert_eq!(due(true, 11), ["ada"]);
+        // The minute ends, and with it the id of the request.
+        assert!((12..81).all(|at_s| due(true, at_s).is_empty()));
+        assert_eq!(due(true, 81), ["ada"], "the mission was not submitted, or has failed at once");
     }
 }
