@@ -201,8 +201,11 @@ fn passed_steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>, passes: impl Fn(&
 /// mission.
 fn slack_of(entry: &MissionEntry, promise: &RoleAssignment, delay_max: Seconds) -> Seconds {
     // The span lacks the first drive, and the record of a large auction lacks the time.
-    let span = promise.span.as_ref().map_or(Seconds::ZERO, |span| span.time);
-    let ends_ms = later_ms(promise.planned_ms, if span > promise.time { span } else { promise.time });
+    let span_s = promise.span.as_ref().map_or(0.0, |span| span.time.get());
+    // The planned start follows the stop at a charger, and the span contains it.
+    let stop_s = promise.charging.as_ref().map_or(0.0, |stop| stop.time.get());
+    let time = Seconds::new((span_s - stop_s).max(promise.time.get())).unwrap_or(promise.time);
+    let ends_ms = later_ms(promise.planned_ms, time);
     let until_s = |deadline_ms: u64| deadline_ms.saturating_sub(ends_ms) as f64 / 1000.0;
     let until_s = entry.submission.deadline_ms.map_or(f64::INFINITY, until_s);
     let slack_s = (delay_max.get() - promise.delayed.get()).min(until_s);

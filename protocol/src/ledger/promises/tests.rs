@@ -4,11 +4,11 @@ use super::super::mission_order::MissionChange;
 use super::super::robot_order::OrderRequest;
 use super::super::submission::{Priority, Submission};
 use super::*;
-use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidPart, BidVerdict, RoleSpan};
+use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidPart, BidVerdict, ChargingStop, RoleSpan};
 use crate::mission::test_data::domain;
 use crate::mission::{Format, MissionTemplate};
 use crate::plan::divide_and_check;
-use crate::units::{Energy, EnergyLimit};
+use crate::units::{BatteryShare, Energy, EnergyLimit};
 use proptest::prelude::*;
 
 /// The cart brings something, and the arm takes it.
@@ -271,6 +271,22 @@ fn the_first_drive_of_a_promise_counts_towards_its_deadline() {
     // Its tasks take 5 s, and with the drive to them 20 s.
     log.insert(first, "arm", second, 5.0);
     log.0.missions.get_mut(first).unwrap().submission.deadline_ms = Some(30_000);
+    let slack = log.promised_roles(second, &["arm"])[0].slack;
+    assert_eq!(slack.map(Seconds::get), Some(10.0));
+}
+
+#[test]
+fn a_stop_at_a_charger_counts_once_towards_the_deadline_of_a_promise() {
+    let (mut log, missions) = Log::with_missions(2);
+    let [first, second] = &missions[..] else { panic!() };
+    log.insert(first, "arm", second, 325.0);
+    let entry = log.0.missions.get_mut(first).unwrap();
+    // It begins at 310 s, after the stop, and takes 25 s.
+    entry.submission.deadline_ms = Some(345_000);
+    let promise = entry.roles.get_mut(&role("arm")).unwrap().holder.as_mut().unwrap();
+    let (charger, time) = ("dock".parse().unwrap(), Seconds::new(300.0).unwrap());
+    let stop = ChargingStop { charger, time, spare: BatteryShare::FULL, remaining: BatteryShare::FULL };
+    (promise.planned_ms, promise.charging) = (310_000, Some(stop));
     let slack = log.promised_roles(second, &["arm"])[0].slack;
     assert_eq!(slack.map(Seconds::get), Some(10.0));
 }
