@@ -56,14 +56,19 @@ pub struct StopOption {
 }
 
 /// Returns the stop with which the role ends first; the first of equal ones. The charge stays above the floor on the way to the
-/// charger, during the role, and until a charger is reached after it. `charging_time` returns the time for which the
-/// robot charges at a charger from a charge on, if it is known.
+/// charger, during the role, and until a charger is reached after it. A robot that has nearly the charge up to which it charges
+/// plans no stop: by its record it would have charged already. `charging_time` returns the time for which the robot charges at a
+/// charger from a charge on, if it is known.
 pub fn plan_stop(
     limits: StopLimits,
     options: &[StopOption],
     charging_time: impl Fn(&PlaceId, f64) -> Option<Seconds>,
 ) -> Option<ChargingStop> {
     let StopLimits { charge, floor, until } = limits;
+    // Its record may state the tolerance more than it has, and counts as charged the tolerance below.
+    if charge >= until.get() - 2.0 * CHARGE_TOLERANCE {
+        return None;
+    }
     let stop = |option: &StopOption| {
         let arrival = charge - option.way_energy;
         let remaining = until.get() - CHARGE_TOLERANCE - option.role_energy;
@@ -121,7 +126,8 @@ mod tests {
             let charging_s = |from: f64| (until - from).max(0.0) * 1000.0;
             let found = plan_stop(limits, &options, |_, from| Seconds::new(charging_s(from)).ok());
             let is_possible = |option: &&StopOption| {
-                charge - option.way_energy > floor
+                charge < until - 2.0 * CHARGE_TOLERANCE
+                    && charge - option.way_energy > floor
                     && until - CHARGE_TOLERANCE - option.role_energy - option.onward_energy > floor
             };
             let end_s = |option: &StopOption| {
@@ -138,6 +144,15 @@ mod tests {
                 prop_assert!(stop.spare.get() <= until - floor + 1e-9);
             }
         }
+    }
+
+    #[test]
+    fn a_robot_that_counts_as_charged_plans_no_stop() {
+        let found = |charge| {
+            let limits = StopLimits { charge, floor: share(0.1), until: share(0.9) };
+            plan_stop(limits, &[option(0, 0.01, 0.4, 0.1)], |_, _| Some(seconds(100.0))).is_some()
+        };
+        assert_eq!([0.3, 0.85, 0.87, 0.89, 0.95].map(found), [true, true, false, false, false]);
     }
 
     #[test]
