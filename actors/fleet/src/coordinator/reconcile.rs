@@ -12,7 +12,7 @@ use super::scope::Scope;
 use consort_protocol::cause::CauseClass;
 use consort_protocol::lease::{Epoch, LeaseMonitor};
 use consort_protocol::ledger::{Ledger, MissionEntry, RolePhase};
-use consort_protocol::units::NodeTime;
+use consort_protocol::units::{NodeTime, Seconds};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -35,7 +35,9 @@ pub(super) fn pending_actions(
     now: NodeTime,
     confirmed_ms: Option<u64>,
 ) -> Vec<CoordinatorAction> {
-    let SessionState { lease_monitor, rounds, notified, ahead, .. } = state;
+    let SessionState { lease_monitor, rounds, notified, promises_max, .. } = state;
+    // Without promises no auction before the earliest start has a result.
+    let ahead = if *promises_max > 0 { state.ahead } else { Seconds::ZERO };
     let is_notice_due = |awarded: &AwardedRole| {
         let notified = notified.get(&(awarded.epoch, awarded.role.clone()));
         notified.is_none_or(|at| now.since(*at) >= NOTICE_REPEAT_INTERVAL)
@@ -53,7 +55,7 @@ pub(super) fn pending_actions(
             Some(RoundPhase::BackingOff { until, .. }) => *until <= now,
             Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_)) => false,
         };
-        if due && entry.submission.may_start_within(confirmed_ms, *ahead) && can_be_auctioned(entry, lease_monitor, now)
+        if due && entry.submission.may_start_within(confirmed_ms, ahead) && can_be_auctioned(entry, lease_monitor, now)
         {
             actions.push(CoordinatorAction::CallForBids(entry.id.clone()));
         }
@@ -155,16 +157,39 @@ mod tests {
     use super::*;
     use consort_protocol::ids::RobotId;
     use consort_protocol::lease::LeaseTerms;
-    use consort_protocol::ledger::{ChangeCursor, MissionChanges};
-    use consort_protocol::units::Seconds;
+    use consort_protocol::ledger::{ChangeCursor, Command, MissionChanges, Submission};
     use std::collections::BTreeMap;
 
     fn actions(ledger: &Ledger, scope: Scope<'_>) -> Vec<CoordinatorAction> {
+        actions_ahead(ledger, scope, (16, Seconds::ZERO), None)
+    }
+
+    fn actions_ahead(
+        ledger: &Ledger,
+        scope: Scope<'_>,
+        (promises_max, ahead): (u32, Seconds),
+        confirmed_ms: Option<u64>,
+    ) -> Vec<CoordinatorAction> {
         let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
         let (lease_monitor, spare_charge) = (&LeaseMonitor::new(LeaseTerms::default()), &BTreeMap::new());
-        let (promises_max, ahead) = (16, Seconds::ZERO);
         let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
-        pending_actions(ledger, &state, scope, NodeTime::ZERO, None)
+        pending_actions(ledger, &state, scope, NodeTime::ZERO, confirmed_ms)
+    }
+
+    #[test]
+    fn a_mission_is_called_ahead_of_its_start_only_to_be_promised() {
+        let mut log = Log::default();
+        let known = log.add_mission("ada");
+        let submission = log.0.mission(&known).unwrap().submission.clone();
+        let later = Submission { request: "later".parse().unwrap(), not_before_ms: Some(60_000), ..submission };
+        log.apply(Command::Submit(Box::new(later)));
+        let is_called = |(promises_max, now_ms)| {
+            let terms = (promises_max, Seconds::new(30.0).unwrap());
+            let actions = actions_ahead(&log.0, Scope::All, terms, Some(now_ms));
+            actions.iter().any(|action| matches!(action, CoordinatorAction::CallForBids(_)))
+        };
+        let cases = [(16, 29_999), (16, 30_000), (0, 30_000), (0, 60_000)];
+        assert_eq!(cases.map(is_called), [false, true, false, true]);
     }
 
     #[test]
