@@ -89,8 +89,9 @@ impl Reauctions {
             let is_after_plan =
                 confirmed_ms.is_some_and(|now_ms| now_ms >= promise.planned_ms.saturating_add(late_max_ms));
             let is_late = could_start && is_after_plan;
-            // A free robot is about to get the role.
-            let is_free = || can_proceed && ledger.check_promise(&entry.id, role, promise.epoch).is_ok();
+            // A free robot is about to get the role, unless it charges first.
+            let charges = || ledger.promises_of(&promise.robot).iter().any(|(.., other)| other.charging.is_some());
+            let is_free = || can_proceed && !charges() && ledger.check_promise(&entry.id, role, promise.epoch).is_ok();
             let is_for_robot =
                 || entry.role_orders().get(role).is_some_and(|order| order.restriction.permits_only_one());
             // Other roles of the mission may stay open for long, but a late promise has waited enough.

@@ -101,6 +101,22 @@ fn late_promises_leave_calls_to_others() {
 }
 
 #[test]
+fn the_roles_of_a_free_robot_are_auctioned_again_while_it_charges() {
+    let mut log = Log::default();
+    let usual = log.add_mission("ada");
+    log.end_cart(&usual);
+    let called = |log: &Log| {
+        let mut session = Session::default();
+        [0, 30, 1].map(|seconds| session.due_after(seconds, &log.0))
+    };
+    assert_eq!(called(&log), [None, None, None], "the robot is about to get it");
+    let charging = log.add_mission_after_charging("bob", 0.8);
+    log.end_cart(&charging);
+    let both = [None, Some((usual, false)), Some((charging, false))];
+    assert_eq!(called(&log), both, "another robot may do them now");
+}
+
+#[test]
 fn each_change_of_a_role_makes_the_next_harder() {
     let (mut log, first, second) = promises();
     for robot in ["lab-arm-2", "lab-arm"] {
