@@ -146,6 +146,11 @@ impl ChargingForecast {
         self.known_time(charger, from, to).unwrap_or(Seconds::ZERO)
     }
 
+    /// Checks whether the gains are known.
+    pub(super) fn is_known(&self) -> bool {
+        !self.gains.is_empty()
+    }
+
     /// Returns the time for which the robot charges at a charger, if the gains are known.
     pub(super) fn known_time(&self, charger: &PlaceId, from: f64, to: BatteryShare) -> Option<Seconds> {
         self.gains.get(charger).map(|gain| self.curve.time(from, to.get(), *gain))

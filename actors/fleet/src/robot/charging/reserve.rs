@@ -39,9 +39,10 @@ impl ChargerReserve {
         Some(ChargerReserve::new(charging.usable, limits))
     }
 
-    /// Plans stops with this forecast, up to a charge.
+    /// Plans stops with this forecast, up to a charge; none if the forecast does not know the gains, since each charger would be
+    /// priced in vain.
     pub(in crate::robot) fn with_stops(self, forecast: ChargingForecast, until: BatteryShare) -> ChargerReserve {
-        ChargerReserve { stops: Some((forecast, until)), ..self }
+        ChargerReserve { stops: forecast.is_known().then_some((forecast, until)), ..self }
     }
 
     /// Returns the charge that the robot must always exceed.

@@ -3,7 +3,7 @@
 use super::{claim, other, place, places, robot, share, thresholds, waiting};
 use crate::robot::charging::control::ChargeControl;
 use crate::robot::charging::policy::{OtherRobot, Situation};
-use crate::robot::charging::reserve::ChargerReserve;
+use crate::robot::charging::reserve::{BeforeStop, ChargerReserve};
 use crate::robot::charging::{Charger, ChargingForecast, ChargingSettings, RobotCharging};
 use crate::robot::test_values::at;
 use consort_protocol::auction::{BidLimits, RefusalReason};
@@ -101,6 +101,15 @@ fn a_bid_needs_the_charge_to_reach_the_nearest_charger() {
         refusal(Some("A"), short).unwrap_err().to_string(),
         "could not reach a charger afterwards: 6.0 % charge left at A is not above the reserve of 8.0 %"
     );
+}
+
+#[test]
+fn no_stop_is_priced_while_the_power_of_the_chargers_is_unknown() {
+    let reserve = control(places(&["A", "B"])).reserve(BidLimits::default());
+    let at_c = context("C");
+    let before = BeforeStop { charge: 0.3, useful_charge: share(0.08), context: &at_c };
+    let stop = reserve.plan_stop(before, &estimator(), |_| panic!("the role is priced"));
+    assert!(stop.is_none());
 }
 
 #[test]
