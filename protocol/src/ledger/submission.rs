@@ -69,9 +69,7 @@ impl Submission {
     pub fn may_start(&self, now_ms: Option<u64>) -> bool {
         self.not_before_ms.is_none_or(|from_ms| now_ms.is_some_and(|now_ms| from_ms <= now_ms))
     }
-}
 
-impl Submission {
     /// Checks whether the mission may start within a time from now, in milliseconds since 1970, as [`may_start`](Self::may_start).
     pub fn may_start_within(&self, now_ms: Option<u64>, within: Seconds) -> bool {
         let within_ms = (within.get() * 1000.0) as u64;
