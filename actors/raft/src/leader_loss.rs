@@ -74,7 +74,8 @@ pub(super) fn turn(voters: impl Iterator<Item = RaftId>, lost: RaftId, me: RaftI
     heartbeat / 16 + (heartbeat / 4).saturating_mul(u32::try_from(earlier).unwrap_or(u32::MAX))
 }
 
-/// Watches the presence token of each leader that this node follows, and records its loss.
+/// Watches the presence token of each leader that this voter follows, and records its loss. A learner
+/// elects no leader.
 pub(super) async fn watch_leader(client: RaftClient, contact: Arc<LeaderContact>, heartbeat: Duration) {
     let mut leadership = client.leadership.clone();
     loop {
@@ -89,7 +90,8 @@ pub(super) async fn watch_leader(client: RaftClient, contact: Arc<LeaderContact>
             }
         };
         loop {
-            let other_leader = async { leadership.wait_for(|view| !is_followed(view, leader)).await.is_ok() };
+            let other_leader =
+                async { leadership.wait_for(|view| !is_followed(view, client.me, leader)).await.is_ok() };
             tokio::select! {
                 biased;
                 changed = other_leader => match changed {
@@ -108,17 +110,18 @@ pub(super) async fn watch_leader(client: RaftClient, contact: Arc<LeaderContact>
     }
 }
 
-/// Returns the leader that a node follows, unless it is the leader itself.
+/// Returns the leader that a voter follows, unless it is the leader itself.
 fn followed_leader(view: &LeadershipView, me: RaftId) -> Option<(RaftId, NodeId)> {
     let leader = view.leader_id?.leader;
-    view.leader.clone().filter(|_| leader != me).map(|name| (leader, name))
+    let follows = leader != me && view.voters.contains_key(&me);
+    view.leader.clone().filter(|_| follows).map(|name| (leader, name))
 }
 
-fn is_followed(view: &LeadershipView, leader: RaftId) -> bool {
-    view.leader_id.is_some_and(|leader_id| leader_id.leader == leader)
+fn is_followed(view: &LeadershipView, me: RaftId, leader: RaftId) -> bool {
+    followed_leader(view, me).is_some_and(|(followed, _)| followed == leader)
 }
 
-/// Queries a leader whose token has vanished, and records its loss, as long as this node follows it.
+/// Queries a leader whose token has vanished, and records its loss, as long as this voter follows it.
 async fn query_leader(
     client: &RaftClient,
     contact: &LeaderContact,
@@ -128,7 +131,7 @@ async fn query_leader(
 ) {
     let mut token_is_back = false;
     for _ in 0..QUERIES_MAX {
-        if !is_followed(&client.leadership.borrow(), leader) {
+        if !is_followed(&client.leadership.borrow(), client.me, leader) {
             return;
         }
         // A message that was under way may have ended the loss.
@@ -155,6 +158,24 @@ async fn query_leader(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::types::LeaderId;
+
+    #[test]
+    fn only_other_voters_watch_a_leader() {
+        let [leader, voter, learner] = [1, 2, 3].map(RaftId);
+        let [ada, bob, cyd] = ["ada", "bob", "cyd"].map(|name| NodeId::new(name).unwrap());
+        let view = LeadershipView {
+            leader_id: Some(LeaderId { term: 5, leader }),
+            leader: Some(ada.clone()),
+            voters: [(leader, ada.clone()), (voter, bob)].into(),
+            learners: [(learner, cyd)].into(),
+            ..LeadershipView::default()
+        };
+        let followed = [leader, voter, learner].map(|me| followed_leader(&view, me));
+        assert_eq!(followed, [None, Some((leader, ada)), None]);
+        assert!(is_followed(&view, voter, leader) && !is_followed(&view, voter, voter));
+        assert!(!is_followed(&LeadershipView { leader_id: None, ..view }, voter, leader));
+    }
 
     #[test]
     fn only_a_silent_leader_without_token_and_service_is_lost() {
