@@ -40,7 +40,8 @@ pub struct RaftSettings {
     pub election_max: Duration,
     /// Check-quorum timeout: a leader that no majority has acknowledged for so long no longer
     /// counts itself leader. At most `election_min`: until then no other leader can have been
-    /// elected. Default: `election_min` less 1/15 for clock drift.
+    /// elected, unless a majority has lost this leader's presence and service. Default:
+    /// `election_min` less 1/15 for clock drift.
     pub check_quorum_timeout: Duration,
     /// Number of applied entries after which a snapshot is taken. Higher saves work, lower saves
     /// memory and restart time.

@@ -15,7 +15,8 @@ use consort_raft::LeadershipView;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// Suggested delay of a retry in milliseconds: about the duration of a takeover.
+/// Suggested delay of a retry in milliseconds: about the duration of a takeover after the loss of a
+/// machine. A process that has ended is replaced sooner.
 pub(super) const RETRY_AFTER_MS: u64 = 300;
 
 /// Timeout of a coordinator without beacons: a little more than 2 beacon intervals. The ledger's

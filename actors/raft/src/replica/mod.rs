@@ -207,10 +207,10 @@ impl<S: StateMachine> Replica<S> {
     /// Unless a majority has lost this leader (its presence token and its service), no other leader
     /// can have been elected before this age exceeds `election_min`, since each voter of that
     /// majority rejects candidates for that long after *receiving* the message. In no case was
-    /// another leader elected before the message was sent. A
-    /// suspension of the machine counts. Heartbeats outside openraft count like its appends, and
-    /// keep the age small while disks are slow. While idle, the age is between one round trip and a
-    /// heartbeat interval plus one round trip.
+    /// another leader elected before the message was sent. A suspension of the machine counts.
+    /// Heartbeats outside openraft count like its appends, and keep the age small while disks are
+    /// slow. While idle, the age is between one round trip and a heartbeat interval plus one round
+    /// trip.
     pub fn quorum_ack_age(&self) -> Option<Duration> {
         let has_resigned = self.inner.leadership.resigned_term.covers(self.inner.leadership.view.borrow().term);
         self.inner.leadership.quorum_ack.borrow().filter(|_| !has_resigned).map(|at| at.elapsed())

@@ -3,6 +3,10 @@
 //! A leader id consists of a term and a leader; openraft orders leaders within a term too. A leader
 //! was elected later than all previous leaders. So a node never leads again after another leader
 //! has begun: not even for an instant, and not after a restart that made voters forget their votes.
+//!
+//! Raft itself allows a leader that is lost to a majority to count itself leader until its check-quorum
+//! timeout, while another is elected (`actors/raft/src/leader_loss.rs`). The virtual network ends the
+//! presence of a live node only after the link lease, which is longer than that timeout.
 
 use super::{Invariant, InvariantViolation};
 use crate::{Fleet, Observation};
