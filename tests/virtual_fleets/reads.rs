@@ -90,6 +90,24 @@ fn a_deposed_coordinator_answers_no_linearizable_read() {
     });
 }
 
+/// The list is complete, or there is none: a person may cancel nothing else because of it.
+#[test]
+fn an_isolated_coordinator_lists_no_missions_to_cancel() {
+    for_each_seed(SEEDS, async |seed| {
+        let fleet = fleet(seed).await;
+        let mission = fleet.submit("before", ROOM).await;
+        let dry_run = json!({ "missions": [mission], "dry_run": true, "by": "Nia" });
+        let listed = fleet.request_answered(ApiCall::CancelMissions, &dry_run).await;
+        assert!(listed["missions"].get(mission.as_str()).is_some(), "seed {seed}: {listed}");
+        let (coordinator, _) = coordinator_and_other(&fleet);
+        isolate(&fleet, &coordinator);
+        // It still counts itself leader.
+        assert_eq!(fleet.coordinating(), Some(coordinator), "seed {seed}");
+        let replies = fleet.request_all(ApiCall::CancelMissions, &dry_run).await;
+        assert!(replies.iter().all(|reply| reply.get("missions").is_none()), "seed {seed}: {replies:?}");
+    });
+}
+
 #[test]
 fn a_read_from_an_isolated_node_states_its_age() {
     for_each_seed(SEEDS, async |seed| {

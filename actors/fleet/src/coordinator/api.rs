@@ -358,10 +358,16 @@ impl ApiHandler {
         }
     }
 
-    /// Returns a copy of the ledger. A majority first confirms that this node still leads, so the
-    /// copy contains everything that was acknowledged.
+    /// Confirms with a majority that this node still leads: its ledger contains everything that was
+    /// acknowledged. A reply that follows no commit needs it, since a leader that is lost to a majority
+    /// may count itself leader while another is elected.
+    pub(super) async fn confirm_leadership(&self) -> Result<(), ApiError> {
+        self.replica.ensure_leader(COMMIT_TIMEOUT).await.map_err(|problem| not_committed(&problem))
+    }
+
+    /// Returns a copy of the ledger, with everything that was acknowledged.
     async fn backup(&self) -> Result<Value, ApiError> {
-        self.replica.ensure_leader(COMMIT_TIMEOUT).await.map_err(|problem| not_committed(&problem))?;
+        self.confirm_leadership().await?;
         let (last, ledger) = self.replica.copy();
         let last = last.ok_or_else(|| "the ledger is empty".to_owned())?;
         let backup = Backup::new(&ledger, last, self.fleet.clone(), self.node.clone(), self.time_ms()?)

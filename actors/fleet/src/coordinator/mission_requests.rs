@@ -33,6 +33,8 @@ impl ApiHandler {
         if self.replica.read(|ledger| request.as_ref().is_some_and(|request| ledger.remembers_order(request))) {
             return Ok(CancelMissionsReply { missions: BTreeMap::new(), refused: BTreeMap::new(), again: true });
         }
+        // A dry run commits nothing, nor does a selection without active missions.
+        self.confirm_leadership().await?;
         let SelectedMissions { accepted, refused } = self.selected_missions(&selection, &by)?;
         let active = self.replica.read(|ledger| {
             let active = accepted.iter().filter_map(|mission| ledger.mission(mission));
