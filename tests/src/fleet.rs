@@ -193,6 +193,18 @@ impl Fleet {
         Fleet::hospital_with(seed, members, stations, nurses_in(rooms), options).await
     }
 
+    /// Starts the same hospital with a layer over the bus of each node.
+    pub async fn hospital_with_layer(
+        seed: u64,
+        members: Vec<RobotSpec>,
+        stations: &[&str],
+        rooms: &[&str],
+        wrap_bus: WrapBus,
+    ) -> Fleet {
+        let options = NodeOptions { wrap_bus, ..NodeOptions::default() };
+        Fleet::hospital_with(seed, members, stations, nurses_in(rooms), options).await
+    }
+
     /// Starts the same hospital with certificates; nodes sign their messages.
     pub async fn closed_hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
         let options = NodeOptions { signatures: Some(Signatures::Ed25519), ..NodeOptions::default() };

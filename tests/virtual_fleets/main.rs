@@ -37,6 +37,7 @@ mod reads;
 mod recovery;
 mod refusals;
 mod repeated_missions;
+mod reply_order;
 mod requests;
 mod requirements;
 mod restart;
