@@ -25,7 +25,7 @@ pub(super) struct HeartbeatRequest {
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct HeartbeatReply {
     /// The voter follows that leader, and grants no other vote within `election_min` of the
-    /// request.
+    /// request, unless it loses the leader or the leader resigns.
     pub(super) follows: bool,
     /// The voter has an append pending.
     pub(super) busy: bool,
