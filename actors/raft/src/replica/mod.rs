@@ -65,6 +65,17 @@ struct LeadershipState {
     leader_contact: Arc<LeaderContact>,
 }
 
+impl LeadershipState {
+    /// Withdraws the leader of `term` from the view of this node.
+    fn withdraw_leader(&self, term: u64) {
+        self.view.send_modify(|now| {
+            if now.term == term {
+                *now = now.clone().without_leader();
+            }
+        });
+    }
+}
+
 /// Tasks around openraft, aborted with the replica.
 struct ReplicaTasks {
     group_commit: Task,
@@ -259,8 +270,13 @@ impl<S: StateMachine> Replica<S> {
         std::future::pending().await
     }
 
-    /// Stops the replica. No write to the log store is in progress when it returns.
+    /// Stops the replica. From the call on this node no longer counts itself leader. No write to the log
+    /// store is in progress when it returns.
     pub async fn shutdown(&self) {
+        // The other voters elect another leader as soon as nothing serves the requests of this node.
+        let term = self.inner.leadership.view.borrow().term;
+        self.inner.leadership.resigned_term.resign(term);
+        self.inner.leadership.withdraw_leader(term);
         // A request to openraft after its end would log an error.
         let ReplicaTasks { group_commit, server, elections, leader_watch, heartbeats, log_limit, .. } =
             &self.inner.tasks;

@@ -95,11 +95,7 @@ impl<S: StateMachine> Replica<S> {
             return Err(TransferError::OnlyVoter);
         }
         let resignation = Resignation::begin(&inner.leadership.resigned_term, term);
-        inner.leadership.view.send_modify(|now| {
-            if now.term == term {
-                *now = now.clone().without_leader();
-            }
-        });
+        inner.leadership.withdraw_leader(term);
         let chosen = async {
             loop {
                 let latest = metrics.borrow_and_update().clone();

@@ -1,4 +1,4 @@
-//! Presence tokens that vanish while their leader works: false alarms.
+//! Presence tokens that vanish while their leader works: false alarms. And a leader that shuts down.
 
 use crate::failover::on_wifi;
 use crate::support::{Fleet, NAMES, default_settings, keys, on_virtual_time};
@@ -6,6 +6,7 @@ use consort_bus::{BusError, Layer, MessageContent, Reply, SharedBus, Stream};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, RaftCall};
 use consort_raft::RaftSettings;
+use futures::FutureExt as _;
 use std::cell::Cell;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -109,4 +110,18 @@ fn is_replaced(blind: usize) -> bool {
 fn voters_that_reach_their_leader_refuse_those_that_have_lost_it() {
     assert!(!is_replaced(2), "a minority has lost the leader");
     assert!(is_replaced(3), "a majority has lost the leader");
+}
+
+/// The voters have lost it already, and its disk may be slow.
+#[test]
+fn a_leader_that_shuts_down_no_longer_counts_itself_leader() {
+    on_virtual_time(async {
+        let fleet = Fleet::bootstrapped(11, 3, default_settings).await;
+        let leader = fleet.leader().await;
+        // Its core has not ended yet.
+        let _ = fleet.replicas[&leader].shutdown().now_or_never();
+        assert!(fleet.leaders().is_empty());
+        sleep(Duration::from_millis(1)).await;
+        assert!(!fleet.view(&leader).is_leader);
+    });
 }
