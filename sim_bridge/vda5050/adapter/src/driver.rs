@@ -25,6 +25,9 @@ const REPORT_INTERVAL: Duration = Duration::from_millis(500);
 /// Time for the vehicle to confirm that it stops when the driver ends. The node kills the process after 3 s.
 const STOP_LIMIT: Duration = Duration::from_millis(2_500);
 
+/// Maximum size of the results of a goal as JSON, in bytes, as in the node.
+const RESULTS_BYTES_MAX: usize = 512;
+
 /// Number of refused messages of each topic that are logged.
 const REFUSALS_LOGGED: u64 = 5;
 
@@ -90,8 +93,8 @@ struct Driver<'a> {
     sent: BTreeMap<Topic, u64>,
     /// Numbers of refused messages, by topic.
     refused: BTreeMap<&'static str, u64>,
-    /// The action of the goal in progress.
-    action: Option<String>,
+    /// The actions of the goals without a result, by goal.
+    actions: BTreeMap<u64, String>,
     position: Option<Position>,
     reported_at: Option<Instant>,
     has_news: bool,
@@ -110,7 +113,7 @@ impl<'a> Driver<'a> {
             is_broker_up: false,
             sent: BTreeMap::new(),
             refused: BTreeMap::new(),
-            action: None,
+            actions: BTreeMap::new(),
             position: None,
             reported_at: None,
             has_news: false,
@@ -138,8 +141,8 @@ impl<'a> Driver<'a> {
         let number = |id: &str| id.parse::<u64>();
         match line {
             NodeLine::Heartbeat { sequence } => self.output.send("heartbeat", json!({ "sequence": sequence })),
-            NodeLine::Goal { id, action, parameters, keep_for_ms } => {
-                return self.read_goal(&id, action, &parameters, permission(keep_for_ms));
+            NodeLine::Goal { id, action, parameters, keep_for_ms, resumed } => {
+                return self.read_goal(&id, action, &parameters, (permission(keep_for_ms), resumed));
             }
             NodeLine::Keep { id, keep_for_ms } => {
                 if let Ok(id) = number(&id) {
@@ -156,7 +159,13 @@ impl<'a> Driver<'a> {
         Received::Nothing
     }
 
-    fn read_goal(&mut self, id: &str, action: String, parameters: &Map<String, Value>, keep_for: Duration) -> Received {
+    fn read_goal(
+        &mut self,
+        id: &str,
+        action: String,
+        parameters: &Map<String, Value>,
+        (keep_for, is_resumed): (Duration, bool),
+    ) -> Received {
         let reject = |GoalError { code, message }: GoalError| {
             let result = json!({ "id": id, "status": "aborted", "code": code, "message": message });
             self.output.send("result", result);
@@ -168,8 +177,8 @@ impl<'a> Driver<'a> {
         };
         match self.settings.catalog.work(&action, parameters) {
             Ok((fingerprint, work)) => {
-                self.action = Some(action);
-                Received::Event(Event::Goal { id: number, fingerprint, work, keep_for })
+                self.actions.insert(number, action);
+                Received::Event(Event::Goal { id: number, fingerprint, work, keep_for, is_resumed })
             }
             Err(problem) => reject(problem),
         }
@@ -283,11 +292,12 @@ impl<'a> Driver<'a> {
         // The pose at the end is known to the node before the result.
         self.report();
         let id = goal.to_string();
+        let action = self.actions.remove(&goal);
         let result = match status {
             GoalStatus::Succeeded(text) => {
-                let name = self.action.as_deref().and_then(|action| self.settings.catalog.result_of(action));
+                let name = action.and_then(|action| self.settings.catalog.result_of(&action));
                 match name {
-                    Some(name) => json!({ "id": id, "status": "succeeded", "results": { name: text } }),
+                    Some(name) => json!({ "id": id, "status": "succeeded", "results": results(name, &text) }),
                     None => json!({ "id": id, "status": "succeeded" }),
                 }
             }
@@ -322,6 +332,18 @@ impl<'a> Driver<'a> {
     }
 }
 
+/// Returns the results of a goal. The text is shortened: a node aborts a goal with longer results.
+fn results(name: &str, text: &str) -> Value {
+    let mut text: String = text.chars().take(RESULTS_BYTES_MAX).collect();
+    loop {
+        let results = json!({ name: text });
+        if text.is_empty() || results.to_string().len() <= RESULTS_BYTES_MAX {
+            return results;
+        }
+        text.pop();
+    }
+}
+
 /// Returns the time as messages contain it: UTC, with milliseconds.
 fn timestamp() -> String {
     let now = OffsetDateTime::now_utc();
@@ -335,6 +357,14 @@ fn timestamp() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_long_result_is_shortened() {
+        assert_eq!(results("load", "L-7"), json!({ "load": "L-7" }));
+        let long = results("load", &"\u{1}ä".repeat(300));
+        assert!((RESULTS_BYTES_MAX - 6..=RESULTS_BYTES_MAX).contains(&long.to_string().len()), "{long}");
+        assert!(long["load"].as_str().unwrap().starts_with("\u{1}ä"));
+    }
 
     #[test]
     fn a_timestamp_has_three_digits_of_milliseconds() {

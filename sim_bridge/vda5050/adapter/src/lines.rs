@@ -22,6 +22,9 @@ pub(crate) enum NodeLine {
         #[serde(default)]
         parameters: Map<String, Value>,
         keep_for_ms: u64,
+        /// True if an earlier process of the driver ended during the goal.
+        #[serde(default)]
+        resumed: bool,
     },
     Keep {
         id: String,
@@ -121,7 +124,7 @@ mod tests {
     fn lines_are_read_as_the_reference_describes() {
         let read = |text: &str| parse(text.as_bytes());
         let goal = r#"{"type":"goal","id":"7","action":"dock","keep_for_ms":900,"resumed":true,"later":1}"#;
-        assert!(matches!(read(goal), Some(Input::Line(NodeLine::Goal { keep_for_ms: 900, .. }))));
+        assert!(matches!(read(goal), Some(Input::Line(NodeLine::Goal { keep_for_ms: 900, resumed: true, .. }))));
         assert!(matches!(read(r#"{"type":"sing"}"#), Some(Input::Line(NodeLine::Unknown))));
         assert!(matches!(read("{"), Some(Input::Wrong(_))));
         assert!(matches!(parse(b"\xff\xfe\n"), Some(Input::Wrong(_))));

@@ -14,14 +14,15 @@
 //!   earlier goal with the same work: the node restarted. Any other unfinished order of Consort is
 //!   cancelled. Orders of other masters are not touched.
 //! - A vehicle that restarts loses its order. A drive is ordered again from where the vehicle is; an
-//!   action is not, since it may have happened.
+//!   action is not, since it may have happened. The same holds for the action of a resumed goal that
+//!   the vehicle does not report.
 
 mod execution;
 #[cfg(test)]
 mod tests;
 mod vehicle_view;
 
-use crate::cause::{Cause, CauseTable, VehicleError};
+use crate::cause::{Cause, CauseTable, ErrorLevel, VehicleError};
 use crate::incoming::{ConnectionState, VehicleState};
 use crate::layout::Layout;
 use crate::order_id::OrderId;
@@ -83,6 +84,8 @@ pub enum Event {
         work: Work,
         /// Time for which the vehicle may act.
         keep_for: Duration,
+        /// True if an earlier process ended during the goal, so its action may have happened.
+        is_resumed: bool,
     },
     /// A renewed permission.
     Keep {
@@ -178,6 +181,7 @@ struct ActiveGoal {
     id: u64,
     fingerprint: u32,
     work: Work,
+    is_resumed: bool,
     /// End of the permission.
     until: Duration,
     waiting_since: Duration,
@@ -257,8 +261,20 @@ impl OrderMachine {
     pub fn step(&mut self, event: Event, now: Duration) -> Vec<Command> {
         let mut commands = vec![];
         match event {
-            Event::Goal { id, fingerprint, work, keep_for } => {
-                commands.extend(self.accept(id, fingerprint, work, now + keep_for, now));
+            Event::Goal { id, fingerprint, work, keep_for, is_resumed } => {
+                commands.extend(self.accept(ActiveGoal {
+                    id,
+                    fingerprint,
+                    work,
+                    is_resumed,
+                    until: now + keep_for,
+                    waiting_since: now,
+                    attempt: 0,
+                    phase: Phase::Waiting,
+                    // A goal that arrives after the shutdown is not begun.
+                    stop: self.is_shut_down.then(Stop::default),
+                    feedback_at: Duration::ZERO,
+                }));
             }
             Event::Keep { id, keep_for } => {
                 if let Some(goal) = self.goal.as_mut().filter(|goal| goal.id == id) {
@@ -291,29 +307,17 @@ impl OrderMachine {
         commands
     }
 
-    fn accept(&mut self, id: u64, fingerprint: u32, work: Work, until: Duration, now: Duration) -> Option<Command> {
-        if let Some((goal, status)) = self.ended.as_ref().filter(|(goal, _)| *goal == id) {
-            return Some(Command::Result { goal: *goal, status: status.clone() });
+    fn accept(&mut self, goal: ActiveGoal) -> Option<Command> {
+        if let Some((ended, status)) = self.ended.as_ref().filter(|(ended, _)| *ended == goal.id) {
+            return Some(Command::Result { goal: *ended, status: status.clone() });
         }
         match &mut self.goal {
-            Some(goal) if goal.id == id => goal.until = until,
-            Some(goal) => {
-                let cause = Cause::new("busy", format!("goal {} is in progress", goal.id));
-                return Some(Command::Result { goal: id, status: GoalStatus::Aborted(cause) });
+            Some(active) if active.id == goal.id => active.until = goal.until,
+            Some(active) => {
+                let cause = Cause::new("busy", format!("goal {} is in progress", active.id));
+                return Some(Command::Result { goal: goal.id, status: GoalStatus::Aborted(cause) });
             }
-            None => {
-                self.goal = Some(ActiveGoal {
-                    id,
-                    fingerprint,
-                    work,
-                    until,
-                    waiting_since: now,
-                    attempt: 0,
-                    phase: Phase::Waiting,
-                    stop: None,
-                    feedback_at: Duration::ZERO,
-                });
-            }
+            None => self.goal = Some(goal),
         }
         None
     }
@@ -414,15 +418,26 @@ impl OrderMachine {
             return waits_too_long.then(|| aborted(code, format!("the vehicle is not ready: {reason}")))?;
         }
         if !["AUTOMATIC", "SEMIAUTOMATIC"].contains(&state.mode.as_str()) {
-            return aborted("failed", format!("the vehicle is in the mode {}; allowed: AUTOMATIC", state.mode));
+            let text = format!("the vehicle is in the mode {}; allowed: AUTOMATIC, SEMIAUTOMATIC", state.mode);
+            return aborted("failed", text);
         }
-        // An error of an earlier order may stay until the next order.
+        // An error of an earlier order may stay until the next order. A critical error allows another order.
         let of_orders = |text: &str| text.starts_with("consort-");
-        let ends = |error: &&VehicleError| {
-            error.level.ends_orders() && !error.references.iter().any(|(_, value)| of_orders(value))
+        let prevents = |error: &&VehicleError| {
+            error.level >= ErrorLevel::Fatal && !error.references.iter().any(|(_, value)| of_orders(value))
         };
-        if let Some(error) = state.errors.iter().find(ends) {
+        if let Some(error) = state.errors.iter().find(prevents) {
             return Some(GoalStatus::Aborted(self.settings.causes.cause(error)));
+        }
+        if goal.is_resumed && goal.attempt == 0 && matches!(goal.work, Work::Act { .. }) {
+            // The earlier process may have sent the action just before its end, or the vehicle has
+            // restarted since.
+            if now.saturating_sub(goal.waiting_since) < self.settings.retry_after {
+                self.request_state(now, commands);
+                return None;
+            }
+            let text = "the vehicle no longer reports the action of the earlier process, which is not repeated";
+            return aborted("failed", text.to_owned());
         }
         self.start(goal, &state, now, commands)
     }

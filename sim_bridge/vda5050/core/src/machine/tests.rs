@@ -163,7 +163,17 @@ fn pick(is_instant: bool) -> Work {
 
 fn goal(id: u64, work: Work) -> Event {
     let fingerprint = fingerprint(&format!("{work:?}"));
-    Event::Goal { id, fingerprint, work, keep_for: seconds(1_000) }
+    Event::Goal { id, fingerprint, work, keep_for: seconds(1_000), is_resumed: false }
+}
+
+/// Returns a goal that an earlier process has not ended.
+fn resumed(id: u64, work: Work) -> Event {
+    match goal(id, work) {
+        Event::Goal { id, fingerprint, work, keep_for, .. } => {
+            Event::Goal { id, fingerprint, work, keep_for, is_resumed: true }
+        }
+        other => other,
+    }
 }
 
 fn orders(commands: &[Command]) -> Vec<Order> {
@@ -283,13 +293,42 @@ fn a_new_process_continues_an_action_without_repeating_it() {
         drop(killed);
 
         let mut next = machine(1);
-        let commands = next.step(goal(7, pick(is_instant)), seconds(1));
+        let commands = next.step(resumed(7, pick(is_instant)), seconds(1));
         assert_eq!(orders(&commands), []);
         exchange(&mut next, &mut vehicle, 2);
         vehicle.finish_actions();
         assert!(matches!(result(&exchange(&mut next, &mut vehicle, 3)), Some(GoalStatus::Succeeded(_))));
         assert_eq!(vehicle.executed.iter().filter(|executed| *executed != "stateRequest").count(), 1, "{vehicle:?}");
     }
+}
+
+#[test]
+fn a_resumed_action_that_the_vehicle_has_lost_is_not_repeated() {
+    for is_instant in [false, true] {
+        // The vehicle and the driver have restarted during the action.
+        let (mut next, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        next.step(resumed(7, pick(is_instant)), seconds(1));
+        let early = exchange(&mut next, &mut vehicle, 2);
+        assert_eq!(result(&early), None, "the state may be older than the action");
+        let Some(GoalStatus::Aborted(cause)) = result(&exchange(&mut next, &mut vehicle, 4)) else {
+            panic!("{vehicle:?}");
+        };
+        assert!(cause.message.contains("not repeated"), "{cause:?}");
+        assert!(vehicle.order.is_empty() && !vehicle.executed.contains(&"pick".to_owned()), "{vehicle:?}");
+    }
+    // A drive starts again.
+    let (mut next, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    next.step(resumed(7, drive("b")), seconds(1));
+    assert_eq!(orders(&exchange(&mut next, &mut vehicle, 2)).len(), 1);
+}
+
+#[test]
+fn a_goal_after_the_shutdown_is_not_begun() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    machine.step(Event::Shutdown, seconds(2));
+    let commands = machine.step(goal(7, drive("d")), seconds(3));
+    assert_eq!((orders(&commands), result(&commands)), (vec![], Some(GoalStatus::Canceled)));
 }
 
 #[test]
@@ -360,7 +399,8 @@ fn a_goal_is_canceled_when_the_vehicle_has_stopped() {
     let under_way = |keep_for: Duration| {
         let (mut machine, mut vehicle) = (machine(3), FakeVehicle::at("a"));
         exchange(&mut machine, &mut vehicle, 1);
-        let sent = machine.step(Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for }, seconds(2));
+        let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for, is_resumed: false };
+        let sent = machine.step(event, seconds(2));
         vehicle.receive(&sent[0]);
         exchange(&mut machine, &mut vehicle, 3);
         (machine, vehicle)
@@ -380,7 +420,7 @@ fn a_goal_is_canceled_when_the_vehicle_has_stopped() {
     // A goal without permission is not sent.
     let (mut machine, mut vehicle) = (self::machine(3), FakeVehicle::at("a"));
     exchange(&mut machine, &mut vehicle, 1);
-    let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for: Duration::ZERO };
+    let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for: Duration::ZERO, is_resumed: false };
     let commands = machine.step(event, seconds(2));
     assert_eq!((orders(&commands), result(&commands)), (vec![], Some(GoalStatus::Canceled)));
 }
