@@ -41,6 +41,12 @@ impl VehicleError {
     pub fn refers_to(&self, id: &str) -> bool {
         self.references.iter().any(|(_, value)| value == id)
     }
+
+    /// Returns the type in small letters: `noRouteError` of version 2 and `NO_ROUTE_ERROR` of version 3
+    /// are equal then.
+    pub(crate) fn kind_letters(&self) -> String {
+        self.kind.chars().filter(char::is_ascii_alphanumeric).map(|letter| letter.to_ascii_lowercase()).collect()
+    }
 }
 
 impl fmt::Display for VehicleError {
@@ -117,8 +123,7 @@ impl CauseTable {
     /// Returns the cause for an error of a vehicle.
     pub fn cause(&self, error: &VehicleError) -> Cause {
         let known = self.by_type.get(&error.kind).map(String::as_str);
-        let letters: String = error.kind.chars().filter(char::is_ascii_alphanumeric).collect();
-        let letters = letters.to_ascii_lowercase();
+        let letters = error.kind_letters();
         let guessed = || WORDS.iter().find(|(word, _)| letters.contains(word)).map(|(_, code)| *code);
         Cause::new(known.or_else(guessed).unwrap_or("failed"), error.to_string())
     }

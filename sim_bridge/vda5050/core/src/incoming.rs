@@ -52,6 +52,8 @@ pub enum ActionStatus {
     Running,
     /// The action is done.
     Finished,
+    /// The action failed, and waits for a decision to repeat it or to give it up; since version 3.0.
+    Retriable,
     /// The action failed.
     Failed,
 }
@@ -224,6 +226,7 @@ fn action_report(action: &Value) -> ActionReport {
     let status = match action["actionStatus"].as_str() {
         Some("WAITING") => ActionStatus::Waiting,
         Some("FINISHED") => ActionStatus::Finished,
+        Some("RETRIABLE") => ActionStatus::Retriable,
         Some("FAILED") => ActionStatus::Failed,
         _ => ActionStatus::Running,
     };

@@ -56,9 +56,14 @@ impl VehicleAction {
 
 /// Returns the body of a message with instant actions.
 pub fn instant_actions(actions: &[VehicleAction], version: Version) -> Map<String, Value> {
-    let json = |action: &VehicleAction| {
+    let json = |action: &VehicleAction| match version {
         // Version 3.0 allows no other blocking type for instant actions.
-        action.to_json(if version == Version::V3_0 { BlockingType::None } else { action.blocking })
+        Version::V3_0 => action.to_json(BlockingType::None),
+        // Before version 3.0 a cancel has no parameters.
+        _ if action.kind == "cancelOrder" => {
+            VehicleAction { parameters: BTreeMap::new(), ..action.clone() }.to_json(action.blocking)
+        }
+        _ => action.to_json(action.blocking),
     };
     Map::from_iter([("actions".to_owned(), Value::Array(actions.iter().map(json).collect()))])
 }
@@ -143,5 +148,22 @@ impl Order {
             ("nodes".to_owned(), Value::Array(self.nodes.iter().map(node).collect())),
             ("edges".to_owned(), Value::Array(self.edges.iter().map(edge).collect())),
         ])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cancel_names_its_order_since_version_3() {
+        let parameters = BTreeMap::from([("orderId".to_owned(), json!("o"))]);
+        let (id, kind) = ("i".to_owned(), "cancelOrder".to_owned());
+        let cancel = VehicleAction { id, kind, blocking: BlockingType::Hard, parameters };
+        let sent = |version| instant_actions(&[cancel.clone()], version)["actions"][0].clone();
+        let old = json!({ "actionId": "i", "actionType": "cancelOrder", "blockingType": "HARD" });
+        assert_eq!(sent(Version::V2_1), old);
+        assert_eq!(sent(Version::V3_0)["blockingType"], "NONE");
+        assert_eq!(sent(Version::V3_0)["actionParameters"], json!([{ "key": "orderId", "value": "o" }]));
     }
 }

@@ -132,7 +132,7 @@ impl OrderRun {
             id,
             update: 0,
             first: 0,
-            released: stops.len().min(release_ahead.max(1) + 1),
+            released: stops.len().min(release_ahead.max(1).saturating_add(1)),
             stops,
             action: action.map(|action| (action.id.clone(), Some(action))),
             speed_max_mps,
@@ -143,7 +143,14 @@ impl OrderRun {
     }
 
     /// Reads back an order from the state of the vehicle.
-    pub(super) fn adopt(id: OrderId, state: &VehicleState, has_action: bool, layout: &Layout) -> OrderRun {
+    pub(super) fn adopt(
+        id: OrderId,
+        state: &VehicleState,
+        has_action: bool,
+        speed_max_mps: Option<f64>,
+        layout: &Layout,
+    ) -> OrderRun {
+        let action = id.action(0);
         let stop = |id: &str, sequence: u64| RouteStop { sequence, ..RouteStop::new(id, 0, layout.node(id)) };
         let last = (!state.last_node.is_empty()).then(|| stop(&state.last_node, state.last_sequence));
         let ahead = state.nodes.iter().filter(|node| last.is_none() || node.sequence > state.last_sequence);
@@ -154,11 +161,11 @@ impl OrderRun {
             stops: last.clone().into_iter().chain(ahead.map(|node| stop(&node.id, node.sequence))).collect(),
             first: 0,
             released,
-            action: has_action.then(|| (id.action(0), None)),
-            speed_max_mps: None,
+            known_errors: errors_without(state, &[&id.to_string(), &action]),
+            action: has_action.then_some((action, None)),
+            speed_max_mps,
             sent_at: Duration::ZERO,
             is_seen: true,
-            known_errors: state.errors.clone(),
         }
     }
 
@@ -214,7 +221,7 @@ impl OrderRun {
     /// of the base, the stitching node. Returns true if there is an update to send.
     pub(super) fn release(&mut self, reached: u64, ahead: usize, now: Duration) -> bool {
         let passed = self.stops.iter().filter(|stop| stop.sequence <= reached).count();
-        let wanted = self.stops.len().min(passed + ahead.max(1));
+        let wanted = self.stops.len().min(passed.saturating_add(ahead.max(1)));
         if wanted <= self.released || self.released == 0 {
             return false;
         }
@@ -253,7 +260,8 @@ impl OrderRun {
         self.is_seen |= !is_rejected;
         let action = self.action.as_ref().map(|(action, _)| state.action(action));
         let has_acted = action.is_none_or(|report| report.is_some_and(|report| report.status.is_final()));
-        let is_over = state.nodes.is_empty() && state.edges_left == 0 && has_acted;
+        // The result of a goal promises that the vehicle stands still.
+        let is_over = state.nodes.is_empty() && state.edges_left == 0 && has_acted && !state.is_driving;
         let is_at_end = self.stops.last().is_none_or(|last| state.last_sequence >= last.sequence);
         let of_order = |error: &&VehicleError| {
             error.refers_to(&id) || self.action.as_ref().is_some_and(|(action, _)| error.refers_to(action))
@@ -267,7 +275,7 @@ impl OrderRun {
             Some(report) if is_over && is_at_end && report.status == ActionStatus::Finished => {
                 return Verdict::Succeeded(report.result.clone());
             }
-            Some(report) if report.status == ActionStatus::Failed => {
+            Some(report) if matches!(report.status, ActionStatus::Failed | ActionStatus::Retriable) => {
                 let text = format!("the action failed: {}", report.result);
                 let cause = cause().unwrap_or_else(|| Cause::new("failed", text));
                 return if is_over { Verdict::Ended(cause) } else { Verdict::Fails(cause) };
@@ -289,8 +297,15 @@ impl OrderRun {
 
 /// Checks whether the type of an error is about orders.
 fn is_of_orders(error: &VehicleError) -> bool {
-    let kind = error.kind.to_ascii_lowercase();
+    let kind = error.kind_letters();
     kind != "noordertocancel" && ["order", "route", "validation"].iter().any(|word| kind.contains(word))
+}
+
+/// Returns the errors of a state that refer to none of some ids: those that an adopted order or action
+/// has not caused.
+fn errors_without(state: &VehicleState, ids: &[&str]) -> Vec<VehicleError> {
+    let is_other = |error: &&VehicleError| !ids.iter().any(|id| error.refers_to(id));
+    state.errors.iter().filter(is_other).cloned().collect()
 }
 
 /// An instant action that was sent.
@@ -312,7 +327,7 @@ impl ActionRun {
     /// Returns the run of an action that the vehicle already knows.
     pub(super) fn adopt(id: String, state: &VehicleState) -> Option<ActionRun> {
         state.action(&id)?;
-        let known_errors = state.errors.clone();
+        let known_errors = errors_without(state, &[&id]);
         Some(ActionRun { id, action: None, sent_at: Duration::ZERO, is_seen: true, known_errors })
     }
 
@@ -338,7 +353,7 @@ impl ActionRun {
         self.is_seen = true;
         match report.status {
             ActionStatus::Finished => Verdict::Succeeded(report.result.clone()),
-            ActionStatus::Failed => {
+            ActionStatus::Failed | ActionStatus::Retriable => {
                 let text = format!("the action failed: {}", report.result);
                 Verdict::Ended(error.map_or_else(|| Cause::new("failed", text), |error| causes.cause(error)))
             }

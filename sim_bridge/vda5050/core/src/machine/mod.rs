@@ -374,9 +374,10 @@ impl OrderMachine {
         }
     }
 
-    /// Cancels the order of the vehicle, and again until it has ended.
+    /// Cancels an order of the vehicle, and again until it has ended.
     fn cancel_order(
         &mut self,
+        order: OrderId,
         sent_at: Option<Duration>,
         now: Duration,
         commands: &mut Vec<Command>,
@@ -385,7 +386,12 @@ impl OrderMachine {
         if !is_due || !self.view.is_broker_up() {
             return sent_at;
         }
-        commands.push(self.instant("cancelOrder"));
+        let mut cancel = self.instant("cancelOrder");
+        if let Command::SendInstant(action) = &mut cancel {
+            // A later order of another master is not cancelled.
+            action.parameters.insert("orderId".to_owned(), Value::from(order.to_string()));
+        }
+        commands.push(cancel);
         Some(now)
     }
 
@@ -453,14 +459,19 @@ impl OrderMachine {
         let Ok(order) = state.order.parse::<OrderId>() else { return false };
         let is_same = order.goal == goal.id && order.work == goal.fingerprint;
         let is_cancelled = self.stray.as_ref().is_some_and(|stray| stray.sent_at.is_some());
+        // The limit of the speed of an earlier goal is unknown.
+        let is_limited = matches!(goal.work, Work::Drive { speed_max_mps: Some(_), .. });
         let is_earlier_life =
-            order.goal < goal.id && order.work == goal.fingerprint && !state.is_idle() && !is_cancelled;
+            order.goal < goal.id && order.work == goal.fingerprint && !is_limited && !is_cancelled && !state.is_idle();
         // A later attempt of this process replaces an earlier order.
         if !(is_same && order.attempt >= goal.attempt || is_earlier_life) {
             return false;
         }
-        let has_action = matches!(goal.work, Work::Act { .. });
-        let run = OrderRun::adopt(order, state, has_action, &self.settings.layout);
+        let (has_action, speed_max_mps) = match goal.work {
+            Work::Drive { speed_max_mps, .. } => (false, speed_max_mps),
+            Work::Act { .. } => (true, None),
+        };
+        let run = OrderRun::adopt(order, state, has_action, speed_max_mps, &self.settings.layout);
         let at_end = match &goal.work {
             Work::Drive { to, .. } => state.last_node == *to,
             Work::Act { .. } => state.action(&order.action(0)).is_some(),
@@ -514,6 +525,20 @@ impl OrderMachine {
         None
     }
 
+    /// Checks whether neither a message was sent nor a state arrived for too long.
+    fn is_silent(&self, sent_at: Duration, now: Duration) -> bool {
+        now.saturating_sub(self.view.state_at().max(sent_at)) >= self.settings.silence_max
+    }
+
+    fn silence(&self) -> Option<GoalStatus> {
+        aborted("timed_out", format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()))
+    }
+
+    /// Checks whether a state arrived so long after a message that the vehicle had received it.
+    fn has_answered(&self, sent_at: Duration) -> bool {
+        self.view.state_after(sent_at + self.settings.retry_after / 2).is_some()
+    }
+
     fn follow_order(
         &mut self,
         goal: &mut ActiveGoal,
@@ -521,12 +546,8 @@ impl OrderMachine {
         now: Duration,
         commands: &mut Vec<Command>,
     ) -> Option<GoalStatus> {
-        let since = self.view.state_at().max(run.sent_at());
-        if now.saturating_sub(since) >= self.settings.silence_max {
-            return aborted(
-                "timed_out",
-                format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()),
-            );
+        if self.is_silent(run.sent_at(), now) {
+            return self.silence();
         }
         let verdict = match self.view.state_after(run.sent_at()) {
             Some(state) => run.judge(state, &self.settings.causes),
@@ -555,13 +576,13 @@ impl OrderMachine {
             Verdict::Absent | Verdict::Continues => {}
         }
         if let Some(stop) = &mut goal.stop {
-            stop.sent_at = self.cancel_order(stop.sent_at, now, commands);
+            stop.sent_at = self.cancel_order(run.id(), stop.sent_at, now, commands);
         } else {
             let reached = self.view.state_after(run.sent_at()).map(|state| state.last_sequence);
             if run.is_seen() && reached.is_some_and(|reached| run.release(reached, self.settings.release_ahead, now)) {
                 commands.push(Command::SendOrder(run.message(&self.settings.map)));
             } else if !run.is_seen() && now.saturating_sub(run.sent_at()) >= self.settings.retry_after {
-                if self.view.state_after(run.sent_at() + self.settings.retry_after / 2).is_some() {
+                if self.has_answered(run.sent_at()) {
                     run.mark_sent(now);
                     commands.push(Command::SendOrder(run.message(&self.settings.map)));
                 } else {
@@ -580,12 +601,8 @@ impl OrderMachine {
         now: Duration,
         commands: &mut Vec<Command>,
     ) -> Option<GoalStatus> {
-        let since = self.view.state_at().max(run.sent_at());
-        if now.saturating_sub(since) >= self.settings.silence_max {
-            return aborted(
-                "timed_out",
-                format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()),
-            );
+        if self.is_silent(run.sent_at(), now) {
+            return self.silence();
         }
         let verdict = match self.view.state_after(run.sent_at()) {
             Some(state) => run.judge(state, &self.settings.causes),
@@ -600,12 +617,17 @@ impl OrderMachine {
                 let text = "the vehicle restarted during the action, which is not repeated";
                 return aborted("failed", text.to_owned());
             }
-            // The vehicle does not know the action, and it is not sent again.
-            Verdict::Absent if goal.stop.is_some() => return goal.stopped(),
+            Verdict::Absent if goal.stop.is_some() => {
+                // The vehicle does not know the action, and it is not sent again.
+                if self.has_answered(run.sent_at()) {
+                    return goal.stopped();
+                }
+                self.request_state(now, commands);
+            }
             Verdict::Absent | Verdict::Continues => {}
         }
         if !run.is_seen() && goal.stop.is_none() && now.saturating_sub(run.sent_at()) >= self.settings.retry_after {
-            if self.view.state_after(run.sent_at() + self.settings.retry_after / 2).is_some() {
+            if self.has_answered(run.sent_at()) {
                 commands.extend(run.send_again(now).map(Command::SendInstant));
             } else {
                 self.request_state(now, commands);
@@ -633,7 +655,7 @@ impl OrderMachine {
         // An order for a later goal belongs to another adapter, which has taken over.
         let is_later = self.goal.as_ref().is_some_and(|goal| order.goal > goal.id);
         let sent_at = if !is_later && (self.goal.is_some() || self.is_shut_down || is_over) {
-            self.cancel_order(stray.sent_at, now, commands)
+            self.cancel_order(order, stray.sent_at, now, commands)
         } else {
             stray.sent_at
         };

@@ -276,7 +276,8 @@ fn late_and_repeated_states_change_nothing() {
     let state = vehicle.state();
     machine.step(Event::State(state.clone()), seconds(3));
     for stale in [late, state] {
-        assert_eq!(orders(&machine.step(Event::State(stale), seconds(9))), [], "nothing is ordered again");
+        let commands = machine.step(Event::State(stale), seconds(9));
+        assert_eq!((orders(&commands), cancels(&commands)), (vec![], 0), "the order goes on");
     }
     vehicle.step();
     assert!(result(&exchange(&mut machine, &mut vehicle, 10)).is_some());
@@ -466,6 +467,103 @@ fn an_order_of_another_master_is_not_touched() {
     let Some(GoalStatus::Aborted(cause)) = result(&commands) else { panic!("{commands:?}") };
     assert_eq!((cause.code.as_str(), cancels(&commands), orders(&commands).len()), ("busy", 0, 0));
     assert!(cause.message.contains("of-another"), "{cause:?}");
+}
+
+#[test]
+fn a_cancel_waits_for_a_state_that_is_younger_than_the_action() {
+    for is_lost in [false, true] {
+        let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        let sent = machine.step(goal(7, pick(true)), seconds(2));
+        machine.step(Event::Cancel { id: 7 }, seconds(2));
+        // The vehicle has written this state before it received the action.
+        let commands = machine.step(Event::State(vehicle.state()), Duration::from_millis(2_100));
+        assert_eq!(result(&commands), None);
+        if is_lost {
+            assert_eq!(result(&exchange(&mut machine, &mut vehicle, 4)), Some(GoalStatus::Canceled));
+            continue;
+        }
+        vehicle.receive(&sent[0]);
+        assert_eq!(result(&exchange(&mut machine, &mut vehicle, 4)), None);
+        vehicle.finish_actions();
+        assert!(matches!(result(&exchange(&mut machine, &mut vehicle, 5)), Some(GoalStatus::Succeeded(_))));
+    }
+}
+
+#[test]
+fn a_continued_drive_keeps_the_limit_of_its_speed() {
+    let limited = || Work::Drive { to: "d".to_owned(), speed_max_mps: Some(0.5) };
+    let under_way = || {
+        let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        let sent = machine.step(goal(7, limited()), seconds(2));
+        vehicle.receive(&sent[0]);
+        vehicle.step();
+        vehicle
+    };
+    let (mut next, mut vehicle) = (machine(1), under_way());
+    next.step(resumed(7, limited()), seconds(1));
+    exchange(&mut next, &mut vehicle, 2);
+    let update = orders(&exchange(&mut next, &mut vehicle, 3)).remove(0);
+    assert_eq!(Vec::from_iter(update.edges.iter().map(|edge| edge.speed_max_mps)), [Some(0.5), Some(0.5)]);
+    // The limit of an earlier goal may have been higher.
+    let (mut next, mut vehicle) = (machine(1), under_way());
+    next.step(goal(1 << 20, limited()), seconds(1));
+    assert_eq!(cancels(&exchange(&mut next, &mut vehicle, 2)), 1);
+}
+
+#[test]
+fn a_drive_ends_when_the_vehicle_stands_still() {
+    let (mut machine, mut vehicle) = (machine(usize::MAX), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let sent = machine.step(goal(7, drive("b")), seconds(2));
+    assert!(orders(&sent)[0].nodes.iter().all(|node| node.released), "any number may be released");
+    vehicle.receive(&sent[0]);
+    vehicle.step();
+    let rolling = VehicleState { is_driving: true, ..vehicle.state() };
+    assert_eq!(result(&machine.step(Event::State(rolling), seconds(3))), None);
+    assert!(matches!(result(&exchange(&mut machine, &mut vehicle, 4)), Some(GoalStatus::Succeeded(_))));
+}
+
+#[test]
+fn an_action_that_could_be_retried_fails_the_goal() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let sent = machine.step(goal(7, pick(false)), seconds(2));
+    vehicle.receive(&sent[0]);
+    vehicle.actions[0].status = ActionStatus::Retriable;
+    let commands = exchange(&mut machine, &mut vehicle, 3);
+    assert_eq!((cancels(&commands), result(&commands)), (1, None));
+    assert!(matches!(result(&exchange(&mut machine, &mut vehicle, 4)), Some(GoalStatus::Aborted(_))));
+}
+
+#[test]
+fn errors_count_for_the_order_that_they_concern() {
+    let error = |kind: &str, level: ErrorLevel, references: Vec<(String, String)>| {
+        vec![VehicleError { kind: kind.to_owned(), level, description: String::new(), references }]
+    };
+    // A critical error allows another order, a fatal one does not.
+    for (level, count) in [(ErrorLevel::Critical, 1), (ErrorLevel::Fatal, 0)] {
+        let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        vehicle.errors = error("jam", level, vec![]);
+        exchange(&mut machine, &mut vehicle, 1);
+        assert_eq!(orders(&machine.step(goal(7, drive("d")), seconds(2))).len(), count, "{level:?}");
+    }
+    // The refusal of a late cancel is no rejection of the next order.
+    let (mut machine, mut vehicle) = (self::machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let sent = machine.step(goal(7, drive("d")), seconds(2));
+    vehicle.errors = error("NO_ORDER_TO_CANCEL", ErrorLevel::Warning, vec![]);
+    assert_eq!(result(&exchange(&mut machine, &mut vehicle, 3)), None);
+    // A new process finds the order, and the error that the order has caused.
+    vehicle.receive(&sent[0]);
+    vehicle.errors = error("obstacle", ErrorLevel::Fatal, vec![("orderId".to_owned(), vehicle.order.clone())]);
+    let mut next = self::machine(1);
+    next.step(resumed(7, drive("d")), seconds(1));
+    let commands = [exchange(&mut next, &mut vehicle, 2), exchange(&mut next, &mut vehicle, 3)].concat();
+    assert_eq!(cancels(&commands), 1);
+    let status = result(&exchange(&mut next, &mut vehicle, 4));
+    assert!(matches!(status, Some(GoalStatus::Aborted(cause)) if cause.code == "blocked"));
 }
 
 #[test]
