@@ -4,6 +4,7 @@ use crate::catalog::{ActionForm, Catalog, PlaceForm};
 use consort_vda5050_core::{CauseTable, Layout, LayoutError, LayoutNode, MachineSettings, Vehicle, Version, class_of};
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use std::{fs, io};
@@ -62,7 +63,7 @@ pub struct BrokerForm {
     /// the system.
     #[serde(default)]
     pub ca: Option<PathBuf>,
-    /// Certificate of this client, in PEM.
+    /// Certificate of this client, in PEM. It needs `ca`.
     #[serde(default)]
     pub certificate: Option<PathBuf>,
     /// Key of that certificate, in PEM.
@@ -164,7 +165,11 @@ impl VehicleSettings {
     /// The first problem, with its place.
     pub fn read(path: &Path) -> Result<VehicleSettings, FileError> {
         let text = fs::read_to_string(path).map_err(|problem| FileError::Read { path: path.to_owned(), problem })?;
-        let file: VehicleFile = serde_saphyr::from_str(&text)
+        VehicleSettings::parse(path, &text)
+    }
+
+    fn parse(path: &Path, text: &str) -> Result<VehicleSettings, FileError> {
+        let file: VehicleFile = serde_saphyr::from_str(text)
             .map_err(|problem| FileError::Form { path: path.to_owned(), problem: problem.to_string() })?;
         let wrong =
             |place: &str, problem: String| FileError::Value { path: path.to_owned(), place: place.to_owned(), problem };
@@ -183,6 +188,7 @@ impl VehicleSettings {
                 format!("{code:?} is no code; allowed: blocked, no_route, …"),
             ));
         }
+        file.check_nodes().map_err(|(place, problem)| wrong(&place, problem))?;
         let layout = file.layout().map_err(|problem| wrong("edges", problem.to_string()))?;
         let broker = file.broker.access(path)?;
         let catalog =
@@ -221,6 +227,37 @@ impl VehicleSettings {
 }
 
 impl VehicleFile {
+    /// Checks the coordinates, and that no node has two descriptions. An error is the place in the file,
+    /// and the problem.
+    fn check_nodes(&self) -> Result<(), (String, String)> {
+        let of_places = self.places.iter().map(|(name, place)| (format!("places.{name}"), [place.x_m, place.y_m]));
+        let of_nodes = self.nodes.iter().map(|(id, node)| (format!("nodes.{id}"), [node.x_m, node.y_m]));
+        for (at, coordinates) in of_places.chain(of_nodes) {
+            if !coordinates.iter().all(|coordinate| coordinate.is_finite()) {
+                return Err((at, format!("{coordinates:?} is no position; allowed are finite numbers of metres")));
+            }
+        }
+        for (name, place) in &self.places {
+            if let Some(yaw_rad) = place.yaw_rad.filter(|yaw_rad| !(-PI..=PI).contains(yaw_rad)) {
+                let problem = format!("{yaw_rad} is no heading; allowed are -3.1415 to 3.1415 radians");
+                return Err((format!("places.{name}.yaw_rad"), problem));
+            }
+            if self.nodes.contains_key(&place.node) {
+                let problem = format!("this is the node of the place {name}; allowed are nodes without a place");
+                return Err((format!("nodes.{}", place.node), problem));
+            }
+            let is_elsewhere = |(_, other): &(&String, &PlaceForm)| {
+                other.node == place.node && (other.x_m - place.x_m).hypot(other.y_m - place.y_m) > 0.0
+            };
+            if let Some((other, _)) = self.places.iter().find(is_elsewhere) {
+                let problem =
+                    format!("{:?} has another position in places.{other}; allowed is one for a node", place.node);
+                return Err((format!("places.{name}.node"), problem));
+            }
+        }
+        Ok(())
+    }
+
     fn layout(&self) -> Result<Layout, LayoutError> {
         let of_places = self
             .places
@@ -268,11 +305,18 @@ impl BrokerForm {
             (Some(certificate), Some(key)) => Some((certificate, key)),
             (None, None) => None,
             _ => {
-                return Err(wrong("certificate", "a certificate needs its `key`, and a key its certificate".to_owned()));
+                return Err(wrong(
+                    "certificate",
+                    "a certificate needs its `key`, and a key its certificate".to_owned(),
+                ));
             }
         };
-        let password =
-            optional(&self.password_file)?.map(|bytes| String::from_utf8_lossy(&bytes).trim_end().to_owned());
+        if client.is_some() && self.ca.is_none() {
+            return Err(wrong("ca", "the key is missing; a `certificate` of the client needs it".to_owned()));
+        }
+        // The end of the line is no part of the password; a space may be.
+        let line = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).trim_end_matches(['\r', '\n']).to_owned();
+        let password = optional(&self.password_file)?.map(line);
         let login = match (&self.user, password) {
             (Some(user), password) => Some((user.clone(), password.unwrap_or_default())),
             (None, Some(_)) => return Err(wrong("password_file", "a password needs its `user`".to_owned())),
@@ -280,5 +324,55 @@ impl BrokerForm {
         };
         let tls = has_tls.then_some(TlsAccess { ca: optional(&self.ca)?, client });
         Ok(BrokerAccess { host: host.to_owned(), port, login, tls })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the error of a file: the smallest one, in which a text is replaced.
+    fn error(part: &str, other: &str) -> String {
+        let text = "\
+broker: { url: \"mqtt://127.0.0.1:1883\" }
+version: \"2.0\"
+manufacturer: ACME
+serial: \"7\"
+map: ward
+places:
+  Dock: { node: n1, x_m: 0, y_m: 0 }
+  Ward: { node: n2, x_m: 5, y_m: 0 }
+";
+        let path = Path::new("vehicle.yaml");
+        assert!(VehicleSettings::parse(path, text).is_ok());
+        assert!(text.contains(part), "{part}");
+        VehicleSettings::parse(path, &text.replace(part, other)).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_error_names_the_file_the_place_and_what_is_allowed() {
+        let cases = [
+            ("\"2.0\"", "\"1.1\"", "version: ", "allowed: \"2.0\", \"2.1\", \"3.0\""),
+            ("ACME", "AC/ME", "manufacturer: ", "allowed is a text without"),
+            ("mqtt://", "http://", "broker.url: ", "allowed: mqtt://HOST:PORT"),
+            ("1883\"", "1883\", ca: ca.pem", "broker.url: ", "certificates need mqtts://"),
+            ("1883\"", "1883\", password_file: missing", "missing: ", "No such file"),
+            ("x_m: 5", "x_m: .nan", "places.Ward: ", "allowed are finite numbers"),
+            ("x_m: 5", "yaw_rad: 4, x_m: 5", "places.Ward.yaw_rad: 4 is no heading", "allowed are -3.1415 to 3.1415"),
+            ("n2", "n1", "places.Dock.node: ", "another position in places.Ward"),
+            (
+                "map: ward",
+                "map: ward\nnodes: { n2: { x_m: 1, y_m: 1 } }",
+                "nodes.n2: ",
+                "allowed are nodes without a place",
+            ),
+            ("map: ward", "map: ward\nedges: [[n1, n9]]", "edges[0]: no node \"n9\"", "allowed are the nodes of"),
+            ("map: ward", "map: ward\nrelease_ahead: 0", "release_ahead: ", "allowed is 1 or more"),
+        ];
+        for (part, other, place, allowed) in cases {
+            let text = error(part, other);
+            assert!(text.contains(place) && text.contains(allowed), "{other}: {text}");
+            assert!(text.starts_with("vehicle.yaml: ") || place == "missing: ", "{text}");
+        }
     }
 }

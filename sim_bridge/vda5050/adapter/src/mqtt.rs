@@ -2,12 +2,13 @@
 
 use crate::file::{BrokerAccess, TlsAccess};
 use consort_vda5050_core::{Topic, Vehicle};
-use rumqttc::{AsyncClient, Event, MqttOptions, Packet, QoS, Transport};
+use rumqttc::{AsyncClient, Event, MqttOptions, Packet, QoS, SubscribeReasonCode, Transport};
 use rustls::crypto::ring;
 use serde_json::Value;
 use std::time::Duration;
 use tokio::sync::mpsc::{Receiver, channel};
 use tokio::time::sleep;
+use tracing::warn;
 
 /// Interval of signs of life to the broker.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
@@ -78,6 +79,12 @@ pub(crate) fn connect(access: &BrokerAccess, vehicle: &Vehicle, client_id: &str)
                         let _ = subscriber.try_subscribe(text, qos);
                     }
                     BrokerEvent::Up
+                }
+                Ok(Event::Incoming(Packet::SubAck(reply))) => {
+                    if reply.return_codes.contains(&SubscribeReasonCode::Failure) {
+                        warn!(vehicle = %of_vehicle, "the broker refuses a topic of the vehicle to the user");
+                    }
+                    continue;
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => match of_vehicle.topic_of(&message.topic) {
                     Some(topic) => BrokerEvent::Message(topic, message.payload.to_vec()),

@@ -550,7 +550,7 @@ fn errors_count_for_the_order_that_they_concern() {
         assert_eq!(orders(&machine.step(goal(7, drive("d")), seconds(2))).len(), count, "{level:?}");
     }
     // The refusal of a late cancel is no rejection of the next order.
-    let (mut machine, mut vehicle) = (self::machine(1), FakeVehicle::at("a"));
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
     exchange(&mut machine, &mut vehicle, 1);
     let sent = machine.step(goal(7, drive("d")), seconds(2));
     vehicle.errors = error("NO_ORDER_TO_CANCEL", ErrorLevel::Warning, vec![]);
