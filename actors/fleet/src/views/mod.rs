@@ -522,8 +522,8 @@ impl ViewService {
     }
 }
 
-/// Copies the values of the driver from a view of a robot that this node has drawn to the view of a voter, which
-/// has not received them.
+/// Copies the values of the driver to the view that a voter has computed. A voter does not receive these values;
+/// `own` is the view of this node.
 fn keep_driver_values(own: &Value, of_voter: &mut Value) {
     for field in ["readings", "feedback"] {
         if let (Some(value), Some(view)) = (own.get(field), of_voter.as_object_mut()) {

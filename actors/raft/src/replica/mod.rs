@@ -215,9 +215,9 @@ impl<S: StateMachine> Replica<S> {
     /// Returns the age of the newest message that a majority has acknowledged in this term, counted
     /// from the time it was *sent*; `None` for a node that is not elected, or not acknowledged yet.
     ///
-    /// Unless a majority has lost this leader (its presence token and its service), no other leader
-    /// can have been elected before this age exceeds `election_min`, since each voter of that
-    /// majority rejects candidates for that long after *receiving* the message. In no case was
+    /// Each voter of that majority rejects candidates for `election_min` after *receiving* the
+    /// message, so no other leader is elected before this age exceeds `election_min`. The exception
+    /// is a majority that has lost this leader: its presence token and its service. In no case was
     /// another leader elected before the message was sent. A suspension of the machine counts.
     /// Heartbeats outside openraft count like its appends, and keep the age small while disks are
     /// slow. While idle, the age is between one round trip and a heartbeat interval plus one round

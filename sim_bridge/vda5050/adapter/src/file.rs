@@ -18,7 +18,7 @@ pub struct VehicleFile {
     /// First level of the topics.
     #[serde(default = "interface")]
     pub interface: String,
-    /// Version of the protocol that the vehicle speaks.
+    /// Version of the protocol that the vehicle implements.
     pub version: String,
     /// Manufacturer, as in the topics of the vehicle.
     pub manufacturer: String,

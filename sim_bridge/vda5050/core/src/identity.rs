@@ -129,7 +129,7 @@ impl Vehicle {
         Ok(Vehicle { interface, version, manufacturer, serial })
     }
 
-    /// Returns the version that the vehicle speaks.
+    /// Returns the version of the vehicle's messages.
     pub fn version(&self) -> Version {
         self.version
     }

@@ -83,13 +83,13 @@ pub struct VehicleState {
     pub header_id: u64,
     /// Time of the message as written by the vehicle.
     pub timestamp: String,
-    /// The latest order; empty without one.
+    /// Id of the latest order, or an empty text.
     pub order: String,
     /// Latest accepted update of the order.
     pub update: u64,
-    /// The last node that was reached; empty without one.
+    /// Id of the last node that the vehicle reached, or an empty text.
     pub last_node: String,
-    /// Number of that node in the order.
+    /// Number of this node in the order.
     pub last_sequence: u64,
     /// Nodes to drive to.
     pub nodes: Vec<RemainingNode>,

@@ -111,7 +111,7 @@ pub struct Order {
     pub map: String,
     /// Nodes; an update begins with the last node of the base.
     pub nodes: Vec<OrderNode>,
-    /// Edges, one less than the nodes.
+    /// Edges between the nodes, in their order.
     pub edges: Vec<OrderEdge>,
 }
 

@@ -16,8 +16,8 @@
 //!
 //! An award, a hold, an alarm and maintenance end each of these activities. After a start of its node a robot begins
 //! only when it has received its orders, or after 10 s. A robot bids at any charge that suffices for the role
-//! and for the way to a charger afterwards ([`ChargerReserve`]). If its charge does not suffice, and the power of the chargers
-//! and its capacity are known, it bids for the time after a stop at a charger, and charges once it is free.
+//! and for the way to a charger afterwards ([`ChargerReserve`]). With less charge it bids for the time after a stop at a
+//! charger, if the power of the chargers and its capacity are known. It charges once it is free.
 //!
 //! Robots exclude each other by *claims* in their knowledge records: a robot claims a charger that no
 //! other robot claims or occupies, publishes the claim, and drives once the claim is old enough to have
@@ -159,8 +159,7 @@ impl ChargingForecast {
 
 impl RobotCharging {
     /// Returns the charging of a robot with this record, and with a battery of this capacity, if it is known. Returns
-    /// `None` for a robot without battery, for a robot that does not drive, for one whose battery people swap, and without a
-    /// charger that it may use.
+    /// `None` for a robot that has no battery, does not drive, may use no charger, or has its battery swapped by people.
     pub(crate) fn of(
         settings: &ChargingSettings,
         robot: &RobotId,

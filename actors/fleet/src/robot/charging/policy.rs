@@ -157,9 +157,9 @@ impl ChargeThresholds {
         battery >= if lacked_charge { self.until } else { least }
     }
 
-    /// Returns the next activity of a free robot. `offer` is a lease that it has just received, unless it is on its way,
-    /// `all` are the chargers of the fleet, and `nearest_first` returns those that the robot can use, in the order of
-    /// preference.
+    /// Returns the next activity of a free robot. `offer` is a lease that the robot has just received; a robot on its way
+    /// has none. `all` are the chargers of the fleet. `nearest_first` returns the chargers that the robot can use, in the
+    /// order of preference.
     pub(super) fn next(
         &self,
         activity: &Activity,

@@ -10,7 +10,7 @@ use std::time::Duration;
 /// Distance from a node within which a vehicle is on the node, in metres.
 const ON_NODE_M: f64 = 0.5;
 
-/// What a state says about an order or an action.
+/// Conclusion from a state about an order or an action.
 #[derive(Debug, PartialEq)]
 pub(super) enum Verdict {
     /// It is under way.

@@ -163,7 +163,7 @@ pub struct MachineSettings {
     pub session: u64,
 }
 
-/// The orders of one vehicle.
+/// State machine for the orders of a vehicle.
 #[derive(Debug)]
 pub struct OrderMachine {
     settings: MachineSettings,
@@ -222,7 +222,7 @@ impl ActiveGoal {
         self.stop.get_or_insert(Stop { failure, sent_at: None });
     }
 
-    /// Returns how a goal ends whose vehicle has stopped.
+    /// Returns the end of the goal after the vehicle has stopped.
     fn stopped(&mut self) -> Option<GoalStatus> {
         let stop = self.stop.as_mut()?;
         Some(stop.failure.take().map_or(GoalStatus::Canceled, GoalStatus::Aborted))
