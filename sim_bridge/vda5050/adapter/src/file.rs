@@ -1,7 +1,9 @@
 //! The file of a vehicle.
 
 use crate::catalog::{ActionForm, Catalog, PlaceForm};
-use consort_vda5050_core::{CauseTable, Layout, LayoutError, LayoutNode, MachineSettings, Vehicle, Version, class_of};
+use consort_vda5050_core::{
+    BlockingType, CauseTable, Layout, LayoutError, LayoutNode, MachineSettings, Vehicle, Version, class_of,
+};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -189,6 +191,11 @@ impl VehicleSettings {
             ));
         }
         file.check_nodes().map_err(|(place, problem)| wrong(&place, problem))?;
+        let is_single = |form: &ActionForm| form.blocking == BlockingType::Single && version != Version::V3_0;
+        if let Some((name, _)) = file.actions.iter().find(|(_, form)| is_single(form)) {
+            let problem = format!("SINGLE needs version 3.0; allowed in {version}: NONE, SOFT, HARD");
+            return Err(wrong(&format!("actions.{name}.blocking"), problem));
+        }
         let layout = file.layout().map_err(|problem| wrong("edges", problem.to_string()))?;
         let broker = file.broker.access(path)?;
         let catalog =
@@ -367,6 +374,12 @@ places:
                 "allowed are nodes without a place",
             ),
             ("map: ward", "map: ward\nedges: [[n1, n9]]", "edges[0]: no node \"n9\"", "allowed are the nodes of"),
+            (
+                "map: ward",
+                "map: ward\nactions: { pick: { type: pick, blocking: SINGLE } }",
+                "actions.pick.blocking: ",
+                "NONE, SOFT, HARD",
+            ),
             ("map: ward", "map: ward\nrelease_ahead: 0", "release_ahead: ", "allowed is 1 or more"),
         ];
         for (part, other, place, allowed) in cases {

@@ -103,6 +103,9 @@ pub struct VehicleState {
     pub charge: f64,
     /// Actions of the order, and instant actions.
     pub actions: Vec<ActionReport>,
+    /// Number of instant actions that stay in the state until the vehicle is asked to remove them; 0
+    /// before version 3.0.
+    pub instants: usize,
     /// Errors.
     pub errors: Vec<VehicleError>,
     /// Operating mode, for example `AUTOMATIC`.
@@ -216,6 +219,7 @@ pub fn read_state(vehicle: &Vehicle, bytes: &[u8]) -> Result<VehicleState, Malfo
         position: position(vehicle.version(), &message),
         charge: (message[power][charge].as_f64().unwrap_or_default() / 100.0).clamp(0.0, 1.0),
         actions: actions.map(action_report).collect(),
+        instants: list(&message["instantActionStates"]).count(),
         errors: list(&message["errors"]).map(error).collect(),
         mode: text(&message["operatingMode"]),
         is_stopped: message["safetyState"][stop].as_str().is_some_and(|stop| stop != "NONE"),

@@ -14,6 +14,8 @@ pub enum BlockingType {
     None,
     /// Driving; other actions are allowed.
     Soft,
+    /// Other actions; driving is allowed. Since version 3.0.
+    Single,
     /// Everything else.
     #[default]
     Hard,
@@ -25,6 +27,7 @@ impl BlockingType {
         match self {
             BlockingType::None => "NONE",
             BlockingType::Soft => "SOFT",
+            BlockingType::Single => "SINGLE",
             BlockingType::Hard => "HARD",
         }
     }
@@ -160,7 +163,7 @@ mod tests {
         let parameters = BTreeMap::from([("orderId".to_owned(), json!("o"))]);
         let (id, kind) = ("i".to_owned(), "cancelOrder".to_owned());
         let cancel = VehicleAction { id, kind, blocking: BlockingType::Hard, parameters };
-        let sent = |version| instant_actions(&[cancel.clone()], version)["actions"][0].clone();
+        let sent = |version| instant_actions(std::slice::from_ref(&cancel), version)["actions"][0].clone();
         let old = json!({ "actionId": "i", "actionType": "cancelOrder", "blockingType": "HARD" });
         assert_eq!(sent(Version::V2_1), old);
         assert_eq!(sent(Version::V3_0)["blockingType"], "NONE");

@@ -110,8 +110,13 @@ fn order(version: Version) -> Value {
         }),
     );
     let speed = if version == Version::V3_0 { "maximumSpeed" } else { "maxSpeed" };
+    // Version 3.0 has no nodes of an edge: they are those before and after it.
+    let required: &[&str] = match version {
+        Version::V3_0 => &["edgeId", "sequenceId", "released", "actions"],
+        _ => &["edgeId", "sequenceId", "released", "startNodeId", "endNodeId", "actions"],
+    };
     let edge = object(
-        &["edgeId", "sequenceId", "released", "startNodeId", "endNodeId", "actions"],
+        required,
         json!({
             "edgeId": text(), "sequenceId": count(), "released": flag(), "startNodeId": text(), "endNodeId": text(),
             speed: number(), "actions": list(action(version, false)),

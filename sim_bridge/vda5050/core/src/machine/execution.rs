@@ -113,6 +113,8 @@ pub(super) struct OrderRun {
     action: Option<(String, Option<VehicleAction>)>,
     speed_max_mps: Option<f64>,
     sent_at: Duration,
+    /// First time of the latest message, which may have been repeated since.
+    first_sent_at: Duration,
     is_seen: bool,
     /// Errors before the order.
     known_errors: Vec<VehicleError>,
@@ -137,6 +139,7 @@ impl OrderRun {
             action: action.map(|action| (action.id.clone(), Some(action))),
             speed_max_mps,
             sent_at: now,
+            first_sent_at: now,
             is_seen: false,
             known_errors: state.errors.clone(),
         }
@@ -165,6 +168,7 @@ impl OrderRun {
             action: has_action.then_some((action, None)),
             speed_max_mps,
             sent_at: Duration::ZERO,
+            first_sent_at: Duration::ZERO,
             is_seen: true,
         }
     }
@@ -175,6 +179,11 @@ impl OrderRun {
 
     pub(super) fn sent_at(&self) -> Duration {
         self.sent_at
+    }
+
+    /// Returns the time since which the vehicle has not accepted the latest message.
+    pub(super) fn unaccepted_since(&self) -> Option<Duration> {
+        (!self.is_seen).then_some(self.first_sent_at)
     }
 
     pub(super) fn mark_sent(&mut self, now: Duration) {
@@ -228,7 +237,7 @@ impl OrderRun {
         self.first = self.released - 1;
         self.released = wanted;
         self.update += 1;
-        self.sent_at = now;
+        (self.sent_at, self.first_sent_at) = (now, now);
         self.is_seen = false;
         true
     }
@@ -314,6 +323,7 @@ pub(super) struct ActionRun {
     id: String,
     action: Option<VehicleAction>,
     sent_at: Duration,
+    first_sent_at: Duration,
     is_seen: bool,
     known_errors: Vec<VehicleError>,
 }
@@ -321,14 +331,16 @@ pub(super) struct ActionRun {
 impl ActionRun {
     pub(super) fn sent(action: VehicleAction, state: &VehicleState, now: Duration) -> ActionRun {
         let known_errors = state.errors.clone();
-        ActionRun { id: action.id.clone(), action: Some(action), sent_at: now, is_seen: false, known_errors }
+        let id = action.id.clone();
+        ActionRun { id, action: Some(action), sent_at: now, first_sent_at: now, is_seen: false, known_errors }
     }
 
     /// Returns the run of an action that the vehicle already knows.
     pub(super) fn adopt(id: String, state: &VehicleState) -> Option<ActionRun> {
         state.action(&id)?;
         let known_errors = errors_without(state, &[&id]);
-        Some(ActionRun { id, action: None, sent_at: Duration::ZERO, is_seen: true, known_errors })
+        let never = Duration::ZERO;
+        Some(ActionRun { id, action: None, sent_at: never, first_sent_at: never, is_seen: true, known_errors })
     }
 
     pub(super) fn sent_at(&self) -> Duration {
@@ -337,6 +349,11 @@ impl ActionRun {
 
     pub(super) fn is_seen(&self) -> bool {
         self.is_seen
+    }
+
+    /// Returns the time since which the vehicle has not accepted the action.
+    pub(super) fn unaccepted_since(&self) -> Option<Duration> {
+        (!self.is_seen).then_some(self.first_sent_at)
     }
 
     pub(super) fn send_again(&mut self, now: Duration) -> Option<VehicleAction> {

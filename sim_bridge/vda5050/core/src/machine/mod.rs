@@ -37,6 +37,13 @@ use vehicle_view::VehicleView;
 /// Interval of feedback during a goal.
 const FEEDBACK_INTERVAL: Duration = Duration::from_millis(500);
 
+/// Number of ended instant actions in a state at which the vehicle is asked to remove them, as version 3.0
+/// demands.
+const INSTANTS_MAX: usize = 100;
+
+/// Interval of these requests.
+const CLEAR_INTERVAL: Duration = Duration::from_secs(60);
+
 /// What a goal asks of the vehicle.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Work {
@@ -173,6 +180,7 @@ pub struct OrderMachine {
     ended: Option<(u64, GoalStatus)>,
     stray: Option<Stray>,
     instants_sent: u64,
+    cleared_at: Option<Duration>,
     is_shut_down: bool,
 }
 
@@ -243,6 +251,7 @@ impl OrderMachine {
             ended: None,
             stray: None,
             instants_sent: 0,
+            cleared_at: None,
             is_shut_down: false,
         }
     }
@@ -356,6 +365,19 @@ impl OrderMachine {
             }
         }
         self.cancel_strays(now, commands);
+        self.clear_instants(now, commands);
+    }
+
+    /// Lets the vehicle forget ended instant actions. A goal of an earlier process may still need them
+    /// until this process has ended a goal.
+    fn clear_instants(&mut self, now: Duration, commands: &mut Vec<Command>) {
+        let is_needed = self.goal.is_some() || self.ended.is_none();
+        let is_full = self.view.ready_state().is_some_and(|state| state.instants >= INSTANTS_MAX);
+        let is_due = self.cleared_at.is_none_or(|at| now.saturating_sub(at) >= CLEAR_INTERVAL);
+        if is_full && is_due && !is_needed {
+            self.cleared_at = Some(now);
+            commands.push(self.instant("clearInstantActions"));
+        }
     }
 
     fn feedback(&self, goal: &ActiveGoal) -> Command {
@@ -534,6 +556,14 @@ impl OrderMachine {
         aborted("timed_out", format!("no state of the vehicle for {} s", self.settings.silence_max.as_secs()))
     }
 
+    /// Returns the failure of a goal whose latest message the vehicle ignores, although it reports states.
+    fn ignored(&self, unaccepted_since: Option<Duration>, now: Duration) -> Option<Cause> {
+        let limit = self.settings.silence_max;
+        let is_ignored = now.saturating_sub(unaccepted_since?) >= limit;
+        let text = format!("the vehicle has not accepted the order or action for {} s", limit.as_secs());
+        is_ignored.then(|| Cause::new("timed_out", text))
+    }
+
     /// Checks whether a state arrived so long after a message that the vehicle had received it.
     fn has_answered(&self, sent_at: Duration) -> bool {
         self.view.state_after(sent_at + self.settings.retry_after / 2).is_some()
@@ -574,6 +604,9 @@ impl OrderMachine {
                 return None;
             }
             Verdict::Absent | Verdict::Continues => {}
+        }
+        if let Some(cause) = self.ignored(run.unaccepted_since(), now) {
+            goal.stop(Some(cause));
         }
         if let Some(stop) = &mut goal.stop {
             stop.sent_at = self.cancel_order(run.id(), stop.sent_at, now, commands);
@@ -625,6 +658,9 @@ impl OrderMachine {
                 self.request_state(now, commands);
             }
             Verdict::Absent | Verdict::Continues => {}
+        }
+        if let Some(cause) = self.ignored(run.unaccepted_since(), now) {
+            goal.stop(Some(cause));
         }
         if !run.is_seen() && goal.stop.is_none() && now.saturating_sub(run.sent_at()) >= self.settings.retry_after {
             if self.has_answered(run.sent_at()) {

@@ -16,6 +16,8 @@ struct FakeVehicle {
     ahead: Vec<OrderNode>,
     actions: Vec<ActionReport>,
     errors: Vec<VehicleError>,
+    /// Number of instant actions that a vehicle of version 3.0 remembers.
+    instants: usize,
     /// Ids of actions in the order of their executions.
     executed: Vec<String>,
 }
@@ -118,6 +120,7 @@ impl FakeVehicle {
             position,
             charge: 0.5,
             actions: self.actions.clone(),
+            instants: self.instants,
             errors: self.errors.clone(),
             mode: "AUTOMATIC".to_owned(),
             is_stopped: false,
@@ -510,6 +513,34 @@ fn a_continued_drive_keeps_the_limit_of_its_speed() {
     let (mut next, mut vehicle) = (machine(1), under_way());
     next.step(goal(1 << 20, limited()), seconds(1));
     assert_eq!(cancels(&exchange(&mut next, &mut vehicle, 2)), 1);
+}
+
+#[test]
+fn an_order_or_action_that_the_vehicle_ignores_fails_the_goal() {
+    for work in [drive("d"), pick(false), pick(true)] {
+        let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        exchange(&mut machine, &mut vehicle, 1);
+        machine.step(goal(7, work), seconds(2));
+        let steps = (3..40).map(|time| machine.step(Event::State(vehicle.state()), seconds(time)));
+        let commands: Vec<Command> = steps.flatten().collect();
+        let Some(GoalStatus::Aborted(cause)) = result(&commands) else { panic!("{commands:?}") };
+        assert_eq!(cause.code, "timed_out");
+        assert!(cause.message.contains("not accepted"), "{cause:?}");
+    }
+}
+
+#[test]
+fn ended_instant_actions_are_removed_between_goals() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    vehicle.instants = INSTANTS_MAX;
+    let clears = |commands: &[Command]| {
+        let is_clear = |command: &&Command| matches!(command, Command::SendInstant(action) if action.kind == "clearInstantActions");
+        commands.iter().filter(is_clear).count()
+    };
+    assert_eq!(clears(&exchange(&mut machine, &mut vehicle, 1)), 0, "a goal of an earlier process may need them");
+    let ended = machine.step(goal(7, drive("a")), seconds(2));
+    assert_eq!((result(&ended), clears(&ended)), (Some(GoalStatus::Succeeded(String::new())), 1));
+    assert_eq!(clears(&exchange(&mut machine, &mut vehicle, 3)), 0, "the vehicle has time to do it");
 }
 
 #[test]
