@@ -115,6 +115,9 @@ pub(super) struct OrderRun {
     sent_at: Duration,
     /// First time of the latest message, which may have been repeated since.
     first_sent_at: Duration,
+    /// True once the vehicle has accepted the order.
+    is_known: bool,
+    /// True once the vehicle has accepted the latest message.
     is_seen: bool,
     /// Errors before the order.
     known_errors: Vec<VehicleError>,
@@ -140,6 +143,7 @@ impl OrderRun {
             speed_max_mps,
             sent_at: now,
             first_sent_at: now,
+            is_known: false,
             is_seen: false,
             known_errors: state.errors.clone(),
         }
@@ -169,6 +173,7 @@ impl OrderRun {
             speed_max_mps,
             sent_at: Duration::ZERO,
             first_sent_at: Duration::ZERO,
+            is_known: true,
             is_seen: true,
         }
     }
@@ -192,6 +197,10 @@ impl OrderRun {
 
     pub(super) fn is_seen(&self) -> bool {
         self.is_seen
+    }
+
+    pub(super) fn is_known(&self) -> bool {
+        self.is_known
     }
 
     pub(super) fn has_action(&self) -> bool {
@@ -261,11 +270,12 @@ impl OrderRun {
         if state.order != id {
             let rejects = |error: &&VehicleError| error.refers_to(&id) || is_of_orders(error);
             return match state.errors.iter().filter(is_new).find(rejects) {
-                Some(error) if !self.is_seen => Verdict::Ended(causes.cause(error)),
+                Some(error) if !self.is_known => Verdict::Ended(causes.cause(error)),
                 _ => Verdict::Absent,
             };
         }
         let is_rejected = state.update < self.update;
+        self.is_known = true;
         self.is_seen |= !is_rejected;
         let action = self.action.as_ref().map(|(action, _)| state.action(action));
         let has_acted = action.is_none_or(|report| report.is_some_and(|report| report.status.is_final()));

@@ -589,12 +589,12 @@ impl OrderMachine {
             Verdict::Fails(cause) => goal.stop(Some(cause)),
             Verdict::Absent if goal.stop.is_some() => {
                 let sent_at = goal.stop.as_ref().and_then(|stop| stop.sent_at);
-                if run.is_seen() || sent_at.is_some_and(|sent_at| self.view.state_after(sent_at).is_some()) {
+                if run.is_known() || sent_at.is_some_and(|sent_at| self.view.state_after(sent_at).is_some()) {
                     return goal.stopped();
                 }
                 self.request_state(now, commands);
             }
-            Verdict::Absent if run.is_seen() => {
+            Verdict::Absent if run.is_known() => {
                 if run.has_action() {
                     let text = "the vehicle restarted during the action, which is not repeated";
                     return aborted("failed", text.to_owned());

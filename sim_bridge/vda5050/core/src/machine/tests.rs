@@ -399,6 +399,22 @@ fn a_restarted_vehicle_drives_again_but_does_not_repeat_an_action() {
 }
 
 #[test]
+fn a_vehicle_that_restarts_before_an_update_drives_again() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let sent = machine.step(goal(7, drive("d")), seconds(2));
+    vehicle.receive(&sent[0]);
+    vehicle.step();
+    let update = orders(&machine.step(Event::State(vehicle.state()), seconds(3)));
+    assert_eq!(update[0].update, 1, "the vehicle does not receive it");
+    vehicle.restart();
+    machine.step(Event::Connection(ConnectionState::Online), seconds(4));
+    let commands = [exchange(&mut machine, &mut vehicle, 5), exchange(&mut machine, &mut vehicle, 6)].concat();
+    let again = orders(&commands).remove(0);
+    assert_eq!((again.id.parse::<OrderId>().unwrap().attempt, again.update), (1, 0));
+}
+
+#[test]
 fn a_goal_is_canceled_when_the_vehicle_has_stopped() {
     let under_way = |keep_for: Duration| {
         let (mut machine, mut vehicle) = (machine(3), FakeVehicle::at("a"));
