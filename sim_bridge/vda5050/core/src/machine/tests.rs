@@ -1,9 +1,9 @@
 use super::*;
-use crate::cause::ErrorLevel;
-use crate::incoming::{ActionReport, ActionStatus, Position, RemainingNode};
-use crate::layout::LayoutNode;
+use crate::cause::CauseTable;
+use crate::incoming::{ActionReport, ActionStatus, ConnectionState, Position, RemainingNode};
+use crate::layout::{Layout, LayoutNode};
 use crate::order_id::fingerprint;
-use crate::outgoing::OrderNode;
+use crate::outgoing::{Order, OrderNode};
 
 /// A vehicle that executes orders as the standard prescribes.
 #[derive(Debug, Default)]
