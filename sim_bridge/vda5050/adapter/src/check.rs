@@ -1,6 +1,7 @@
 //! The check of a file, without and with the vehicle.
 
 use crate::catalog::ScopeForm;
+use crate::driver::timestamp;
 use crate::file::VehicleSettings;
 use crate::mqtt::{BrokerEvent, connect};
 use consort_vda5050_core::{
@@ -52,10 +53,10 @@ pub async fn ask(settings: &VehicleSettings, limit: Duration) -> VehicleReport {
         let Ok(Some(event)) = timeout_at(until, events.recv()).await else { break };
         match event {
             BrokerEvent::Up => {
-                for command in machine.step(Event::Broker { is_up: true }, Duration::ZERO) {
+                for (header_id, command) in (0..).zip(machine.step(Event::Broker { is_up: true }, Duration::ZERO)) {
                     if let Command::SendInstant(action) = command {
                         let body = instant_actions(&[action], vehicle.version());
-                        let message = vehicle.message(0, "1970-01-01T00:00:00.000Z", body);
+                        let message = vehicle.message(header_id, &timestamp(), body);
                         report.problems.extend(
                             publisher.publish(Topic::InstantActions, &message).err().map(|problem| problem.to_string()),
                         );

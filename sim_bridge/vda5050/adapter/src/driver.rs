@@ -49,7 +49,7 @@ pub async fn run(settings: VehicleSettings) {
     loop {
         let commands = tokio::select! {
             Some(message) = input.recv() => match driver.read(message) {
-                Received::Event(event) => driver.step(event),
+                Received::Event(event) => driver.step(*event),
                 Received::Nothing => continue,
                 Received::End => {
                     stop_by.get_or_insert(Instant::now() + STOP_LIMIT);
@@ -77,7 +77,7 @@ pub async fn run(settings: VehicleSettings) {
 }
 
 enum Received {
-    Event(Event),
+    Event(Box<Event>),
     Nothing,
     End,
 }
@@ -89,6 +89,8 @@ struct Driver<'a> {
     started: Instant,
     session: u64,
     is_broker_up: bool,
+    /// Why there is no connection to the broker, as logged.
+    broker_problem: String,
     /// Numbers of messages, by topic.
     sent: BTreeMap<Topic, u64>,
     /// Numbers of refused messages, by topic.
@@ -111,6 +113,7 @@ impl<'a> Driver<'a> {
             started: Instant::now(),
             session,
             is_broker_up: false,
+            broker_problem: String::new(),
             sent: BTreeMap::new(),
             refused: BTreeMap::new(),
             actions: BTreeMap::new(),
@@ -146,12 +149,12 @@ impl<'a> Driver<'a> {
             }
             NodeLine::Keep { id, keep_for_ms } => {
                 if let Ok(id) = number(&id) {
-                    return Received::Event(Event::Keep { id, keep_for: permission(keep_for_ms) });
+                    return Received::Event(Box::new(Event::Keep { id, keep_for: permission(keep_for_ms) }));
                 }
             }
             NodeLine::Cancel { id } => {
                 if let Ok(id) = number(&id) {
-                    return Received::Event(Event::Cancel { id });
+                    return Received::Event(Box::new(Event::Cancel { id }));
                 }
             }
             NodeLine::Start {} | NodeLine::Unknown | NodeLine::Shutdown {} => {}
@@ -178,7 +181,7 @@ impl<'a> Driver<'a> {
         match self.settings.catalog.work(&action, parameters) {
             Ok((fingerprint, work)) => {
                 self.actions.insert(number, action);
-                Received::Event(Event::Goal { id: number, fingerprint, work, keep_for, is_resumed })
+                Received::Event(Box::new(Event::Goal { id: number, fingerprint, work, keep_for, is_resumed }))
             }
             Err(problem) => reject(problem),
         }
@@ -191,11 +194,13 @@ impl<'a> Driver<'a> {
             BrokerEvent::Up => {
                 info!(%vehicle, "connected to the broker");
                 self.is_broker_up = true;
+                self.broker_problem.clear();
                 return Some(Event::Broker { is_up: true });
             }
             BrokerEvent::Down(problem) => {
-                if self.is_broker_up || self.started.elapsed() < TICK {
+                if self.broker_problem != problem {
                     warn!(%vehicle, problem, "no connection to the broker; trying again");
+                    self.broker_problem = problem;
                 }
                 self.is_broker_up = false;
                 return Some(Event::Broker { is_up: false });
@@ -275,13 +280,14 @@ impl<'a> Driver<'a> {
     }
 
     fn publish(&mut self, topic: Topic, body: Map<String, Value>, publisher: &Publisher) {
+        // Without a connection the state machine sends the message again later.
+        if !self.is_broker_up {
+            return;
+        }
         let header_id = self.sent.entry(topic).or_default();
         let message = self.settings.vehicle.message(*header_id, &timestamp(), body);
         *header_id += 1;
-        // Without a connection the state machine sends the message again later.
-        if self.is_broker_up
-            && let Err(problem) = publisher.publish(topic, &message)
-        {
+        if let Err(problem) = publisher.publish(topic, &message) {
             warn!(vehicle = %self.settings.vehicle, topic = topic.level(), %problem, "not published");
         }
     }
@@ -345,7 +351,7 @@ fn results(name: &str, text: &str) -> Value {
 }
 
 /// Returns the time as messages contain it: UTC, with milliseconds.
-fn timestamp() -> String {
+pub(crate) fn timestamp() -> String {
     let now = OffsetDateTime::now_utc();
     let millis = now.replace_nanosecond(now.nanosecond() / 1_000_000 * 1_000_000).unwrap_or(now);
     let text = millis.format(&Rfc3339).unwrap_or_default();
