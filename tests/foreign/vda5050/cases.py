@@ -204,6 +204,25 @@ def a_vehicle_that_restarts_in_an_action_does_not_repeat_it(case):
 
 
 @case
+def a_vehicle_and_a_driver_that_restart_do_not_repeat_an_action(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    agv = case.agv(broker)
+    driver = case.driver(broker)
+    driver.goal(1, "pick_load", load="L-7")
+    wait_for("the action begins", lambda: starts(listener, "pick"))
+    driver.kill()
+    agv.kill()
+    case.agv(broker)
+    driver = case.driver(broker)
+    driver.goal(1, "pick_load", resumed=True, load="L-7")
+    result = driver.result(1, "aborted", limit_s=60)
+    assert "not repeated" in result["message"], result
+    assert len(listener.of("order")) == 1
+
+
+@case
 def a_vehicle_that_loses_its_connection_continues(case):
     from kit import wait_for
     broker = case.broker()
