@@ -121,7 +121,7 @@ impl ApiHandler {
         }
     }
 
-    /// Returns the robots of a request: robots with a known record, and robots with orders.
+    /// Returns the robots of a request: robots with a known record, with orders, and with leases of devices.
     pub(super) fn selected(&self, selection: &RobotSelection) -> Result<BTreeSet<RobotId>, ApiError> {
         let known: BTreeMap<RobotId, RobotKnowledge> = self.knowledge.read(|base| {
             let record = |(node, stored): (&NodeId, &KnownRecord)| {
@@ -129,12 +129,18 @@ impl ApiHandler {
             };
             base.iter().filter_map(record).collect()
         });
-        let ordered = self.replica.read(|ledger| ledger.robot_orders().map(|(robot, _)| robot.clone()).collect());
-        select(selection, &known, ordered, &self.ensembles, self.domain.zones())
+        select(selection, &known, self.replica.read(without_record), &self.ensembles, self.domain.zones())
     }
 }
 
-/// Selects robots. `known` are the robots with a record, and `ordered` the robots with orders. A condition uses no
+/// Returns the robots that may be ordered without a record: robots with orders, and robots with leases of devices. A lost
+/// robot keeps the lease of a lift until a person takes it out of service, when its record is forgotten.
+fn without_record(ledger: &Ledger) -> BTreeSet<RobotId> {
+    let ordered = ledger.robot_orders().map(|(robot, _)| robot.clone());
+    ordered.chain(ledger.device_leases().into_values().map(|lease| lease.robot)).collect()
+}
+
+/// Selects robots. `known` are the robots with a record, and `ordered` the [robots without](without_record). A condition uses no
 /// private attribute of the ensembles, which records lack. `zones` are those of the fleet.
 fn select(
     selection: &RobotSelection,
@@ -189,6 +195,8 @@ mod tests {
     use crate::robot::test_values::idle_robot;
     use consort_protocol::api::AllRobots;
     use consort_protocol::ensemble::{EnsembleSpec, ExchangedValue};
+    use consort_protocol::lease::Epoch;
+    use consort_protocol::ledger::Resource;
     use serde_json::json;
 
     fn known() -> BTreeMap<RobotId, RobotKnowledge> {
@@ -220,6 +228,17 @@ mod tests {
 
     fn named(names: &[&str]) -> RobotSelection {
         RobotSelection::Named(names.iter().map(|name| name.parse().unwrap()).collect())
+    }
+
+    #[test]
+    fn a_robot_with_the_lease_of_a_device_may_be_ordered_without_a_record() {
+        let (mut ledger, ada) = (Ledger::default(), "ada".parse::<RobotId>().unwrap());
+        let resource = Resource::Device("lift".parse().unwrap());
+        let lease = Command::LeaseResource { resource, robot: ada.clone(), at_ms: 0 };
+        for (index, command) in (1..).zip([Command::first_wire_version(3), lease]) {
+            assert_eq!(ledger.apply(Epoch { term: 1, index }, command), CommandOutcome::Done);
+        }
+        assert_eq!(without_record(&ledger), BTreeSet::from([ada]));
     }
 
     #[test]
