@@ -181,8 +181,12 @@ impl DeviceControl {
         let is_silent = self.silent_since.is_some_and(|since| now.since(since) >= self.device.silent_after);
         let goal = self.goal.as_ref().map(|goal| &goal.purpose);
         let is_wanted = goal == wanted;
-        // A robot with the lease may be inside, also while the driver is silent.
-        let served = if let Some(Purpose::Serve(served)) = goal { Some(served.clone()) } else { None };
+        // A robot with the lease may be inside, also while the driver is silent, or has failed.
+        let served = match (goal, wanted) {
+            (Some(Purpose::Serve(served)), _) => Some(served.clone()),
+            (None, Some(Purpose::Serve(served))) if self.confirmed == Some(served.0) => Some(served.clone()),
+            _ => None,
+        };
         let state = match goal {
             _ if is_silent || self.failed_until.is_some() => DeviceState::Silent,
             Some(Purpose::Serve(_)) if is_ready && is_wanted => DeviceState::Ready,
@@ -205,7 +209,7 @@ mod tests {
     use super::*;
     use consort_protocol::devices::DeviceKind;
     use consort_protocol::units::{Metres, Seconds};
-    use consort_skills::actions::Feedback;
+    use consort_skills::actions::{ActionError, ErrorCode, Feedback};
     use std::collections::{BTreeMap, BTreeSet};
 
     fn at(ms: u64) -> NodeTime {
@@ -285,6 +289,19 @@ mod tests {
         let canceled = HostInput { status: Some(GoalStatus::Canceled), ..input(None, None) };
         assert_eq!(stuck.step(&canceled, at(11_000)).1.state, DeviceState::Silent, "for a while");
         assert_eq!(stuck.step(&input(None, None), at(75_000)).1.state, DeviceState::Idle);
+    }
+
+    #[test]
+    fn a_device_that_fails_with_a_robot_inside_reports_its_lease() {
+        let mut control = control();
+        control.step(&input(Some(7), None), at(0));
+        control.step(&input(Some(7), Some(true)), at(100));
+        let jammed = ActionError::rejected(ErrorCode::Unknown, "the door is jammed".to_owned());
+        let aborted = HostInput { status: Some(GoalStatus::Aborted(jammed)), ..input(Some(7), None) };
+        let inside = DeviceReport { state: DeviceState::Silent, lease: Some(7), place: None };
+        assert_eq!(control.step(&aborted, at(200)), (vec![], inside.clone()));
+        assert_eq!(control.step(&input(Some(7), None), at(400)).1, inside);
+        assert_eq!(control.step(&input(None, None), at(600)).1.lease, None, "the robot has left");
     }
 
     #[test]
