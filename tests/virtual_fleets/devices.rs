@@ -76,6 +76,11 @@ fn leased(what: &EventKind) -> bool {
     matches!(what, EventKind::DeviceLeased { device, .. } if device.as_str() == DEVICE)
 }
 
+/// Checks whether a lease of the robot has ended.
+fn is_freed(fleet: &Fleet, carrier: &str) -> bool {
+    fleet.has_event(|what| matches!(what, EventKind::DeviceFreed { robot, .. } if robot.as_str() == carrier))
+}
+
 async fn wait_until_free(fleet: &mut Fleet) {
     let is_free = |fleet: &Fleet| fleet.ledger(|ledger| ledger.device_leases().is_empty()) == Some(true);
     fleet.wait_until("the end of all leases", DRIVE, is_free).await;
@@ -133,6 +138,22 @@ fn two_robots_use_a_lift_one_after_the_other() {
             .collect();
         assert_eq!(robots.len(), 2, "seed {seed}: {robots:?}");
         wait_until_free(&mut fleet).await;
+    });
+}
+
+#[test]
+fn a_robot_lost_inside_keeps_its_lease_until_it_is_out_of_service() {
+    for_each_seed([1741], async |seed| {
+        let mut fleet = fleet(seed, door(), &DeviceSwitch::default()).await;
+        let (_, carrier) = drive_to_room(&mut fleet, ROOM).await;
+        fleet.wait_until("the entry", DRIVE, |fleet| is_inside(fleet, &carrier)).await;
+        fleet.kill(&carrier).await;
+        // After 30 s the other nodes forget its record.
+        let during = Duration::from_secs(60);
+        fleet.assert_never("the end of the lease", during, |fleet| is_freed(fleet, &carrier)).await;
+        let remove = json!({ "robots": [carrier], "action": "begin", "reason": "it is outside", "by": "Nia" });
+        request(&fleet, ApiCall::Maintenance, &remove).await;
+        fleet.wait_until("the end of the lease", DRIVE, |fleet| is_freed(fleet, &carrier)).await;
     });
 }
 

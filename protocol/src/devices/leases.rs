@@ -22,12 +22,20 @@ const GIVEN_BACK_AFTER: Duration = Duration::from_secs(2);
 pub struct DeviceUser {
     /// The robot.
     pub robot: RobotId,
-    /// Devices that it needs, with the leases that it has received.
-    pub claims: DeviceClaims,
+    /// Devices that it needs, with the leases that it has received. `None` if they are unknown: the robot has no record, as
+    /// some time after its loss, or its node has just started.
+    pub claims: Option<DeviceClaims>,
     /// False for a robot that is down.
     pub is_alive: bool,
     /// True if people have taken the robot out of service.
     pub is_in_maintenance: bool,
+}
+
+impl DeviceUser {
+    /// Checks whether the robot claims a device.
+    pub fn asks(&self) -> bool {
+        self.claims.as_ref().is_some_and(|claims| !claims.is_empty())
+    }
 }
 
 /// Action of the coordinator.
@@ -79,6 +87,8 @@ struct FollowedLease {
     unclaimed_since: Option<NodeTime>,
     notified_at: Option<NodeTime>,
     ended_at: Option<NodeTime>,
+    /// True once the device may have opened for the robot: a node of a device that has restarted may report another state.
+    was_served: bool,
 }
 
 /// What a lease needs.
@@ -125,7 +135,7 @@ impl DeviceLeases {
         robots: &[DeviceUser],
         now: NodeTime,
     ) -> Vec<DeviceAction> {
-        let asks = |user: &&DeviceUser| user.is_alive && !user.claims.is_empty();
+        let asks = |user: &&DeviceUser| user.is_alive && user.asks();
         let asking: BTreeSet<&RobotId> = robots.iter().filter(asks).map(|user| &user.robot).collect();
         self.waiting.retain(|robot, _| asking.contains(robot));
         for robot in asking {
@@ -138,6 +148,7 @@ impl DeviceLeases {
         taken.extend(self.proposed.iter().map(|(device, (robot, _))| (device.clone(), robot.clone())));
         let mut actions = vec![];
         for DeviceUser { robot, claims, .. } in order {
+            let Some(claims) = claims else { continue };
             let is_free = |device: &&DeviceId| taken.get(*device).is_none_or(|user| user == robot);
             let missing: Vec<DeviceId> = claims.keys().filter(|device| !taken.contains_key(*device)).cloned().collect();
             if !claims.keys().all(|device| is_free(&device)) {
@@ -155,11 +166,18 @@ impl DeviceLeases {
 
 impl FollowedLease {
     fn new(now: NodeTime) -> FollowedLease {
-        FollowedLease { since: now, gone_since: None, unclaimed_since: None, notified_at: None, ended_at: None }
+        FollowedLease {
+            since: now,
+            gone_since: None,
+            unclaimed_since: None,
+            notified_at: None,
+            ended_at: None,
+            was_served: false,
+        }
     }
 
     /// Follows the record of the robot. A lost robot that may be inside keeps its lease until it returns, or until a
-    /// person takes it out of service.
+    /// person takes it out of service, also when its record is forgotten.
     fn follow(
         &mut self,
         device: &DeviceId,
@@ -168,13 +186,17 @@ impl FollowedLease {
         is_served: bool,
         now: NodeTime,
     ) -> Option<LeaseStep> {
-        let Some(user) = user.filter(|user| user.is_alive) else {
+        self.was_served |= is_served;
+        let known = user.and_then(|user| user.claims.as_ref());
+        let Some(claims) = known.filter(|_| user.is_some_and(|user| user.is_alive)) else {
             let since = *self.gone_since.get_or_insert(now);
-            let may_be_inside = is_served && !user.is_some_and(|user| user.is_in_maintenance);
+            let is_removed = user.is_some_and(|user| user.is_in_maintenance);
+            let is_inside = |claims: &DeviceClaims| self.was_served && claims.contains_key(device);
+            let may_be_inside = known.is_none_or(is_inside) && !is_removed;
             return if now.since(since) >= GONE_MAX && !may_be_inside { self.end(EndOfLease::Gone, now) } else { None };
         };
         self.gone_since = None;
-        match user.claims.get(device) {
+        match claims.get(device) {
             None => {
                 let since = *self.unclaimed_since.get_or_insert(now);
                 if now.since(since) >= GIVEN_BACK_AFTER { self.end(EndOfLease::Done, now) } else { None }
@@ -183,7 +205,8 @@ impl FollowedLease {
                 (self.unclaimed_since, self.since) = (None, now);
                 None
             }
-            Some(_) if now.since(self.since) >= ANSWER_MAX => self.end(EndOfLease::NoAnswer, now),
+            // A robot whose node has restarted inside lacks the lease until a notice arrives.
+            Some(_) if now.since(self.since) >= ANSWER_MAX && !is_served => self.end(EndOfLease::NoAnswer, now),
             Some(_) => {
                 self.unclaimed_since = None;
                 is_due(&mut self.notified_at, now).then_some(LeaseStep::Notify)

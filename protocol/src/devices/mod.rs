@@ -85,11 +85,6 @@ impl Device {
         [to, from].into_iter().find(|place| self.places.contains(*place)).cloned()
     }
 
-    /// Checks whether one of its lanes begins or ends at a place.
-    pub fn is_beside(&self, place: &PlaceId) -> bool {
-        self.lanes.iter().any(|(a, b)| a == place || b == place)
-    }
-
     /// Returns its lanes by their ends, and each of its places twice, as closures of people.
     pub fn pairs(&self) -> impl Iterator<Item = (PlaceId, PlaceId)> {
         let places = self.places.iter().map(|place| (place.clone(), place.clone()));

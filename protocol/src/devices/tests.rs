@@ -21,7 +21,7 @@ fn robot(name: &str) -> RobotId {
 fn user(name: &str, claims: &[(&str, Option<u64>)]) -> DeviceUser {
     let claim = |lease: Option<u64>| DeviceClaim { lease, place: None };
     let claims = claims.iter().map(|(name, lease)| (device(name), claim(*lease))).collect();
-    DeviceUser { robot: robot(name), claims, is_alive: true, is_in_maintenance: false }
+    DeviceUser { robot: robot(name), claims: Some(claims), is_alive: true, is_in_maintenance: false }
 }
 
 fn leased(leases: &[(&str, &str, u64)]) -> BTreeMap<DeviceId, ResourceLease> {
@@ -98,6 +98,47 @@ fn a_lost_robot_that_may_be_inside_keeps_its_lease() {
     for ended in [end_of(Some(5), &removed), end_of(None, &lost)] {
         assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::Gone, .. }]), "{ended:?}");
     }
+}
+
+#[test]
+fn a_robot_inside_keeps_its_lease_while_its_claims_are_unknown() {
+    let own = leased(&[("lift", "ada", 5)]);
+    let report = |lease: Option<u64>| {
+        let report = DeviceReport { state: DeviceState::Ready, lease, place: None };
+        DeviceReports::from([(device("lift"), report)])
+    };
+    let known = user("ada", &[("lift", Some(5))]);
+    let restarted = DeviceUser { claims: None, ..known.clone() };
+    let forgotten = DeviceUser { is_alive: false, ..restarted.clone() };
+    let mut leases = DeviceLeases::default();
+    leases.due(&own, std::slice::from_ref(&known), &report(Some(5)), at(0));
+    for (ms, user) in [(100, &restarted), (60_000, &restarted), (60_100, &forgotten), (120_000, &forgotten)] {
+        assert_eq!(leases.due(&own, std::slice::from_ref(user), &report(None), at(ms)), [], "{ms}");
+    }
+    assert_eq!(leases.due(&own, &[], &report(None), at(180_000)), [], "a new record is on its way");
+    let removed = DeviceUser { is_in_maintenance: true, ..forgotten };
+    let ended = leases.due(&own, &[removed], &report(None), at(180_100));
+    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::Gone, .. }]), "{ended:?}");
+    // The node of the device has restarted after the loss of the robot.
+    let mut leases = DeviceLeases::default();
+    let lost = DeviceUser { is_alive: false, ..known };
+    leases.due(&own, std::slice::from_ref(&lost), &report(Some(5)), at(0));
+    assert_eq!(leases.due(&own, &[lost], &report(None), at(60_000)), []);
+    // It was lost right after it had left.
+    let mut leases = DeviceLeases::default();
+    leases.due(&own, &[user("ada", &[("lift", Some(5))])], &report(Some(5)), at(0));
+    let outside = DeviceUser { is_alive: false, ..user("ada", &[]) };
+    leases.due(&own, std::slice::from_ref(&outside), &report(Some(5)), at(100));
+    assert_eq!(leases.due(&own, &[outside], &report(Some(5)), at(5_100)).len(), 1);
+    // The notices to a robot that has restarted inside are lost for a while.
+    let mut leases = DeviceLeases::default();
+    let claims = user("ada", &[("lift", None)]);
+    for ms in [0, 60_000] {
+        let due = leases.due(&own, std::slice::from_ref(&claims), &report(Some(5)), at(ms));
+        assert!(matches!(&due[..], [DeviceAction::Notify { .. }]), "{due:?}");
+    }
+    let ended = leases.due(&own, &[claims], &report(None), at(60_100));
+    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::NoAnswer, .. }]), "{ended:?}");
 }
 
 #[test]

@@ -19,8 +19,9 @@ pub struct DeviceClaim {
 /// Devices in a node's record.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceKnowledge {
-    /// Claims of its robot.
-    pub claims: DeviceClaims,
+    /// Claims of its robot; `None` while the node does not know where its robot is, as after a start. Until then its earlier
+    /// claims count.
+    pub claims: Option<DeviceClaims>,
     /// Devices whose drivers it runs.
     pub reports: BTreeMap<DeviceId, DeviceReport>,
 }

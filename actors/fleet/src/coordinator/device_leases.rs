@@ -37,9 +37,12 @@ impl DeviceDelivery {
         let Some(leases) = context.read_ledger(read) else { return };
         let parts = &context.settings.parts;
         let mut robots = device_users(&parts.knowledge, &parts.node);
-        if leases.is_empty() && robots.iter().all(|user| user.claims.is_empty()) {
+        if leases.is_empty() && !robots.iter().any(DeviceUser::asks) {
             return;
         }
+        let known: BTreeSet<RobotId> = robots.iter().map(|user| user.robot.clone()).collect();
+        let users: BTreeSet<RobotId> = leases.values().map(|lease| lease.robot.clone()).collect();
+        robots.extend(users.into_iter().filter(|robot| !known.contains(robot)).map(forgotten));
         let reports = device_reports(&parts.knowledge, &parts.node);
         context.read_ledger(|ledger| {
             let removed: BTreeSet<&RobotId> = ledger
@@ -70,13 +73,18 @@ impl DeviceDelivery {
     }
 }
 
+/// Returns a robot without a record: nodes forget those of lost robots after some time.
+fn forgotten(robot: RobotId) -> DeviceUser {
+    DeviceUser { robot, claims: None, is_alive: false, is_in_maintenance: false }
+}
+
 /// Returns all robots with a known record. `own` is the node that asks, which is up.
 fn device_users(knowledge: &SharedKnowledge, own: &NodeId) -> Vec<DeviceUser> {
-    let users: Vec<(NodeId, DeviceClaims)> = knowledge.read(|base| {
+    let users: Vec<(NodeId, Option<DeviceClaims>)> = knowledge.read(|base| {
         let robots = base.iter().filter(|(_, known)| known.record.knowledge.robot.is_some());
         robots.map(|(node, known)| (node.clone(), known.record.knowledge.devices.claims.clone())).collect()
     });
-    let user = |(node, claims): (NodeId, DeviceClaims)| {
+    let user = |(node, claims): (NodeId, Option<DeviceClaims>)| {
         let is_alive = node == *own || knowledge.is_alive(&node);
         DeviceUser { robot: RobotId::from(node), claims, is_alive, is_in_maintenance: false }
     };

@@ -1,18 +1,20 @@
 //! The node of a device: it runs the driver, serves the robots that have leases, and reports the state of the device in
 //! its record. The decisions are in `control`.
 
+mod claims;
 mod control;
 
+use claims::{LeasedClaim, served_claim};
 use consort_bus::clock::Clock;
 use consort_gossip::{GossipHandle, SharedKnowledge};
 use consort_protocol::devices::Device;
 use consort_protocol::ids::{DeviceId, RobotId};
 use consort_protocol::knowledge::DeviceReport;
-use consort_protocol::ledger::Ledger;
+use consort_protocol::ledger::{Ledger, Resource};
 use consort_protocol::units::WorldTime;
 use consort_raft::Replica;
 use consort_skills::actions::RobotBackend;
-use control::{DeviceControl, HostAction, HostInput, Served};
+use control::{DeviceControl, HostAction, HostInput};
 use std::time::Duration;
 use tracing::{debug, info};
 
@@ -44,15 +46,15 @@ impl DeviceHost {
         let Ok(robot) = RobotId::new(name.as_str()) else { return };
         let mut control = DeviceControl::new(device, first_goal);
         let mut published: Option<DeviceReport> = None;
+        let mut claim: Option<LeasedClaim> = None;
         loop {
             let now = clock.now();
             driver.advance(WorldTime::from_secs(now.since(started).as_secs_f64()));
             let in_force = replica.as_ref().map(|replica| replica.read(|ledger| lease_in_force(ledger, &name)));
+            claim = knowledge.read(|base| served_claim(base, &name, in_force.as_ref(), claim.as_ref()));
             let input = HostInput {
-                claim: latest_claim(&knowledge, &name, in_force),
-                is_alarm: replica
-                    .as_ref()
-                    .is_some_and(|replica| replica.read(|ledger| ledger.alarms().next().is_some())),
+                claim: claim.as_ref().map(|claim| claim.served.clone()),
+                is_alarm: replica.as_ref().is_some_and(|replica| replica.read(Ledger::has_alarm)),
                 responds: driver.telemetry(&robot).is_some(),
                 status: control.goal().and_then(|goal| driver.status(&robot, goal)),
             };
@@ -82,17 +84,8 @@ impl DeviceHost {
     }
 }
 
-/// Returns the lease of a device in the ledger, by its position in the log.
-fn lease_in_force(ledger: &Ledger, device: &DeviceId) -> Option<u64> {
-    ledger.device_leases().get(device).map(|lease| lease.epoch.index)
-}
-
-/// Returns the latest lease of a device that a robot claims, with the place; of a node with a copy of the ledger, only the
-/// lease in force. A robot that is down may be inside, so its last claim counts.
-fn latest_claim(knowledge: &SharedKnowledge, device: &DeviceId, in_force: Option<Option<u64>>) -> Option<Served> {
-    knowledge.read(|base| {
-        let claims = base.iter().filter_map(|(_, known)| known.record.knowledge.devices.claims.get(device));
-        let leased = claims.filter_map(|claim| Some((claim.lease?, claim.place.clone())));
-        leased.filter(|(lease, _)| in_force.is_none_or(|in_force| in_force == Some(*lease))).max()
-    })
+/// Returns the lease of a device in the ledger: its robot, and its position in the log.
+fn lease_in_force(ledger: &Ledger, device: &DeviceId) -> Option<(RobotId, u64)> {
+    let lease = ledger.resource_leases().get(&Resource::Device(device.clone()))?;
+    Some((lease.robot.clone(), lease.epoch.index))
 }

@@ -29,7 +29,7 @@ use consort_protocol::api::ErrorReply;
 use consort_protocol::codec::VersionedMessage;
 use consort_protocol::ids::{ClusterId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::knowledge::{Attributes, Knowledge};
+use consort_protocol::knowledge::{Attributes, DeviceClaims, DeviceKnowledge, Knowledge};
 use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::{BootstrapRequest, Exchange, FollowedLeader};
 use consort_protocol::timing::TimingParameters;
@@ -77,7 +77,11 @@ pub(super) async fn start_parts(
         leaving: false,
         supported_versions: settings.supported_versions,
         robot: settings.robot.as_ref().map(|robot| fleet.ensembles.published(robot.worker.clone())),
-        devices: Default::default(),
+        // Without devices the robot claims none; otherwise it publishes its claims once it knows where it is.
+        devices: DeviceKnowledge {
+            claims: fleet.devices.is_empty().then(DeviceClaims::new),
+            ..DeviceKnowledge::default()
+        },
     };
     // Signed records exist since version 2. A node that starts without a path to the coordinator
     // would otherwise publish records that others cannot forward.

@@ -117,6 +117,7 @@ impl RobotState {
         self.orders.change_cluster(now);
         self.charging.iter_mut().for_each(ChargeControl::change_cluster);
         self.devices.iter_mut().for_each(DeviceAccess::change_cluster);
+        self.publish_claims();
     }
 
     /// Follows the orders of people: a held robot stops its task, and starts it again when the hold ends.

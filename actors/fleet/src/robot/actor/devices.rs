@@ -30,35 +30,35 @@ impl RobotState {
         let is_near = pose.is_none_or(|pose| pose.distance(report.pose).get() <= AT_PLACE_M);
         let reports = device_reports(&links.knowledge, &NodeId::from(self.settings.robot.clone()));
         let requested = self.driver.ways().requested(now);
-        let before = access.claims().clone();
+        let ahead = routes.map_or(vec![], |routes| routes.places_ahead(&report.place, report.pose));
         let granted = access.decide(&AccessSituation {
             place: &report.place,
             is_at_place: is_near && self.driver.activity().is_idle,
             requested: requested.as_ref(),
+            ahead: &ahead,
             reports: &reports,
             has_coordinator,
             now,
         });
         self.driver.ways().grant(granted);
-        if *access.claims() != before {
-            self.publish_claims();
-        }
+        self.publish_claims();
     }
 
     /// Receives the lease of a device, by its position in the log.
     pub(super) fn receive_device_lease(&mut self, device: &DeviceId, lease: u64, now: NodeTime) {
         let Some(access) = &mut self.devices else { return };
-        let before = access.claims().clone();
         access.receive_lease(device, lease);
-        if *access.claims() != before {
-            self.publish_claims();
-        }
+        self.publish_claims();
         self.follow_devices(now);
     }
 
-    fn publish_claims(&self) {
-        let Some(access) = &self.devices else { return };
-        let claims = access.claims().clone();
+    /// Publishes the claims, if they have changed.
+    pub(super) fn publish_claims(&mut self) {
+        let Some(access) = &mut self.devices else { return };
+        if !access.must_publish() {
+            return;
+        }
+        let claims = access.claims().cloned();
         debug!(robot = %self.settings.robot, ?claims, "claims of devices change");
         if self.settings.links.gossip.update_with(move |knowledge| knowledge.devices.claims = claims).is_err() {
             debug!(robot = %self.settings.robot, "gossip has stopped");

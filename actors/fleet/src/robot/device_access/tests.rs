@@ -1,0 +1,182 @@
+use super::*;
+use consort_protocol::devices::{AlarmPosition, DeviceKind};
+
+fn place(name: &str) -> PlaceId {
+    name.parse().unwrap()
+}
+
+fn door() -> DeviceId {
+    "door".parse().unwrap()
+}
+
+fn access() -> DeviceAccess {
+    let device = Device {
+        name: door(),
+        kind: DeviceKind::Door,
+        lanes: [(place("A"), place("B"))].into(),
+        places: BTreeSet::new(),
+        silent_after: Duration::from_secs(5),
+        in_alarm: AlarmPosition::Open,
+    };
+    DeviceAccess::new(Arc::new(Devices::new([device])))
+}
+
+fn reports(state: DeviceState, lease: Option<u64>) -> DeviceReports {
+    DeviceReports::from([(door(), DeviceReport { state, lease, place: None })])
+}
+
+/// Decides for a robot at a place, or that has left it, with the way from A to B requested or not.
+fn decide(
+    access: &mut DeviceAccess,
+    (at, is_at_place): (&str, bool),
+    requests: bool,
+    reports: &DeviceReports,
+    has_coordinator: bool,
+) -> bool {
+    let (at, way) = (place(at), (place("A"), place("B")));
+    let requested = requests.then_some(&way);
+    let (now, ahead) = (NodeTime::at(Duration::from_secs(100)), [&way.1]);
+    let ahead: &[&PlaceId] = if is_at_place { &[] } else { &ahead };
+    let situation = AccessSituation { place: &at, is_at_place, requested, ahead, reports, has_coordinator, now };
+    access.decide(&situation).is_some()
+}
+
+#[test]
+fn a_robot_enters_once_the_device_confirms_its_lease() {
+    let mut access = access();
+    let (idle, ready) = (reports(DeviceState::Idle, None), reports(DeviceState::Ready, Some(7)));
+    assert!(!decide(&mut access, ("A", true), true, &idle, true));
+    assert_eq!(access.claims(), Some(&DeviceClaims::from([(door(), DeviceClaim::default())])));
+    assert!(!decide(&mut access, ("A", true), true, &ready, true), "the lease is not the robot's");
+    access.receive_lease(&door(), 7);
+    assert!(!decide(&mut access, ("A", true), true, &reports(DeviceState::Preparing, Some(7)), true));
+    assert!(!decide(&mut access, ("A", true), true, &ready, false), "no coordinator");
+    assert!(decide(&mut access, ("A", true), true, &ready, true));
+    assert!(!decide(&mut access, ("A", false), false, &ready, false), "it stops between the places");
+    assert_eq!(
+        access.claims(),
+        Some(&DeviceClaims::from([(door(), DeviceClaim { lease: Some(7), place: None })])),
+        "and keeps the door"
+    );
+    decide(&mut access, ("B", true), false, &ready, true);
+    assert!(access.claims.is_empty());
+}
+
+#[test]
+fn a_silent_device_closes_its_lanes_for_robots_that_have_not_entered() {
+    let mut access = access();
+    let silent = reports(DeviceState::Silent, None);
+    assert!(!decide(&mut access, ("A", true), true, &silent, true));
+    assert_eq!(access.closed(), [(place("A"), place("B"))]);
+    assert_eq!(access.problems().collect::<Vec<_>>(), ["door is unavailable: it does not confirm"]);
+    assert!(access.claims.is_empty(), "the robot waits, or drives another way");
+    assert!(!decide(&mut access, ("A", true), true, &reports(DeviceState::Idle, None), true));
+    access.receive_lease(&door(), 7);
+    assert!(decide(&mut access, ("A", true), true, &reports(DeviceState::Ready, Some(7)), true));
+    assert!(!decide(&mut access, ("A", false), true, &silent, true));
+    assert!(access.closed().is_empty(), "a robot on the way drives on");
+    assert_eq!(access.claims.len(), 1);
+}
+
+#[test]
+fn a_robot_that_starts_between_two_places_claims_the_devices_beside_it() {
+    let mut access = access();
+    let idle = reports(DeviceState::Idle, None);
+    decide(&mut access, ("A", false), false, &idle, true);
+    assert_eq!(access.claims.len(), 1);
+    decide(&mut access, ("A", true), false, &idle, true);
+    assert!(access.claims.is_empty());
+    decide(&mut access, ("A", false), false, &idle, true);
+    assert!(access.claims.is_empty(), "it drives another way");
+}
+
+#[test]
+fn a_door_that_is_open_in_an_alarm_needs_no_lease() {
+    let mut access = access();
+    assert!(decide(&mut access, ("A", true), true, &reports(DeviceState::Alarm, None), true));
+}
+#[test]
+fn a_robot_that_has_not_used_its_grant_leaves_a_silent_device() {
+    let mut access = access();
+    let (idle, silent) = (reports(DeviceState::Idle, None), reports(DeviceState::Silent, Some(7)));
+    decide(&mut access, ("A", true), true, &idle, true);
+    access.receive_lease(&door(), 7);
+    assert!(decide(&mut access, ("A", true), true, &reports(DeviceState::Ready, Some(7)), true));
+    assert!(!decide(&mut access, ("A", true), true, &silent, true));
+    assert!(!decide(&mut access, ("A", true), true, &silent, true));
+    assert!(access.is_waiting(), "its timers stop");
+    assert_eq!(access.closed(), [(place("A"), place("B"))], "it drives another way");
+}
+
+#[test]
+fn a_robot_in_a_doorway_leaves_it_when_the_door_does_not_confirm() {
+    let mut access = access();
+    let (idle, jammed) = (reports(DeviceState::Idle, None), reports(DeviceState::Silent, Some(7)));
+    decide(&mut access, ("A", true), true, &idle, true);
+    access.receive_lease(&door(), 7);
+    assert!(!decide(&mut access, ("A", true), true, &jammed, true), "it has not entered");
+    decide(&mut access, ("A", true), true, &idle, true);
+    access.receive_lease(&door(), 7);
+    assert!(decide(&mut access, ("A", true), true, &reports(DeviceState::Ready, Some(7)), true));
+    decide(&mut access, ("A", false), false, &idle, true);
+    assert!(!decide(&mut access, ("A", false), true, &reports(DeviceState::Preparing, Some(7)), true));
+    assert!(decide(&mut access, ("A", false), true, &jammed, true));
+}
+
+#[test]
+fn claims_are_published_once_the_node_knows_where_its_robot_is() {
+    let (mut access, mut other) = (access(), access());
+    let idle = reports(DeviceState::Idle, None);
+    decide(&mut access, ("A", false), false, &idle, true);
+    assert!(access.claims().is_some(), "it may be on the way to B");
+    assert!(access.must_publish() && !access.must_publish());
+    access.change_cluster();
+    assert!(!access.must_publish(), "it has no lease");
+    access.receive_lease(&door(), 7);
+    assert!(access.must_publish());
+    access.change_cluster();
+    assert!(access.must_publish(), "the lease of another cluster");
+    decide(&mut other, ("C", false), false, &idle, true);
+    assert!(other.claims().is_none() && !other.must_publish());
+    decide(&mut other, ("C", true), false, &idle, true);
+    assert!(other.must_publish());
+    assert_eq!(other.claims(), Some(&DeviceClaims::new()));
+}
+
+/// Decides for a robot that stands at the lower stop of a lift.
+fn ride(access: &mut DeviceAccess, to: &str, at_stop: &str, ms: u64) -> bool {
+    let (low, way) = (place("L0"), (place("L0"), place(to)));
+    let report = DeviceReport { state: DeviceState::Ready, lease: Some(7), place: Some(place(at_stop)) };
+    access
+        .decide(&AccessSituation {
+            place: &low,
+            is_at_place: true,
+            requested: Some(&way),
+            ahead: &[],
+            reports: &DeviceReports::from([("lift".parse().unwrap(), report)]),
+            has_coordinator: true,
+            now: NodeTime::at(Duration::from_millis(ms)),
+        })
+        .is_some()
+}
+
+#[test]
+fn a_robot_that_turns_back_trusts_no_report_from_before() {
+    let lift = Device {
+        name: "lift".parse().unwrap(),
+        kind: DeviceKind::Lift,
+        lanes: BTreeSet::new(),
+        places: [place("L0"), place("L1")].into(),
+        silent_after: Duration::from_secs(10),
+        in_alarm: AlarmPosition::OutOfUse,
+    };
+    let mut access = DeviceAccess::new(Arc::new(Devices::new([lift])));
+    assert!(!ride(&mut access, "Hall", "L0", 0));
+    access.receive_lease(&"lift".parse().unwrap(), 7);
+    assert!(ride(&mut access, "Hall", "L0", 100));
+    assert!(!ride(&mut access, "L1", "L0", 200));
+    assert!(!ride(&mut access, "Hall", "L0", 400), "the lift may just leave for L1");
+    assert!(ride(&mut access, "Hall", "L0", 3_400), "it has not left");
+    assert!(!ride(&mut access, "L1", "L0", 3_500));
+    assert!(ride(&mut access, "L1", "L1", 3_600), "it has arrived");
+}
