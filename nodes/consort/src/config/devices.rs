@@ -126,7 +126,13 @@ pub(super) fn driver_problems(configs: &[DeviceDriverConfig]) -> Vec<String> {
             configs.len()
         )
     });
-    configs.iter().filter_map(problem).chain(too_many).collect()
+    let is_repeated = |(index, config): &(usize, &DeviceDriverConfig)| {
+        configs[..*index].iter().any(|other| other.name == config.name)
+    };
+    let repeated = configs.iter().enumerate().filter(is_repeated);
+    let repeated =
+        repeated.map(|(_, config)| format!("device {}: is named twice; a device has one driver", config.name));
+    configs.iter().filter_map(problem).chain(repeated).chain(too_many).collect()
 }
 
 #[cfg(test)]
@@ -147,6 +153,13 @@ mod tests {
         let domain = consort_skills::domain::device_domain();
         let actions: Vec<String> = domain.action_forms().map(|(name, _)| name.to_string()).collect();
         assert_eq!(actions, ["alarm", "serve"]);
+    }
+
+    #[test]
+    fn a_station_runs_one_driver_for_each_device() {
+        let door = || DeviceDriverConfig { name: "door".parse().unwrap(), driver: None, simulated_s: 3 };
+        assert_eq!(driver_problems(&[door()]), Vec::<String>::new());
+        assert_eq!(driver_problems(&[door(), door()]), ["device door: is named twice; a device has one driver"]);
     }
 
     #[test]
