@@ -17,6 +17,9 @@ use std::time::Duration;
 /// robot avoids a place that it could not reach.
 const FAILED_FOR: Duration = Duration::from_secs(60);
 
+/// Time within which a driver must end a canceled goal, as the domain file of devices declares.
+const CANCELED_WITHIN: Duration = Duration::from_secs(60);
+
 /// Time for which a robot must lack its claim before the device closes behind it. Raised: doors stay open for longer. The first
 /// record of a robot whose node has restarted between two places lacks the claim.
 const UNCLAIMED_FOR: Duration = Duration::from_secs(5);
@@ -45,6 +48,8 @@ struct RunningGoal {
     unconfirmed_since: NodeTime,
     /// Time at which a robot last claimed its lease.
     claimed_at: NodeTime,
+    /// Time of the cancel. What its driver has confirmed before no longer counts.
+    canceled_at: Option<NodeTime>,
 }
 
 /// What a step depends on.
@@ -120,14 +125,15 @@ impl DeviceControl {
         if let Some(goal) = self.goal.as_mut().filter(|goal| claimed.as_ref() == Some(&goal.purpose)) {
             goal.claimed_at = now;
         }
-        let is_ready = input.responds && is_confirmed(input.status.as_ref());
+        let is_canceled = self.goal.as_ref().is_some_and(|goal| goal.canceled_at.is_some());
+        let is_ready = input.responds && !is_canceled && is_confirmed(input.status.as_ref());
         if let Some(RunningGoal { purpose: Purpose::Serve((lease, _)), .. }) = self.goal.as_ref().filter(|_| is_ready) {
             self.confirmed = Some(*lease);
         }
         let wanted = self.wanted(claimed, input.is_alarm, now);
         let mut actions = vec![];
         match (&mut self.goal, wanted.clone()) {
-            (Some(goal), Some(purpose)) if goal.purpose == purpose => {
+            (Some(goal), Some(purpose)) if goal.purpose == purpose && !is_canceled => {
                 if is_ready {
                     goal.unconfirmed_since = now;
                 }
@@ -136,12 +142,18 @@ impl DeviceControl {
                 }
                 actions.push(HostAction::Permit(goal.id));
             }
-            (Some(goal), _) => actions.push(HostAction::Cancel(goal.id)),
+            (Some(goal), _) => {
+                if now.since(*goal.canceled_at.get_or_insert(now)) >= CANCELED_WITHIN {
+                    self.failed_until = Some(now + FAILED_FOR);
+                }
+                actions.push(HostAction::Cancel(goal.id));
+            }
             (None, Some(purpose)) if self.failed_until.is_none() => {
                 let id = GoalId(self.next_goal);
                 self.next_goal += 1;
                 actions.push(HostAction::Start(id, self.goal_of(&purpose)));
-                self.goal = Some(RunningGoal { id, purpose, unconfirmed_since: now, claimed_at: now });
+                self.goal =
+                    Some(RunningGoal { id, purpose, unconfirmed_since: now, claimed_at: now, canceled_at: None });
             }
             (None, _) => {}
         }
@@ -271,6 +283,19 @@ mod tests {
         let (actions, _) = control.step(&canceled, at(200));
         let [HostAction::Start(_, goal)] = &actions[..] else { panic!("{actions:?}") };
         assert_eq!(goal.parameters["place"], Value::from("L2"), "the robot inside leaves before the alarm counts");
+    }
+
+    #[test]
+    fn a_canceled_goal_confirms_nothing_and_must_end() {
+        let mut control = control();
+        let at_stop = |name: &str| HostInput { claim: Some((7, name.parse().ok())), ..input(None, Some(true)) };
+        control.step(&HostInput { status: None, ..at_stop("L0") }, at(0));
+        assert_eq!(control.step(&at_stop("L0"), at(200)).1.state, DeviceState::Ready);
+        assert_eq!(control.step(&at_stop("L1"), at(400)).0, [HostAction::Cancel(GoalId(100))]);
+        let (actions, report) = control.step(&at_stop("L0"), at(600));
+        assert_eq!((actions, report.state), (vec![HostAction::Cancel(GoalId(100))], DeviceState::Preparing));
+        assert_eq!(control.step(&at_stop("L0"), at(60_399)).1.state, DeviceState::Preparing);
+        assert_eq!(control.step(&at_stop("L0"), at(60_400)).1.state, DeviceState::Silent);
     }
 
     #[test]
