@@ -10,6 +10,13 @@ pub(super) struct File {
     pub(super) layouts: Vec<Layout>,
 }
 
+/// The part of a file of any version.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Head {
+    pub(super) meta_information: MetaInformation,
+}
+
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct MetaInformation {

@@ -1,7 +1,7 @@
 //! Reads a layout: levels, places, lanes and lifts.
 
 use super::diagnostic::{ElementError, LifDiagnostic};
-use super::raw::{Edge, EdgeProperties, File, Layout, Node, Point};
+use super::raw::{Edge, EdgeProperties, File, Head, Layout, Node, Point};
 use crate::drawing::{Drawing, round, to_map_name};
 use crate::lanes;
 use crate::read_error::ReadError;
@@ -13,9 +13,13 @@ use std::f64::consts::PI;
 /// Tolerance of an orientation along the edge, in radians: files round pi to two digits.
 const ALONG_RAD: f64 = 0.02;
 
+/// Most errors with a suggestion: each compares a name with those of all nodes.
+const HINTS_MAX: usize = 20;
+
 /// Reads a layout; `name` is the name of the map if the file gives none.
 pub(crate) fn read(text: &str, name: &str) -> Result<Drawing, ReadError<LifDiagnostic>> {
-    let file: File = serde_json::from_str(text).map_err(|error| ReadError::Syntax(error.to_string()))?;
+    let file: File = serde_json::from_str(text)
+        .map_err(|error| other_version(text).unwrap_or_else(|| ReadError::Syntax(error.to_string())))?;
     let mut reader = Reader::of(&file);
     let project = file.meta_information.project_identification.as_deref().filter(|project| !project.is_empty());
     reader.drawing.map.name = to_map_name(project.unwrap_or(name));
@@ -30,6 +34,18 @@ pub(crate) fn read(text: &str, name: &str) -> Result<Drawing, ReadError<LifDiagn
     reader.lifts();
     reader.note_ignored(&file);
     if reader.diagnostics.is_empty() { Ok(reader.drawing) } else { Err(ReadError::Invalid(reader.diagnostics)) }
+}
+
+/// Returns the error for a file of another version: it may lack what version 1 requires.
+fn other_version(text: &str) -> Option<ReadError<LifDiagnostic>> {
+    let head: Head = serde_json::from_str(text).ok()?;
+    Some(ReadError::Invalid(vec![version_problem(&head.meta_information.lif_version)?]))
+}
+
+fn version_problem(version: &str) -> Option<LifDiagnostic> {
+    let error = ElementError::Version { version: version.to_owned() };
+    let at = "metaInformation".to_owned();
+    (version.split('.').next() != Some("1")).then_some(LifDiagnostic { at, error })
 }
 
 struct Reader<'a> {
@@ -53,12 +69,8 @@ fn level_of(layout: &Layout) -> &str {
 
 impl<'a> Reader<'a> {
     fn of(file: &'a File) -> Reader<'a> {
-        let mut levels: Vec<&str> = Vec::new();
-        for layout in &file.layouts {
-            if !levels.contains(&level_of(layout)) {
-                levels.push(level_of(layout));
-            }
-        }
+        let mut known = BTreeSet::new();
+        let levels = file.layouts.iter().map(level_of).filter(|level| known.insert(*level)).collect();
         let layouts = || file.layouts.iter();
         let all = || layouts().flat_map(|layout| layout.nodes.iter().map(move |node| (layout, node)));
         let named = |node: &'a Node| node.node_name.as_deref().map(str::trim).filter(|name| !name.is_empty());
@@ -92,10 +104,7 @@ impl<'a> Reader<'a> {
     }
 
     fn check_file(&mut self, file: &File) {
-        let version = &file.meta_information.lif_version;
-        if version.split('.').next() != Some("1") {
-            self.report("metaInformation".to_owned(), ElementError::Version { version: version.clone() });
-        }
+        self.diagnostics.extend(version_problem(&file.meta_information.lif_version));
         for (what, is_empty) in [("layouts", file.layouts.is_empty()), ("nodes", self.nodes.is_empty())] {
             if is_empty {
                 return self.report("file".to_owned(), ElementError::Empty { what });
@@ -151,7 +160,8 @@ impl<'a> Reader<'a> {
     fn node(&mut self, at: &str, field: &'static str, id: &str) -> Option<(String, &'a str, Point)> {
         let found = self.nodes.get(id).cloned();
         if found.is_none() {
-            let hint = did_you_mean(id, self.nodes.keys().copied());
+            let suggests = self.diagnostics.len() < HINTS_MAX;
+            let hint = if suggests { did_you_mean(id, self.nodes.keys().copied()) } else { String::new() };
             self.report(at.to_owned(), ElementError::UnknownNode { field, node: id.to_owned(), hint });
         }
         found
@@ -197,9 +207,11 @@ impl<'a> Reader<'a> {
         for (number, stops) in groups.into_iter().enumerate() {
             let name = format!("Lift {}", number + 1);
             let stops: Vec<String> = stops.into_iter().collect();
-            self.drawing
-                .notes
-                .push(format!("{name:?} stands for the edges between the levels at {}", stops.join(", ")));
+            let stops_text = stops.join(", ");
+            self.drawing.notes.push(format!(
+                "{name:?} stands for the edges between the levels at {stops_text}: vehicles of all types ride in \
+                 both directions"
+            ));
             self.drawing.map.lifts.push(LiftEntry { name, stops, ..LiftEntry::default() });
         }
     }

@@ -3,6 +3,7 @@
 use crate::{ImportOptions, parse, read};
 use consort_protocol::ids::PlaceId;
 use consort_world::map::{Facing, Map, PlaceKind};
+use proptest::prelude::*;
 use std::collections::BTreeSet;
 
 const DEPOT: &str = include_str!("../../maps/depot.lif");
@@ -62,6 +63,7 @@ fn edges_are_lanes_of_the_graphs_of_their_vehicles() {
     assert!(!curve.two_way && (curve.length.get() - 50_f64.sqrt() * 2.0).abs() < 1e-9, "{curve:?}");
     let notes = parse(DEPOT, "depot.lif.json", &ImportOptions::default()).unwrap().notes;
     assert!(notes.contains(&"restrictions of loads of 1 edge(s) are ignored".to_owned()), "{notes:?}");
+    assert!(notes.iter().any(|note| note.ends_with("vehicles of all types ride in both directions")), "{notes:?}");
 }
 
 #[test]
@@ -85,4 +87,42 @@ fn every_error_names_the_element() {
     assert_eq!(diagnostics(&unreachable), ["place \"Store\" cannot be left for the rest of graph \"tugger\""]);
     let syntax = diagnostics("{\"metaInformation\": {\"lifVersion\": \"1.0.0\"}}").join(" ");
     assert!(syntax.contains("missing field `layouts`"), "{syntax}");
+}
+
+#[test]
+fn a_file_of_another_version_is_named_as_such() {
+    let later = "{\"metaInformation\": {\"lifVersion\": \"2.0.0\"}, \"maps\": []}";
+    let expected = ["metaInformation: lifVersion is \"2.0.0\", allowed: 1.0 and later versions 1.x"];
+    assert_eq!(diagnostics(later), expected);
+}
+
+#[test]
+fn only_the_first_errors_suggest_a_node() {
+    let edge =
+        |number: usize| format!("{{ \"edgeId\": \"x{number}\", \"startNodeId\": \"n44\", \"endNodeId\": \"n1\" }},");
+    let edges: String = (0..30).map(edge).collect();
+    let wrong = DEPOT.replacen("\"edges\": [", &format!("\"edges\": [{edges}"), 1);
+    let unknown: Vec<String> =
+        diagnostics(&wrong).into_iter().filter(|line| line.contains("there is no node")).collect();
+    let suggested = unknown.iter().filter(|line| line.contains("did you mean")).count();
+    assert_eq!((unknown.len(), suggested), (30, 10), "each edge has no types of vehicles, too");
+}
+
+proptest! {
+    #[test]
+    fn numbers_of_any_size_are_read_or_reported(
+        numbers in proptest::collection::vec(
+            prop_oneof!["-?[0-9]{1,9}", Just("1e308".to_owned()), Just("-1e308".to_owned()), Just("1e-320".to_owned())], 1..8),
+        from in 0_usize..300,
+    ) {
+        let mut parts: Vec<String> = DEPOT.split(' ').map(str::to_owned).collect();
+        let count = parts.len();
+        for (index, number) in numbers.iter().enumerate() {
+            let part = &mut parts[(from + index) % count];
+            if part.trim_end_matches(',').parse::<f64>().is_ok() {
+                *part = if part.ends_with(',') { format!("{number},") } else { number.clone() };
+            }
+        }
+        let _ = read(&parts.join(" "), "numbers.lif");
+    }
 }
