@@ -42,7 +42,7 @@ macro_rules! target_tests {
 
 target_tests! {
     wire signed_envelope certificate pem names gossip raft award checkpoint ledger store request mission_yaml mission_json ihtn domain driver
-    map_yaml map_json drawing building tree condition feature config design calibration tables recording fleet_model dashboard
+    map_yaml map_json drawing building layout tree condition feature config design calibration tables recording fleet_model dashboard
 }
 
 #[test]

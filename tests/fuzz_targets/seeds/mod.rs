@@ -59,6 +59,7 @@ pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
         "map_json" => vec![file("nodes/consort/tests/data/ward_map.json"), fleet::map_in_json()],
         "drawing" => files("sim_bridge/map_import/maps", ".drawio"),
         "building" => files("sim_bridge/map_import/maps", ".building.yaml"),
+        "layout" => files("sim_bridge/map_import/maps", ".lif"),
         "tree" => files("skills/domains", ".xml"),
         "condition" => texts(&[
             "member.robot || member.skills.exists(s, s in ensemble.skills)\ncoordinator.mains_powered",

@@ -66,3 +66,7 @@ pub(super) fn drawing(bytes: &[u8]) -> bool {
 pub(super) fn building(bytes: &[u8]) -> bool {
     read(bytes, "a.building.yaml")
 }
+
+pub(super) fn layout(bytes: &[u8]) -> bool {
+    read(bytes, "a.lif")
+}

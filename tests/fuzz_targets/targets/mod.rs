@@ -78,6 +78,8 @@ targets! {
     drawing = maps::drawing;
     /// Buildings of Open-RMF.
     building = maps::building;
+    /// Layouts of VDMA.
+    layout = maps::layout;
     /// Behavior trees.
     tree = behavior_files::tree;
     /// Conditions of ensembles.
