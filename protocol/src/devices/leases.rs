@@ -121,7 +121,12 @@ impl DeviceLeases {
             match followed.follow(&device, epoch, user, is_served, now) {
                 None => {}
                 Some(LeaseStep::Notify) => actions.push(DeviceAction::Notify { device, robot, epoch }),
-                Some(LeaseStep::End(cause)) => actions.push(DeviceAction::Free { device, robot, epoch, cause }),
+                Some(LeaseStep::End(cause)) => {
+                    if cause == EndOfLease::NoAnswer {
+                        self.waiting.insert(robot.clone(), now); // behind the others
+                    }
+                    actions.push(DeviceAction::Free { device, robot, epoch, cause });
+                }
             }
         }
         actions.extend(self.grant(leases, robots, now));

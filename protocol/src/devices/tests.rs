@@ -83,6 +83,20 @@ fn a_lease_is_notified_until_the_claim_has_it_and_ends_with_the_claim() {
 }
 
 #[test]
+fn a_robot_that_does_not_answer_goes_behind_the_others() {
+    let (mut leases, none) = (DeviceLeases::default(), BTreeMap::new());
+    let robots = [user("ada", &[("door", None)]), user("bob", &[("door", None)])];
+    let idle = DeviceReport { state: DeviceState::Idle, lease: None, place: None };
+    let idle = DeviceReports::from([(device("door"), idle)]);
+    assert_eq!(leases.due(&none, &robots, &idle, at(0)), [grant("door", "ada")]);
+    let own = leased(&[("door", "ada", 5)]);
+    leases.due(&own, &robots, &idle, at(100));
+    let ended = leases.due(&own, &robots, &idle, at(10_100));
+    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::NoAnswer, .. }]), "{ended:?}");
+    assert_eq!(leases.due(&none, &robots, &idle, at(10_200)), [grant("door", "bob")]);
+}
+
+#[test]
 fn a_lost_robot_that_may_be_inside_keeps_its_lease() {
     let own = leased(&[("lift", "ada", 5)]);
     let lost = DeviceUser { is_alive: false, ..user("ada", &[("lift", Some(5))]) };
