@@ -29,7 +29,9 @@ pub(super) struct DeviceAccess {
     entered: Option<Way>,
     /// True if the latest decision has granted a way.
     is_granted: bool,
-    /// True once the robot stood at a place: before, a former life of its node may have entered a way.
+    /// Place at the first decision.
+    started_at: Option<PlaceId>,
+    /// True once the robot stood at a place, or has passed another: before, a former life of its node may have entered a way.
     knows_its_way: bool,
     is_waiting: bool,
     closed: Vec<(PlaceId, PlaceId)>,
@@ -64,6 +66,7 @@ impl DeviceAccess {
             doubted: BTreeMap::new(),
             entered: None,
             is_granted: false,
+            started_at: None,
             knows_its_way: false,
             is_waiting: false,
             closed: vec![],
@@ -118,7 +121,8 @@ impl DeviceAccess {
         let is_unused = is_at_place && !self.is_granted;
         let has_ended = |way: &Way| *place != way.0 || is_at_place && requested != Some(way) || is_unused;
         self.entered.take_if(|way| has_ended(way));
-        self.knows_its_way |= is_at_place;
+        let started_at = self.started_at.get_or_insert_with(|| place.clone());
+        self.knows_its_way |= is_at_place || *started_at != *place;
         let devices = Arc::clone(&self.devices);
         let is_inside = |device: &Device| {
             let is_on_way = self.entered.as_ref().is_some_and(|(from, to)| device.guards(from, to));

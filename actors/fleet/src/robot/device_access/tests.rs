@@ -125,7 +125,7 @@ fn a_robot_in_a_doorway_leaves_it_when_the_door_does_not_confirm() {
 
 #[test]
 fn claims_are_published_once_the_node_knows_where_its_robot_is() {
-    let (mut access, mut other) = (access(), access());
+    let (mut access, mut other, mut passing) = (access(), access(), access());
     let idle = reports(DeviceState::Idle, None);
     decide(&mut access, ("A", false), false, &idle, true);
     assert!(access.claims().is_some(), "it may be on the way to B");
@@ -141,6 +141,9 @@ fn claims_are_published_once_the_node_knows_where_its_robot_is() {
     decide(&mut other, ("C", true), false, &idle, true);
     assert!(other.must_publish());
     assert_eq!(other.claims(), Some(&DeviceClaims::new()));
+    decide(&mut passing, ("A", false), false, &idle, true);
+    decide(&mut passing, ("B", false), false, &idle, true);
+    assert_eq!(passing.claims(), Some(&DeviceClaims::new()), "it has passed B");
 }
 
 /// Decides for a robot that stands at the lower stop of a lift.
