@@ -365,7 +365,7 @@ impl Driver {
 
     async fn ended(&mut self, id: GoalId, end: End) -> Result<(), std::io::Error> {
         drop(self.active.take_if(|active| active.id == id));
-        info!(goal = id.0, status = ?end.status, message = end.message, "goal ended");
+        info!(goal = id.0, status = ?end.status, cause = end.message, "goal ended");
         // The pose at the end is known before the end.
         self.report().await?;
         let effects = self.session.ended(id, end);

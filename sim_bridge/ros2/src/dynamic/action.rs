@@ -141,8 +141,8 @@ impl RosAction {
     /// Requests the cancellation of a goal. Returns false without a reply.
     pub async fn cancel(&self, id: GoalUuid) -> bool {
         let request = json!({"goal_info": {"goal_id": {"uuid": id}}});
-        let reply = self.graph.call(&self.part("cancel_goal"), "action_msgs/srv/CancelGoal", &request, REPLY_TIMEOUT);
-        match reply.await {
+        let service = self.part("cancel_goal");
+        match self.graph.call(&service, "action_msgs/srv/CancelGoal", &request, REPLY_TIMEOUT).await {
             Ok(_) => true,
             Err(problem) => {
                 debug!(action = self.name, %problem, "no reply to a cancel request");
