@@ -105,7 +105,7 @@ fn the_panels_show_the_planned_starts_of_promised_roles_in_their_order() {
                 { "mission": "rinse-2", "role": "r1", "planned_at_ms": second, "time_s": null },
             ],
         });
-        let fleet = json!({ "nodes": [robot("ada", holding, timeline)] });
+        let fleet = json!({ "nodes": [robot("ada", holding, timeline)], "closures": [] });
         model.apply_view(&Key::ViewFleet, &fleet, now_ms);
     });
     browser.open(&shown.url());
