@@ -3,7 +3,7 @@ use super::super::charging_stop::ChargingStop;
 use super::super::clearing::{AuctionContext, AuctionOutcome, clear_auction};
 use super::super::insertion::{RoleOfMission, RoleSpan, Timelines};
 use super::super::invitation::Invitation;
-use super::super::record::BidVerdict;
+use super::super::record::{AuctionEntry, BidVerdict};
 use super::*;
 use crate::ids::MissionId;
 use crate::plan::LocalPlan;
@@ -185,7 +185,8 @@ fn a_free_robot_that_has_to_charge_is_promised_the_role_after_its_stop() {
     let in_turn = [("arm-1", queue(false, 1))];
     let outcome = clear(&Case { queues: &in_turn, startable: &["cart"], may_wait: false }, &responses);
     assert_eq!(promised(&outcome), [("arm", 20.0), ("cart", 300.0)]);
-    let entry = outcome.record.entries.iter().find(|entry| entry.robot.as_str() == "ada").unwrap();
+    let is_of_cart = |entry: &&AuctionEntry| entry.role == role("cart") && entry.robot.as_str() == "ada";
+    let entry = outcome.record.entries.iter().find(is_of_cart).unwrap();
     assert!(matches!(entry.verdict, BidVerdict::Viable { remaining: 0.6, .. }), "{entry:?}");
     assert_eq!(outcome.record.planned[&role("cart")].charging.as_ref().map(|stop| stop.time), Some(time));
     // The robot has promised a role that it did not consider.
