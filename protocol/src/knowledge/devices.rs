@@ -22,7 +22,7 @@ pub struct DeviceKnowledge {
     /// Claims of its robot; `None` while the node does not know where its robot is, as after a start. Until then its earlier
     /// claims count.
     pub claims: Option<DeviceClaims>,
-    /// Devices whose drivers it runs.
+    /// Reports of the devices that this node serves.
     pub reports: BTreeMap<DeviceId, DeviceReport>,
 }
 

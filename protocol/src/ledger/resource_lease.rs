@@ -12,7 +12,7 @@ pub(super) const RESOURCE_LEASES_BYTES_MAX: usize = 48 * 1024;
 /// Maximum encoded size of a lease with its resource in bytes: the names take up to 256 and 64 bytes.
 pub(super) const RESOURCE_LEASE_BYTES_MAX: usize = 384;
 
-/// What robots use one after the other.
+/// A charger or a device: a single robot at a time uses it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Resource {
     /// The charger at a place. A robot has the lease of at most one.

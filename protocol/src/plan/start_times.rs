@@ -88,7 +88,7 @@ mod tests {
         Signal { kind: SignalKind::Done, task: "it".parse().unwrap(), from: role(from), to: role(to) }
     }
 
-    /// Returns a plan whose steps follow each other.
+    /// Returns a plan with these steps in sequence.
     fn chain(of: &str, actions: Vec<StepAction>) -> LocalPlan {
         let after = |index: u32| index.checked_sub(1).into_iter().collect();
         let steps = (0..).zip(actions).map(|(index, action)| Step { action, after: after(index) });

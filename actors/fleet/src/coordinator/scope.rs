@@ -4,7 +4,7 @@ use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionEntry, RoleAssignment, service_order};
 use std::collections::BTreeSet;
 
-/// Missions and robots whose actions are computed.
+/// The missions and robots of a computation of actions.
 #[derive(Clone, Copy)]
 pub(super) enum Scope<'a> {
     /// All.

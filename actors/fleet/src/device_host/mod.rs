@@ -24,7 +24,7 @@ const STEP_INTERVAL: Duration = Duration::from_millis(200);
 /// Time for which the driver may serve after each step: some intervals.
 const PERMISSION: Duration = Duration::from_secs(3);
 
-/// A device whose driver runs at this node.
+/// A device that this node serves with a driver.
 pub(crate) struct DeviceHost {
     pub(crate) device: Device,
     /// Driver, which knows the device by its name as a robot.

@@ -142,7 +142,7 @@ pub struct DriverServerPart {
     pub speed: f64,
 }
 
-/// A device whose driver a node runs.
+/// A device that a node serves with a driver.
 pub struct DevicePart {
     /// The device, as named in the fleet file.
     pub device: DeviceId,

@@ -95,6 +95,7 @@ fn a_door_that_is_open_in_an_alarm_needs_no_lease() {
     let mut access = access();
     assert!(decide(&mut access, ("A", true), true, &reports(DeviceState::Alarm, None), true));
 }
+
 #[test]
 fn a_robot_that_has_not_used_its_grant_leaves_a_silent_device() {
     let mut access = access();
