@@ -12,7 +12,6 @@ mod closures;
 mod demo_fleet;
 mod doors_and_interventions;
 mod limits;
-mod many_robots;
 mod mission_files;
 mod mission_orders;
 mod orders;
