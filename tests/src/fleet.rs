@@ -207,7 +207,18 @@ impl Fleet {
 
     /// Starts the same hospital with certificates; nodes sign their messages.
     pub async fn closed_hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
-        let options = NodeOptions { signatures: Some(Signatures::Ed25519), ..NodeOptions::default() };
+        Fleet::adjusted_closed_hospital(seed, members, stations, rooms, Box::new(|_| ())).await
+    }
+
+    /// Starts the same closed hospital with changed node settings.
+    pub async fn adjusted_closed_hospital(
+        seed: u64,
+        members: Vec<RobotSpec>,
+        stations: &[&str],
+        rooms: &[&str],
+        adjust: AdjustNode,
+    ) -> Fleet {
+        let options = NodeOptions { adjust, signatures: Some(Signatures::Ed25519), ..NodeOptions::default() };
         Fleet::hospital_with(seed, members, stations, nurses_in(rooms), options).await
     }
 

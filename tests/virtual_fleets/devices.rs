@@ -26,6 +26,8 @@ const INSIDE_Y_M: f64 = 29.3;
 const DEVICE: &str = "gate";
 /// Station that runs the driver of the device.
 const HOST: &str = "basil";
+/// Robot whose key is stolen.
+const FORGER: &str = "lab-arm";
 /// Time in which the device opens, in seconds of node time.
 const OPENING_S: f64 = 3.0;
 
@@ -45,25 +47,38 @@ fn door() -> Device {
     }
 }
 
-/// Starts two slow carriers and three stations, one of which runs the driver of the device.
-async fn fleet(seed: u64, device: Device, switch: &DeviceSwitch) -> Fleet {
-    let (devices, switch) = (Arc::new(Devices::new([device])), switch.clone());
-    let adjust = move |settings: &mut NodeSettings| {
+/// Returns the driver of the device, which opens in this time.
+fn driver(opening_s: f64, switch: &DeviceSwitch) -> DevicePart {
+    let opening = Seconds::new(opening_s).expect("a duration");
+    DevicePart { device: slug(DEVICE), driver: Box::new(SimulatedDevice::new(slug(DEVICE), opening, switch.clone())) }
+}
+
+/// Declares the device in a fleet whose roles pass to other robots late. `HOST` runs its driver.
+fn with_device(device: Device, switch: DeviceSwitch) -> impl FnMut(&mut NodeSettings) + 'static {
+    let devices = Arc::new(Devices::new([device]));
+    move |settings| {
         settings.fleet.devices = Arc::clone(&devices);
         settings.fleet.stall_timeout = Duration::from_secs(900);
         if settings.node.as_str() == HOST {
-            let opening = Seconds::new(OPENING_S).expect("a duration");
-            let driver = SimulatedDevice::new(slug(DEVICE), opening, switch.clone());
-            settings.devices.push(DevicePart { device: slug(DEVICE), driver: Box::new(driver) });
+            settings.devices.push(driver(OPENING_S, &switch));
         }
-    };
-    fleet_of(seed, slow_carriers(), &[ROOM], adjust).await
+    }
+}
+
+/// Starts two slow carriers and three stations, one of which runs the driver of the device.
+async fn fleet(seed: u64, device: Device, switch: &DeviceSwitch) -> Fleet {
+    fleet_of(seed, slow_carriers(), &[ROOM], with_device(device, switch.clone())).await
 }
 
 /// Returns the state of the device, as known to a node.
 fn state(fleet: &Fleet, node: &str) -> Option<DeviceState> {
+    state_by(fleet, HOST, node)
+}
+
+/// Returns the state of the device that `host` reports, as known to a node.
+fn state_by(fleet: &Fleet, host: &str, node: &str) -> Option<DeviceState> {
     fleet.knowledge(node).read(|base| {
-        let (host, device): (NodeId, DeviceId) = (slug(HOST), slug(DEVICE));
+        let (host, device): (NodeId, DeviceId) = (slug(host), slug(DEVICE));
         Some(base.get(&host)?.record.knowledge.devices.reports.get(&device)?.state)
     })
 }
@@ -193,6 +208,35 @@ fn a_door_closes_during_an_alarm_and_opens_for_the_robot_afterwards() {
         let enters = |fleet: &Fleet| is_inside(fleet, &carrier);
         fleet.assert_never("an entry", longer_than_a_lease(), enters).await;
         request(&fleet, ApiCall::Alarm, &json!({ "action": "clear", "by": "Abe" })).await;
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
+    });
+}
+
+/// The forger has the certificate of a robot, and runs a driver of the device that is ready at once.
+#[test]
+fn the_key_of_a_robot_confirms_no_device() {
+    for_each_seed([1751], async |seed| {
+        let (device, switch) = (Device { silent_after: Duration::from_secs(3600), ..door() }, DeviceSwitch::default());
+        switch.set_silent(true);
+        let mut declare = with_device(device, switch.clone());
+        let adjust = move |settings: &mut NodeSettings| {
+            declare(settings);
+            settings.fleet.bootstrap_expect = 5;
+            if settings.node.as_str() == FORGER {
+                settings.may_vote = false;
+                settings.devices.push(driver(0.1, &DeviceSwitch::default()));
+            }
+        };
+        let stations = ["aster", "basil", "clove"];
+        let mut fleet =
+            Fleet::adjusted_closed_hospital(seed, slow_carriers(), &stations, &[ROOM], Box::new(adjust)).await;
+        fleet.wait_for_coordinator().await;
+        let (mission, carrier) = drive_to_room(&mut fleet, ROOM).await;
+        let reports = |fleet: &Fleet| [HOST, FORGER].map(|host| state_by(fleet, host, &carrier));
+        let is_forged = |fleet: &Fleet| reports(fleet) == [DeviceState::Preparing, DeviceState::Ready].map(Some);
+        fleet.wait_until("a true and a false report", DRIVE, is_forged).await;
+        fleet.assert_never("an entry", longer_than_a_lease(), |fleet| is_inside(fleet, &carrier)).await;
+        switch.set_silent(false);
         assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
     });
 }
