@@ -40,6 +40,7 @@ fn door() -> Device {
     Device {
         name: slug(DEVICE),
         kind: DeviceKind::Door,
+        host: slug(HOST),
         lanes: [(place(BEFORE), place(GATE))].into(),
         places: BTreeSet::new(),
         silent_after: Duration::from_secs(10),
@@ -212,18 +213,21 @@ fn a_door_closes_during_an_alarm_and_opens_for_the_robot_afterwards() {
     });
 }
 
-/// The forger has the certificate of a robot, and runs a driver of the device that is ready at once.
+/// The forger has the certificate of a robot, and runs a driver of the device that is ready at once. In its fleet file it is
+/// the host.
 #[test]
 fn the_key_of_a_robot_confirms_no_device() {
     for_each_seed([1751], async |seed| {
         let (device, switch) = (Device { silent_after: Duration::from_secs(3600), ..door() }, DeviceSwitch::default());
         switch.set_silent(true);
+        let forged = Arc::new(Devices::new([Device { host: slug(FORGER), ..device.clone() }]));
         let mut declare = with_device(device, switch.clone());
         let adjust = move |settings: &mut NodeSettings| {
             declare(settings);
             settings.fleet.bootstrap_expect = 5;
             if settings.node.as_str() == FORGER {
                 settings.may_vote = false;
+                settings.fleet.devices = Arc::clone(&forged);
                 settings.devices.push(driver(0.1, &DeviceSwitch::default()));
             }
         };

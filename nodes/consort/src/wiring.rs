@@ -399,21 +399,26 @@ pub fn station_node(
 ) -> Result<NodeSettings, Diagnostics> {
     let StationConfig { stationary, mains_powered, may_vote, .. } = *station;
     let bare = bare_node(station.name.clone(), fleet, incarnation, may_vote, extensions)?;
-    let devices = station.device.iter().map(|device| device_part(device, &bare.fleet)).collect::<Result<_, _>>()?;
+    let device = |device| device_part(device, &station.name, &bare.fleet);
+    let devices = station.device.iter().map(device).collect::<Result<_, _>>()?;
     Ok(NodeSettings { stationary, mains_powered, devices, ..bare })
 }
 
-/// Builds the driver of a device: a program, a socket, or a simulated device.
+/// Builds the driver of a device at a node: a program, a socket, or a simulated device.
 ///
 /// # Errors
-/// [`Diagnostics`] if the fleet file does not declare the device, the setting is invalid, or the program does not exist.
-fn device_part(config: &DeviceDriverConfig, fleet: &FleetSettings) -> Result<DevicePart, Diagnostics> {
+/// [`Diagnostics`] if the fleet file does not declare the device, or names another host, the setting is invalid, or the
+/// program does not exist.
+fn device_part(config: &DeviceDriverConfig, node: &NodeId, fleet: &FleetSettings) -> Result<DevicePart, Diagnostics> {
     let of = |problem: &dyn Display| Diagnostic::for_file("", format!("device {}: {problem}", config.name));
     let Some(device) = fleet.devices.get(&config.name) else {
         let declared = fleet.devices.iter().map(|device| &device.name);
         let allowed = AllowedNames::suggest_for(config.name.as_str(), declared);
         return Err(of(&format!("the fleet file declares no such device; {allowed}")).into());
     };
+    if device.host != *node {
+        return Err(of(&format!("the fleet file names {} as its host", device.host)).into());
+    }
     let robot = RobotId::new(config.name.as_str()).map_err(|problem| of(&problem))?;
     let driver: Box<dyn RobotBackend> = match config.driver.clone() {
         None => {

@@ -9,7 +9,8 @@
 //!  no claim ──────────────────▶ end of the lease ─────▶ cancel ─────────────────────────▶ closes
 //! ```
 //!
-//! Claims and reports are parts of the nodes' records. The ledger contains the leases, which order the robots as those of
+//! Claims and reports are parts of the nodes' records, which their owners sign. A report counts in the record of the
+//! device's host only ([`Devices::reports`]). The ledger contains the leases, which order the robots as those of
 //! chargers do. A robot enters only while a coordinator is in contact, and while the device confirms the robot's lease.
 //! A device that is silent closes its lanes and places for routes, as a person would.
 
@@ -21,7 +22,7 @@ mod tests;
 pub use leases::{DeviceAction, DeviceLeases, DeviceUser};
 pub use reports::{DeviceReports, DeviceWatch};
 
-use crate::ids::{DeviceId, PlaceId};
+use crate::ids::{DeviceId, NodeId, PlaceId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -62,6 +63,8 @@ pub struct Device {
     pub name: DeviceId,
     /// Its kind.
     pub kind: DeviceKind,
+    /// Node that runs its driver. No other node reports the device.
+    pub host: NodeId,
     /// Lanes and lift rides that it guards, in both directions.
     pub lanes: BTreeSet<(PlaceId, PlaceId)>,
     /// Places that it guards: the ways into them and out of them.

@@ -2,7 +2,7 @@
 
 use super::{AlarmPosition, Device, Devices};
 use crate::ids::DeviceId;
-use crate::knowledge::{DeviceClaim, DeviceReport, DeviceState};
+use crate::knowledge::{DeviceClaim, DeviceReport, DeviceState, KnowledgeBase};
 use crate::units::NodeTime;
 use std::collections::BTreeMap;
 
@@ -35,6 +35,18 @@ impl DeviceWatch {
             Some((device, problem?))
         };
         devices.iter().filter_map(problem).collect()
+    }
+}
+
+impl Devices {
+    /// Returns the reports in these records. Every node can write any report into its own record, so the report about a
+    /// device counts in the record of its host only.
+    pub fn reports(&self, base: &KnowledgeBase) -> DeviceReports {
+        let report = |device: &Device| {
+            let reports = &base.get(&device.host)?.record.knowledge.devices.reports;
+            Some((device.name.clone(), reports.get(&device.name)?.clone()))
+        };
+        self.iter().filter_map(report).collect()
     }
 }
 

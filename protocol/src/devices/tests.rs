@@ -1,7 +1,9 @@
 use super::*;
 use crate::chargers::EndOfLease;
 use crate::ids::RobotId;
-use crate::knowledge::{DeviceClaim, DeviceReport, DeviceState};
+use crate::knowledge::{
+    DeviceClaim, DeviceKnowledge, DeviceReport, DeviceState, Knowledge, KnowledgeBase, Record, RecordStamp,
+};
 use crate::lease::Epoch;
 use crate::ledger::ResourceLease;
 use crate::units::NodeTime;
@@ -40,6 +42,7 @@ fn lift() -> Device {
     Device {
         name: device("lift"),
         kind: DeviceKind::Lift,
+        host: "station".parse().unwrap(),
         lanes: BTreeSet::new(),
         places: [low, high].into(),
         silent_after: Duration::from_secs(10),
@@ -178,6 +181,24 @@ fn a_device_admits_the_robot_whose_claim_it_confirms() {
     assert_eq!(lift.place_for(&place("L1"), &place("Ward")), Some(place("L1")));
     let open = Device { in_alarm: AlarmPosition::Open, ..lift };
     assert!(report(DeviceState::Alarm).admits(&open, &DeviceClaim::default()));
+}
+
+#[test]
+fn only_the_host_of_a_device_reports_it() {
+    let mut base = KnowledgeBase::default();
+    let report = |state| DeviceReport { state, lease: Some(5), place: None };
+    let mut publish = |owner: &str, name: &str, state| {
+        let devices = DeviceKnowledge { claims: None, reports: [(device(name), report(state))].into() };
+        let (owner, knowledge) = (owner.parse().unwrap(), Knowledge { devices, ..Knowledge::of(None) });
+        let record = Record { owner, stamp: RecordStamp::default(), knowledge, proof: None };
+        base.merge(record, at(0));
+        Devices::new([lift()]).reports(&base)
+    };
+    assert_eq!(publish("ada", "lift", DeviceState::Ready), DeviceReports::new());
+    let true_report = DeviceReports::from([(device("lift"), report(DeviceState::Preparing))]);
+    assert_eq!(publish("station", "lift", DeviceState::Preparing), true_report);
+    assert_eq!(publish("zoe", "lift", DeviceState::Ready), true_report);
+    assert_eq!(publish("zoe-2", "door", DeviceState::Ready), true_report, "a device that is not declared");
 }
 
 #[test]

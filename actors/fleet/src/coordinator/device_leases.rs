@@ -43,7 +43,7 @@ impl DeviceDelivery {
         let known: BTreeSet<RobotId> = robots.iter().map(|user| user.robot.clone()).collect();
         let users: BTreeSet<RobotId> = leases.values().map(|lease| lease.robot.clone()).collect();
         robots.extend(users.into_iter().filter(|robot| !known.contains(robot)).map(forgotten));
-        let reports = device_reports(&parts.knowledge, &parts.node);
+        let reports = device_reports(&parts.knowledge, &context.settings.devices, &parts.node);
         context.read_ledger(|ledger| {
             let removed: BTreeSet<&RobotId> = ledger
                 .robot_orders()

@@ -9,6 +9,7 @@ use consort_bus::clock::Clock;
 use consort_bus::wire_version::WireVersion;
 use consort_gossip::SharedKnowledge;
 use consort_protocol::auction::{Allocator, BidLimits, PromiseTerms};
+use consort_protocol::devices::Devices;
 use consort_protocol::ensemble::Ensembles;
 use consort_protocol::ids::{AlarmId, NodeId};
 use consort_protocol::keys::Keys;
@@ -35,6 +36,8 @@ pub(crate) struct CoordinatorSettings {
     pub(crate) missions: Arc<NamedMissions>,
     /// The alarms that a request may raise.
     pub(crate) alarms: Arc<BTreeMap<AlarmId, AlarmPlan>>,
+    /// Doors, lifts and other devices of the building.
+    pub(crate) devices: Arc<Devices>,
     /// Charging in the fleet, if robots charge by themselves, or people swap their batteries.
     pub(crate) charging: Option<Arc<ChargingSettings>>,
     /// Limits of accepted requests and missions.

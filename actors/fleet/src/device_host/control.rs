@@ -232,6 +232,7 @@ mod tests {
         let device = Device {
             name: "door".parse().unwrap(),
             kind: DeviceKind::Door,
+            host: "station".parse().unwrap(),
             lanes: BTreeSet::new(),
             places: BTreeSet::new(),
             silent_after: Duration::from_secs(5),

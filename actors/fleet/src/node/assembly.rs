@@ -345,6 +345,7 @@ impl Assembly {
             domain: Arc::clone(&self.fleet.domain),
             missions: Arc::clone(&self.fleet.missions),
             alarms: Arc::clone(&self.fleet.alarms),
+            devices: Arc::clone(&self.fleet.devices),
             charging: self.fleet.charging.clone(),
             request_limits: self.fleet.request_limits,
             history_limits: self.fleet.history_limits,
@@ -429,11 +430,12 @@ impl Assembly {
         Ok(exchange.start(&mut self.tasks).await?)
     }
 
-    /// Starts the drivers of devices. A device that the fleet file does not declare is left out.
+    /// Starts the drivers of devices. A device is left out if the fleet file does not declare it, or names another host.
     fn start_devices(&mut self, parts: Vec<DevicePart>, incarnation: u64) {
         for DevicePart { device: name, driver } in parts {
-            let Some(device) = self.fleet.devices.get(&name).cloned() else {
-                warn!(device = %name, "the fleet file declares no such device: its driver is not started");
+            let declared = self.fleet.devices.get(&name).filter(|device| device.host == self.node);
+            let Some(device) = declared.cloned() else {
+                warn!(device = %name, "the fleet file declares no such device of this node: its driver is not started");
                 continue;
             };
             let host = DeviceHost {

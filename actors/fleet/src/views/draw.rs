@@ -429,7 +429,7 @@ impl ViewContext<'_> {
                 Some(Availability::Holding { .. } | Availability::Free) | None => {}
             }
         }
-        let reports = device_reports(&self.views.knowledge, &self.views.node);
+        let reports = device_reports(&self.views.knowledge, &self.views.devices, &self.views.node);
         for device in self.views.devices.iter() {
             let report = reports.get(&device.name);
             let problem = report.map_or_else(|| Some("no node reports it".to_owned()), |report| report.problem(device));

@@ -2,7 +2,7 @@
 
 use consort_driver::{DriverEndpoint, DriverSetting};
 use consort_protocol::devices::{AlarmPosition, Device, DeviceKind, Devices};
-use consort_protocol::ids::{DeviceId, PlaceId};
+use consort_protocol::ids::{DeviceId, NodeId, PlaceId};
 use consort_protocol::ledger::MapPart;
 use consort_protocol::mission::Domain;
 use schemars::JsonSchema;
@@ -25,6 +25,8 @@ pub struct DeviceConfig {
     pub name: DeviceId,
     /// Its kind, for people: `door`, `lift`, `call_point`, `dispenser` or `other`.
     pub kind: DeviceKind,
+    /// Name of the station that runs its driver. No other node reports the device, whatever its certificate permits.
+    pub host: NodeId,
     /// Lanes of the map that it guards, each by its two ends, in both directions. The ride of a lift between two stops is a
     /// lane, too. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -78,6 +80,7 @@ impl DeviceConfig {
         Device {
             name: self.name.clone(),
             kind: self.kind,
+            host: self.host.clone(),
             lanes: self.lanes.iter().cloned().collect(),
             places: self.places.clone(),
             silent_after: Duration::from_secs(self.silent_after_s.into()),
@@ -164,12 +167,12 @@ mod tests {
 
     #[test]
     fn problems_of_devices_name_the_device() {
-        let door = "[[device]]\nname = \"door\"\nkind = \"door\"\nlanes = [[\"Hall\", \"Yard\"]]\n";
+        let door = "[[device]]\nname = \"door\"\nkind = \"door\"\nhost = \"station\"\nlanes = [[\"Hall\", \"Yard\"]]\n";
         let domain = Domain::default().with_places(["Hall", "Yard"].map(|name| name.parse().unwrap()));
         assert_eq!(problems(door, &domain), Vec::<String>::new());
         let wrong = format!(
-            "{door}{door}[[device]]\nname = \"lift\"\nkind = \"lift\"\nsilent_after_s = 0\n\
-             [[device]]\nname = \"hatch\"\nkind = \"dispenser\"\nplaces = [\"Yrd\"]\n"
+            "{door}{door}[[device]]\nname = \"lift\"\nkind = \"lift\"\nhost = \"station\"\nsilent_after_s = 0\n\
+             [[device]]\nname = \"hatch\"\nkind = \"dispenser\"\nhost = \"station\"\nplaces = [\"Yrd\"]\n"
         );
         assert_eq!(
             problems(&wrong, &domain),

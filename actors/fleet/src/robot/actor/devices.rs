@@ -22,13 +22,13 @@ impl RobotState {
     /// Decides which devices the robot claims, and whether it may enter.
     pub(super) fn follow_devices(&mut self, now: NodeTime) {
         let has_coordinator = self.lease.has_coordinator(now);
-        let Some(access) = &mut self.devices else { return };
+        let (Some(access), Some(devices)) = (&mut self.devices, &self.settings.devices) else { return };
         let Some(report) = self.driver.telemetry() else { return };
         let links = &self.settings.links;
         let routes = self.settings.pricing.estimator.environment().find::<Routes>();
         let pose = routes.and_then(|routes| routes.pose(&report.place));
         let is_near = pose.is_none_or(|pose| pose.distance(report.pose).get() <= AT_PLACE_M);
-        let reports = device_reports(&links.knowledge, &NodeId::from(self.settings.robot.clone()));
+        let reports = device_reports(&links.knowledge, devices, &NodeId::from(self.settings.robot.clone()));
         let requested = self.driver.ways().requested(now);
         let ahead = routes.map_or(vec![], |routes| routes.places_ahead(&report.place, report.pose));
         let granted = access.decide(&AccessSituation {

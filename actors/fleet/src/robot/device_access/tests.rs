@@ -13,6 +13,7 @@ fn access() -> DeviceAccess {
     let device = Device {
         name: door(),
         kind: DeviceKind::Door,
+        host: "station".parse().unwrap(),
         lanes: [(place("A"), place("B"))].into(),
         places: BTreeSet::new(),
         silent_after: Duration::from_secs(5),
@@ -169,6 +170,7 @@ fn a_robot_that_turns_back_trusts_no_report_from_before() {
     let lift = Device {
         name: "lift".parse().unwrap(),
         kind: DeviceKind::Lift,
+        host: "station".parse().unwrap(),
         lanes: BTreeSet::new(),
         places: [place("L0"), place("L1")].into(),
         silent_after: Duration::from_secs(10),
