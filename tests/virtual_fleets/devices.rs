@@ -7,7 +7,7 @@ use crate::support::{
 use consort_fleet::node::{DevicePart, NodeSettings};
 use consort_protocol::devices::{AlarmPosition, Device, DeviceKind, Devices};
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{DeviceId, MissionId, NodeId, PlaceId};
+use consort_protocol::ids::{DeviceId, MissionId, NodeId, PlaceId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::DeviceState;
 use consort_protocol::units::Seconds;
@@ -158,18 +158,28 @@ fn two_robots_use_a_lift_one_after_the_other() {
 }
 
 #[test]
-fn a_robot_lost_inside_keeps_its_lease_until_it_is_out_of_service() {
+fn a_robot_lost_inside_blocks_the_door_until_it_is_out_of_service() {
     for_each_seed([1741], async |seed| {
         let mut fleet = fleet(seed, door(), &DeviceSwitch::default()).await;
-        let (_, carrier) = drive_to_room(&mut fleet, ROOM).await;
+        let (mission, carrier) = drive_to_room(&mut fleet, ROOM).await;
         fleet.wait_until("the entry", DRIVE, |fleet| is_inside(fleet, &carrier)).await;
         fleet.kill(&carrier).await;
+        let is_blocked = |fleet: &Fleet| state(fleet, "aster") == Some(DeviceState::Blocked);
+        fleet.wait_until("the blocked door", DRIVE, is_blocked).await;
+        let other = visit(&fleet, &[ROOM]).await;
         // After 30 s the other nodes forget its record.
         let during = Duration::from_secs(60);
-        fleet.assert_never("the end of the lease", during, |fleet| is_freed(fleet, &carrier)).await;
+        let broken = |fleet: &Fleet| is_freed(fleet, &carrier) || fleet.holder(&other, "r1").is_some();
+        fleet.assert_never("the end of the lease, or an award", during, broken).await;
+        assert!(is_blocked(&fleet), "seed {seed}: {:?}", state(&fleet, "aster"));
         let remove = json!({ "robots": [carrier], "action": "begin", "reason": "it is outside", "by": "Nia" });
         request(&fleet, ApiCall::Maintenance, &remove).await;
         fleet.wait_until("the end of the lease", DRIVE, |fleet| is_freed(fleet, &carrier)).await;
+        let is_other = |robot: RobotId| robot.as_str() != carrier;
+        let is_awarded =
+            |fleet: &Fleet| [&mission, &other].iter().any(|of| fleet.holder(of, "r1").is_some_and(is_other));
+        fleet.wait_until("an award", DRIVE, is_awarded).await;
+        assert!(!is_blocked(&fleet), "seed {seed}");
     });
 }
 
@@ -241,6 +251,23 @@ fn the_key_of_a_robot_confirms_no_device() {
         fleet.wait_until("a true and a false report", DRIVE, is_forged).await;
         fleet.assert_never("an entry", longer_than_a_lease(), |fleet| is_inside(fleet, &carrier)).await;
         switch.set_silent(false);
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
+    });
+}
+
+/// The ledger has a single voter, which is not the host of the device.
+#[test]
+fn a_station_without_a_copy_of_the_ledger_serves_its_device() {
+    for_each_seed([1761], async |seed| {
+        let mut declare = with_device(door(), DeviceSwitch::default());
+        let adjust = move |settings: &mut NodeSettings| {
+            declare(settings);
+            settings.fleet.voters = 1;
+        };
+        let stations = ["aster", "basil", "clove"];
+        let mut fleet = Fleet::adjusted_hospital(seed, slow_carriers(), &stations, &[ROOM], Box::new(adjust)).await;
+        assert_ne!(fleet.wait_for_coordinator().await.as_str(), HOST, "seed {seed}");
+        let (mission, carrier) = drive_to_room(&mut fleet, ROOM).await;
         assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
     });
 }

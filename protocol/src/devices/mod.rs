@@ -12,7 +12,7 @@
 //! Claims and reports are parts of the nodes' records, which their owners sign. A report counts in the record of the
 //! device's host only ([`Devices::reports`]). The ledger contains the leases, which order the robots as those of
 //! chargers do. A robot enters only while a coordinator is in contact, and while the device confirms the robot's lease.
-//! A device that is silent closes its lanes and places for routes, as a person would.
+//! A device that is silent, or has a lost robot inside, closes its lanes and places for routes, as a person would.
 
 mod leases;
 mod reports;

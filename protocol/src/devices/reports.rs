@@ -55,6 +55,7 @@ impl DeviceReport {
     pub fn problem(&self, device: &Device) -> Option<String> {
         match self.state {
             DeviceState::Silent => Some("it does not confirm".to_owned()),
+            DeviceState::Blocked => Some("a robot that is lost may be inside".to_owned()),
             DeviceState::Alarm if device.in_alarm != AlarmPosition::Open => Some("there is an alarm".to_owned()),
             DeviceState::Alarm | DeviceState::Idle | DeviceState::Preparing | DeviceState::Ready => None,
         }
@@ -65,7 +66,7 @@ impl DeviceReport {
         match self.state {
             DeviceState::Ready => claim.lease.is_some() && (self.lease, &self.place) == (claim.lease, &claim.place),
             DeviceState::Alarm => device.in_alarm == AlarmPosition::Open,
-            DeviceState::Idle | DeviceState::Preparing | DeviceState::Silent => false,
+            DeviceState::Idle | DeviceState::Preparing | DeviceState::Silent | DeviceState::Blocked => false,
         }
     }
 }

@@ -173,6 +173,7 @@ fn a_device_admits_the_robot_whose_claim_it_confirms() {
         (DeviceState::Ready, at(Some(4), "L0")),
         (DeviceState::Ready, at(Some(5), "L1")),
         (DeviceState::Preparing, at(Some(5), "L0")),
+        (DeviceState::Blocked, at(Some(5), "L0")),
         (DeviceState::Alarm, DeviceClaim::default()),
     ] {
         assert!(!report(state).admits(&lift, &claim), "{state:?} {claim:?}");
@@ -215,4 +216,5 @@ fn a_device_that_no_node_reports_is_unavailable_after_a_while() {
     assert!(problems(&DeviceReports::new(), 10_200).is_empty(), "from now on");
     assert_eq!(problems(&report(DeviceState::Silent), 10_300), ["it does not confirm"]);
     assert_eq!(problems(&report(DeviceState::Alarm), 10_400), ["there is an alarm"]);
+    assert_eq!(problems(&report(DeviceState::Blocked), 10_500), ["a robot that is lost may be inside"]);
 }

@@ -50,4 +50,7 @@ pub enum DeviceState {
     Silent,
     /// It has the state that is declared for alarms.
     Alarm,
+    /// The robot with its lease is lost, and may be inside. The state lasts until the robot returns, or until its lease and
+    /// then the goal of the driver have ended.
+    Blocked,
 }

@@ -8,7 +8,7 @@ use consort_protocol::knowledge::{DeviceClaim, KnowledgeBase, KnownRecord};
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct LeasedClaim {
     /// Node of the robot.
-    node: NodeId,
+    pub(super) node: NodeId,
     /// Lease, and the guarded place.
     pub(super) served: Served,
 }
@@ -17,7 +17,8 @@ pub(super) struct LeasedClaim {
 /// counts for its robot only; `None` for a node without a copy of the ledger.
 ///
 /// The `last` claim counts on while its robot may be inside: the robot is lost, also after its record is forgotten, or its
-/// node has restarted and does not know its claim or its lease.
+/// node has restarted and does not know its claim or its lease. While the robot itself claims it, no other claim replaces it:
+/// without the ledger, an invented lease must not take the device from the robot inside.
 pub(super) fn served_claim(
     base: &KnowledgeBase,
     device: &DeviceId,
@@ -37,8 +38,12 @@ pub(super) fn served_claim(
             |(robot, lease): &(RobotId, u64)| claim.node == NodeId::from(robot.clone()) && claim.served.0 == *lease;
         in_force.is_none_or(|in_force| in_force.as_ref().is_some_and(is_it))
     };
-    let last = last.filter(|claim| !is_known(&claim.node)).cloned();
-    base.iter().filter_map(of_node).chain(last).filter(is_in_force).max_by(|a, b| a.served.cmp(&b.served))
+    let stands = |claim: &LeasedClaim| {
+        last.is_some_and(|last| last.node == claim.node && last.served.0 == claim.served.0) && is_known(&claim.node)
+    };
+    let kept = last.filter(|claim| !is_known(&claim.node)).cloned();
+    let claims = base.iter().filter_map(of_node).chain(kept).filter(is_in_force);
+    claims.max_by(|a, b| (stands(a), &a.served).cmp(&(stands(b), &b.served)))
 }
 
 #[cfg(test)]
@@ -80,6 +85,21 @@ mod tests {
         assert_eq!(served_claim(&both, &door(), Some(&in_force("ada", 7)), None), Some(claim("ada", 7)));
         assert_eq!(served_claim(&both, &door(), Some(&in_force("bob", 7)), None), None, "a lease of another robot");
         assert_eq!(served_claim(&both, &door(), Some(&None), None), None);
+    }
+
+    #[test]
+    fn without_the_ledger_an_invented_lease_displaces_no_robot_that_is_served() {
+        let ada = claim("ada", 7);
+        let both = base(&[("ada", Some(Some(7))), ("eve", Some(Some(u64::MAX)))]);
+        assert_eq!(served_claim(&both, &door(), None, Some(&ada)), Some(ada.clone()));
+        let later = base(&[("ada", Some(Some(9))), ("eve", Some(Some(8)))]);
+        assert_eq!(served_claim(&later, &door(), None, Some(&ada)), Some(claim("ada", 9)), "a lease of its own");
+        let lost = base(&[("bob", Some(Some(9)))]);
+        assert_eq!(
+            served_claim(&lost, &door(), None, Some(&ada)),
+            Some(claim("bob", 9)),
+            "a person has ended its lease"
+        );
     }
 
     #[test]

@@ -57,6 +57,8 @@ struct RunningGoal {
 pub(super) struct HostInput {
     /// Latest lease that a robot claims, with the place.
     pub(super) claim: Option<Served>,
+    /// True if the robot with the lease is down.
+    pub(super) is_robot_lost: bool,
     /// True during an alarm.
     pub(super) is_alarm: bool,
     /// True if the driver responds.
@@ -83,6 +85,8 @@ pub(super) struct DeviceControl {
     goal: Option<RunningGoal>,
     /// Latest lease whose robot may have entered: the device has confirmed it.
     confirmed: Option<u64>,
+    /// True from the loss of the robot with the lease until it returns, or until the driver has ended the goal.
+    is_blocked: bool,
     silent_since: Option<NodeTime>,
     failed_until: Option<NodeTime>,
 }
@@ -94,6 +98,7 @@ impl DeviceControl {
             next_goal: first_goal,
             goal: None,
             confirmed: None,
+            is_blocked: false,
             silent_since: None,
             failed_until: None,
         }
@@ -125,6 +130,9 @@ impl DeviceControl {
         if let Some(goal) = self.goal.as_mut().filter(|goal| claimed.as_ref() == Some(&goal.purpose)) {
             goal.claimed_at = now;
         }
+        let is_serving_other =
+            |goal: &RunningGoal| goal.purpose != Purpose::Alarm && claimed.as_ref() != Some(&goal.purpose);
+        self.is_blocked = input.is_robot_lost || self.is_blocked && self.goal.as_ref().is_some_and(is_serving_other);
         let is_canceled = self.goal.as_ref().is_some_and(|goal| goal.canceled_at.is_some());
         let is_ready = input.responds && !is_canceled && is_confirmed(input.status.as_ref());
         if let Some(RunningGoal { purpose: Purpose::Serve((lease, _)), .. }) = self.goal.as_ref().filter(|_| is_ready) {
@@ -201,6 +209,7 @@ impl DeviceControl {
         };
         let state = match goal {
             _ if is_silent || self.failed_until.is_some() => DeviceState::Silent,
+            _ if self.is_blocked => DeviceState::Blocked,
             Some(Purpose::Serve(_)) if is_ready && is_wanted => DeviceState::Ready,
             Some(Purpose::Alarm) if is_ready && is_wanted => DeviceState::Alarm,
             Some(_) => DeviceState::Preparing,
@@ -247,7 +256,8 @@ mod tests {
             ..Feedback::remaining(Metres::ZERO, Seconds::ZERO)
         };
         let status = is_ready.map(|is_ready| GoalStatus::Executing(feedback(is_ready)));
-        HostInput { claim: lease.map(|lease| (lease, None)), is_alarm: false, responds: true, status }
+        let claim = lease.map(|lease| (lease, None));
+        HostInput { claim, is_robot_lost: false, is_alarm: false, responds: true, status }
     }
 
     #[test]
@@ -328,6 +338,33 @@ mod tests {
         assert_eq!(control.step(&aborted, at(200)), (vec![], inside.clone()));
         assert_eq!(control.step(&input(Some(7), None), at(400)).1, inside);
         assert_eq!(control.step(&input(None, None), at(600)).1.lease, None, "the robot has left");
+    }
+
+    #[test]
+    fn a_device_with_a_lost_robot_is_blocked_until_it_is_safe_or_the_robot_returns() {
+        let lost = |input: HostInput| HostInput { is_robot_lost: true, ..input };
+        for returns in [true, false] {
+            let mut control = control();
+            control.step(&input(Some(7), None), at(0));
+            assert_eq!(control.step(&input(Some(7), Some(true)), at(100)).1.state, DeviceState::Ready);
+            let (actions, report) = control.step(&lost(input(Some(7), Some(true))), at(200));
+            assert_eq!(actions, [HostAction::Permit(GoalId(100))], "it stays open");
+            assert_eq!(report, DeviceReport { state: DeviceState::Blocked, lease: Some(7), place: None });
+            if returns {
+                assert_eq!(control.step(&input(Some(7), Some(true)), at(300)).1.state, DeviceState::Ready);
+                continue;
+            }
+            // A person ends the lease.
+            assert_eq!(control.step(&input(None, Some(true)), at(400)).1.state, DeviceState::Blocked);
+            assert_eq!(control.step(&input(None, Some(true)), at(5_300)).0, [HostAction::Cancel(GoalId(100))]);
+            assert_eq!(control.step(&input(Some(9), Some(false)), at(6_000)).1.state, DeviceState::Blocked);
+            let canceled = HostInput { status: Some(GoalStatus::Canceled), ..input(None, None) };
+            assert_eq!(control.step(&canceled, at(7_000)).1.state, DeviceState::Idle, "the driver has closed it");
+        }
+        // The node of the device has restarted.
+        let mut control = control();
+        assert_eq!(control.step(&lost(input(None, None)), at(0)).1.state, DeviceState::Blocked);
+        assert_eq!(control.step(&input(None, None), at(100)).1.state, DeviceState::Idle);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use claims::{LeasedClaim, served_claim};
 use consort_bus::clock::Clock;
 use consort_gossip::{GossipHandle, SharedKnowledge};
 use consort_protocol::devices::Device;
-use consort_protocol::ids::{DeviceId, RobotId};
+use consort_protocol::ids::{DeviceId, NodeId, RobotId};
 use consort_protocol::knowledge::DeviceReport;
 use consort_protocol::ledger::{Ledger, Resource};
 use consort_protocol::units::WorldTime;
@@ -42,7 +42,7 @@ impl DeviceHost {
     /// Serves the device until gossip stops.
     pub(crate) async fn run(self) {
         let DeviceHost { device, mut driver, clock, gossip, knowledge, replica, first_goal } = self;
-        let (name, started) = (device.name.clone(), clock.now());
+        let (name, own, started) = (device.name.clone(), device.host.clone(), clock.now());
         let Ok(robot) = RobotId::new(name.as_str()) else { return };
         let mut control = DeviceControl::new(device, first_goal);
         let mut published: Option<DeviceReport> = None;
@@ -50,11 +50,18 @@ impl DeviceHost {
         loop {
             let now = clock.now();
             driver.advance(WorldTime::from_secs(now.since(started).as_secs_f64()));
-            let in_force = replica.as_ref().map(|replica| replica.read(|ledger| lease_in_force(ledger, &name)));
+            // The copy of a node that is no member of consensus stays empty.
+            let member = replica.as_ref().filter(|replica| replica.leadership().borrow().is_member(replica.id()));
+            let in_force = member.map(|replica| replica.read(|ledger| lease_in_force(ledger, &name)));
             claim = knowledge.read(|base| served_claim(base, &name, in_force.as_ref(), claim.as_ref()));
+            let user = match in_force {
+                Some(lease) => lease.map(|(robot, _)| NodeId::from(robot)),
+                None => claim.as_ref().map(|claim| claim.node.clone()),
+            };
             let input = HostInput {
                 claim: claim.as_ref().map(|claim| claim.served.clone()),
-                is_alarm: replica.as_ref().is_some_and(|replica| replica.read(Ledger::has_alarm)),
+                is_robot_lost: user.is_some_and(|node| node != own && !knowledge.is_alive(&node)),
+                is_alarm: member.is_some_and(|replica| replica.read(Ledger::has_alarm)),
                 responds: driver.telemetry(&robot).is_some(),
                 status: control.goal().and_then(|goal| driver.status(&robot, goal)),
             };

@@ -442,6 +442,7 @@ impl ViewContext<'_> {
                         "it waits for {robot}, which is lost and may be inside; once it is not, use \
                          `consort maintenance {robot}`"
                     );
+                    inputs.devices.retain(|(other, _)| *other != device);
                     inputs.devices.push((device, problem));
                 }
             }

@@ -184,11 +184,11 @@ impl DeviceAccess {
     }
 }
 
-/// Checks whether a device has not confirmed for a long time, and serves this claim. A robot that has stopped in a doorway is
-/// the obstacle for which the door does not confirm: it drives on.
+/// Checks whether a device has not confirmed for a long time, or has lost this robot, and serves this claim. A robot that has
+/// stopped in a doorway is the obstacle for which the door does not confirm: it drives on.
 fn has_jammed_for(report: &DeviceReport, claim: &DeviceClaim) -> bool {
     let is_served = claim.lease.is_some() && (report.lease, &report.place) == (claim.lease, &claim.place);
-    is_served && report.state == DeviceState::Silent
+    is_served && matches!(report.state, DeviceState::Silent | DeviceState::Blocked)
 }
 
 #[cfg(test)]
