@@ -1,7 +1,8 @@
 //! Leases of devices: what the coordinator grants and ends, by the records of the robots.
 //!
 //! Robots get devices in the order in which they ask. A robot that needs several, as a door and a lift behind it, gets
-//! them all at once, so no two robots wait for each other.
+//! them all at once, so no two robots wait for each other. While one of them is in use, robots that have asked later do
+//! not get the others, so robots that need one device each do not overtake it for ever.
 
 use super::DeviceReports;
 use crate::chargers::{ANSWER_MAX, EndOfLease, GONE_MAX, REPEAT_INTERVAL, is_due};
@@ -16,6 +17,11 @@ use std::time::Duration;
 /// Time for which the record of a robot must lack the claim before its lease ends. Raised: others wait longer. The first
 /// record of a robot whose node has restarted lacks the claim.
 const GIVEN_BACK_AFTER: Duration = Duration::from_secs(2);
+
+/// Time in use after which robots that wait for a device keep no other devices free: a robot in it may be stuck. Raised: a
+/// stuck robot delays more others; lowered: robots that need several devices are overtaken at slow ones. A guess: a few
+/// rides of a lift.
+const WORTH_WAITING_FOR: Duration = Duration::from_secs(120);
 
 /// A robot, as known from its record.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,6 +88,8 @@ pub struct DeviceLeases {
 
 #[derive(Debug)]
 struct FollowedLease {
+    /// Time since which this coordinator knows it.
+    known_since: NodeTime,
     since: NodeTime,
     gone_since: Option<NodeTime>,
     unclaimed_since: Option<NodeTime>,
@@ -133,7 +141,8 @@ impl DeviceLeases {
         actions
     }
 
-    /// Leases the free devices, in the order in which the robots have asked.
+    /// Leases the free devices, in the order in which the robots have asked. Robots that use a device come first: they may
+    /// need another to leave it.
     fn grant(
         &mut self,
         leases: &BTreeMap<DeviceId, ResourceLease>,
@@ -146,21 +155,32 @@ impl DeviceLeases {
         for robot in asking {
             self.waiting.entry(robot.clone()).or_insert(now);
         }
-        let mut order: Vec<&DeviceUser> = robots.iter().filter(asks).collect();
-        order.sort_by_key(|user| (self.waiting.get(&user.robot).copied(), user.robot.clone()));
         let mut taken: BTreeMap<DeviceId, RobotId> =
             leases.iter().map(|(device, lease)| (device.clone(), lease.robot.clone())).collect();
         taken.extend(self.proposed.iter().map(|(device, (robot, _))| (device.clone(), robot.clone())));
+        let using: BTreeSet<RobotId> = taken.values().cloned().collect();
+        let mut order: Vec<&DeviceUser> = robots.iter().filter(asks).collect();
+        order.sort_by_key(|user| {
+            (!using.contains(&user.robot), self.waiting.get(&user.robot).copied(), user.robot.clone())
+        });
+        let is_stuck = |device: &DeviceId| {
+            let followed = leases.get(device).and_then(|lease| self.followed.get(&lease.epoch));
+            followed.is_some_and(|followed| now.since(followed.known_since) >= WORTH_WAITING_FOR)
+        };
         let mut actions = vec![];
         for DeviceUser { robot, claims, .. } in order {
             let Some(claims) = claims else { continue };
-            let is_free = |device: &&DeviceId| taken.get(*device).is_none_or(|user| user == robot);
             let missing: Vec<DeviceId> = claims.keys().filter(|device| !taken.contains_key(*device)).cloned().collect();
-            if !claims.keys().all(|device| is_free(&device)) {
+            let is_taken = |device: &&DeviceId| taken.get(*device).is_some_and(|user| user != robot);
+            let awaited: Vec<&DeviceId> = claims.keys().filter(is_taken).collect();
+            let keeps_free = !using.contains(robot) && !awaited.iter().any(|device| is_stuck(device));
+            if awaited.is_empty() || keeps_free {
+                taken.extend(missing.iter().map(|device| (device.clone(), robot.clone())));
+            }
+            if !awaited.is_empty() {
                 continue;
             }
             for device in missing {
-                taken.insert(device.clone(), robot.clone());
                 self.proposed.insert(device.clone(), (robot.clone(), now));
                 actions.push(DeviceAction::Lease { device, robot: robot.clone() });
             }
@@ -172,6 +192,7 @@ impl DeviceLeases {
 impl FollowedLease {
     fn new(now: NodeTime) -> FollowedLease {
         FollowedLease {
+            known_since: now,
             since: now,
             gone_since: None,
             unclaimed_since: None,

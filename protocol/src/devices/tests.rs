@@ -63,7 +63,25 @@ fn robots_get_all_devices_that_they_need_in_the_order_of_their_claims() {
     let cleo = leased(&[("lift", "cleo", 5)]);
     let holder = user("cleo", &[("lift", Some(5))]);
     assert_eq!(leases.due(&cleo, &[bob.clone(), holder.clone()], &served, at(0)), [], "bob needs both");
-    assert_eq!(leases.due(&cleo, &[ada, bob.clone(), holder], &served, at(100)), [grant("door", "ada")]);
+    assert_eq!(leases.due(&cleo, &[ada.clone(), bob.clone(), holder], &served, at(100)), [], "ada has asked later");
+    let leaving = user("cleo", &[("door", None), ("lift", Some(5))]);
+    let due = leases.due(&cleo, &[ada.clone(), bob.clone(), leaving], &served, at(200));
+    assert_eq!(due, [grant("door", "cleo")], "cleo leaves the lift through the door");
+    assert_eq!(leases.due(&none, &[ada, bob], &served, at(1_000)), [grant("door", "bob"), grant("lift", "bob")]);
+}
+
+#[test]
+fn a_robot_that_waits_for_a_stuck_lift_keeps_no_door_free() {
+    let (mut leases, served) = (DeviceLeases::default(), DeviceReports::new());
+    let stuck = leased(&[("lift", "cleo", 5)]);
+    let robots = [
+        user("ada", &[("door", None)]),
+        user("bob", &[("door", None), ("lift", None)]),
+        user("cleo", &[("lift", Some(5))]),
+    ];
+    assert_eq!(leases.due(&stuck, &robots[1..], &served, at(0)), []);
+    assert_eq!(leases.due(&stuck, &robots, &served, at(119_999)), []);
+    assert_eq!(leases.due(&stuck, &robots, &served, at(120_000)), [grant("door", "ada")]);
 }
 
 #[test]
