@@ -63,6 +63,7 @@ pub mod message;
 pub mod mission;
 pub mod plan;
 pub mod pose;
+pub mod resource_leases;
 pub mod scalar;
 mod schema;
 pub mod timeline;

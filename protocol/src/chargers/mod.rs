@@ -24,22 +24,13 @@ pub use queue::ChargerQueue;
 use crate::ids::{PlaceId, RobotId};
 use crate::knowledge::{ChargerClaim, Charging};
 use crate::lease::Epoch;
-use crate::ledger::ResourceLease;
+use crate::ledger::{Resource, ResourceLease};
+use crate::resource_leases::{
+    ANSWER_MAX, EndOfLease, GONE_MAX, LeaseStep, LeaseSteps, REPEAT_INTERVAL, ResourceAction,
+};
 use crate::units::{BatteryShare, NodeTime, Seconds};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::time::Duration;
-
-/// Interval of the notices to a robot that has not claimed the leased charger, and of repeated proposals.
-pub(crate) const REPEAT_INTERVAL: Duration = Duration::from_millis(500);
-
-/// Time after the grant within which the robot must claim the charger. Raised: a charger is idle for longer if the robot
-/// has meanwhile received a role. A guess: some notices may be lost.
-pub(crate) const ANSWER_MAX: Duration = Duration::from_secs(10);
-
-/// Time for which a robot must be gone before its lease ends. Raised: the charger of a lost robot is idle for longer. A
-/// guess: a coordinator that has just started may lack its record.
-pub(crate) const GONE_MAX: Duration = Duration::from_secs(5);
 
 /// Time that a robot has to come to its charger, in addition to a multiple of its estimate. A guess: other robots and
 /// doors delay it.
@@ -91,62 +82,6 @@ impl ChargerUser {
     }
 }
 
-/// Cause of the end of a lease.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum EndOfLease {
-    /// The robot has claimed the charger, and no longer does.
-    Done,
-    /// The robot is down, or has left the fleet.
-    Gone,
-    /// The robot was on its way for too long.
-    Late,
-    /// The robot has not claimed the charger.
-    NoAnswer,
-}
-
-impl fmt::Display for EndOfLease {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            EndOfLease::Done => "it no longer uses it",
-            EndOfLease::Gone => "it is lost, or has left the fleet",
-            EndOfLease::Late => "it did not come in time",
-            EndOfLease::NoAnswer => "it did not claim it in time",
-        })
-    }
-}
-
-/// Action of the coordinator.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum ChargerAction {
-    /// Lease the charger to the robot.
-    Lease {
-        /// Place of the charger.
-        charger: PlaceId,
-        /// The robot.
-        robot: RobotId,
-    },
-    /// Notify the robot of its lease.
-    Notify {
-        /// Place of the charger.
-        charger: PlaceId,
-        /// The robot.
-        robot: RobotId,
-        /// Position of the grant.
-        epoch: Epoch,
-    },
-    /// End the lease.
-    Free {
-        /// Place of the charger.
-        charger: PlaceId,
-        /// The robot.
-        robot: RobotId,
-        /// Position of the grant.
-        epoch: Epoch,
-        /// Cause.
-        cause: EndOfLease,
-    },
-}
-
 /// The leases of chargers, as a coordinator follows them.
 #[derive(Debug, Default)]
 pub struct ChargerLeases {
@@ -164,10 +99,7 @@ struct FollowedLease {
     /// Start of the phase, or of the session.
     since: NodeTime,
     gone_since: Option<NodeTime>,
-    /// Time of the latest notice.
-    notified_at: Option<NodeTime>,
-    /// Time of the latest proposal to end it.
-    ended_at: Option<NodeTime>,
+    steps: LeaseSteps,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -180,12 +112,6 @@ enum LeasePhase {
     InUse,
 }
 
-/// What a lease needs.
-enum LeaseStep {
-    Notify,
-    End(EndOfLease),
-}
-
 impl ChargerLeases {
     /// Returns the actions that are due. `leases` are those of the ledger, and `robots` all robots with a record.
     pub fn due(
@@ -193,7 +119,7 @@ impl ChargerLeases {
         leases: &BTreeMap<PlaceId, ResourceLease>,
         robots: &[ChargerUser],
         now: NodeTime,
-    ) -> Vec<ChargerAction> {
+    ) -> Vec<ResourceAction> {
         self.forget(leases, now);
         let mut actions = self.follow(leases, robots, now);
         self.queue.update(robots);
@@ -213,25 +139,18 @@ impl ChargerLeases {
         leases: &BTreeMap<PlaceId, ResourceLease>,
         robots: &[ChargerUser],
         now: NodeTime,
-    ) -> Vec<ChargerAction> {
+    ) -> Vec<ResourceAction> {
         let alive = robots.iter().filter(|user| user.is_alive);
         let alive: BTreeMap<&RobotId, &ChargerUser> = alive.map(|user| (&user.robot, user)).collect();
         let mut actions = vec![];
         for (charger, lease) in leases {
-            let (robot, epoch) = (lease.robot.clone(), lease.epoch);
-            let followed = self.followed.entry(epoch).or_insert_with(|| FollowedLease::new(now));
-            match followed.follow(charger, epoch, alive.get(&robot).copied(), now) {
-                None => {}
-                Some(LeaseStep::Notify) => {
-                    actions.push(ChargerAction::Notify { charger: charger.clone(), robot, epoch });
-                }
-                Some(LeaseStep::End(cause)) => {
-                    if matches!(cause, EndOfLease::Late | EndOfLease::NoAnswer) {
-                        self.passed_over.insert((charger.clone(), robot.clone()), now);
-                    }
-                    actions.push(ChargerAction::Free { charger: charger.clone(), robot, epoch, cause });
-                }
+            let followed = self.followed.entry(lease.epoch).or_insert_with(|| FollowedLease::new(now));
+            let user = alive.get(&lease.robot).copied();
+            let Some(step) = followed.follow(charger, lease.epoch, user, now) else { continue };
+            if matches!(step, LeaseStep::End(EndOfLease::Late | EndOfLease::NoAnswer)) {
+                self.passed_over.insert((charger.clone(), lease.robot.clone()), now);
             }
+            actions.push(step.action(Resource::Charger(charger.clone()), lease));
         }
         actions
     }
@@ -242,7 +161,7 @@ impl ChargerLeases {
         leases: &BTreeMap<PlaceId, ResourceLease>,
         robots: &[ChargerUser],
         now: NodeTime,
-    ) -> Vec<ChargerAction> {
+    ) -> Vec<ResourceAction> {
         let proposed = self.proposed.values().map(|(robot, _)| robot.clone());
         let mut served: BTreeSet<RobotId> = leases.values().map(|lease| lease.robot.clone()).chain(proposed).collect();
         let wished: BTreeSet<&PlaceId> =
@@ -255,7 +174,7 @@ impl ChargerLeases {
             let Some(robot) = self.next_user(charger, robots, &served) else { continue };
             served.insert(robot.clone());
             self.proposed.insert(charger.clone(), (robot.clone(), now));
-            actions.push(ChargerAction::Lease { charger: charger.clone(), robot });
+            actions.push(ResourceAction::Lease { resource: Resource::Charger(charger.clone()), robot });
         }
         actions
     }
@@ -279,7 +198,7 @@ impl ChargerLeases {
 
 impl FollowedLease {
     fn new(now: NodeTime) -> FollowedLease {
-        FollowedLease { phase: LeasePhase::Offered, since: now, gone_since: None, notified_at: None, ended_at: None }
+        FollowedLease { phase: LeasePhase::Offered, since: now, gone_since: None, steps: LeaseSteps::default() }
     }
 
     /// Follows the record of the robot; `None` if it is gone.
@@ -292,13 +211,13 @@ impl FollowedLease {
     ) -> Option<LeaseStep> {
         let Some(user) = user else {
             let since = *self.gone_since.get_or_insert(now);
-            return if now.since(since) >= GONE_MAX { self.end(EndOfLease::Gone, now) } else { None };
+            return if now.since(since) >= GONE_MAX { self.steps.end(EndOfLease::Gone, now) } else { None };
         };
         self.gone_since = None;
         let claim = user.claim_to(charger).filter(|claim| claim.lease == Some(epoch.index));
         let phase = match claim {
             None if self.phase == LeasePhase::Offered => LeasePhase::Offered,
-            None => return self.end(EndOfLease::Done, now),
+            None => return self.steps.end(EndOfLease::Done, now),
             Some(_) if user.is_connected_to(charger) => LeasePhase::InUse,
             Some(_) => LeasePhase::Coming,
         };
@@ -307,27 +226,14 @@ impl FollowedLease {
         }
         let age = now.since(self.since);
         match phase {
-            LeasePhase::Offered if age >= ANSWER_MAX => self.end(EndOfLease::NoAnswer, now),
-            LeasePhase::Offered => is_due(&mut self.notified_at, now).then_some(LeaseStep::Notify),
+            LeasePhase::Offered if age >= ANSWER_MAX => self.steps.end(EndOfLease::NoAnswer, now),
+            LeasePhase::Offered => self.steps.notify(now),
             LeasePhase::Coming if age >= arrival_max(claim.and_then(|claim| claim.drive_s)) => {
-                self.end(EndOfLease::Late, now)
+                self.steps.end(EndOfLease::Late, now)
             }
             LeasePhase::Coming | LeasePhase::InUse => None,
         }
     }
-
-    fn end(&mut self, cause: EndOfLease, now: NodeTime) -> Option<LeaseStep> {
-        is_due(&mut self.ended_at, now).then_some(LeaseStep::End(cause))
-    }
-}
-
-/// Checks whether something is due that was last done at this time, and records that it is done now.
-pub(crate) fn is_due(last: &mut Option<NodeTime>, now: NodeTime) -> bool {
-    let due = last.is_none_or(|at| now.since(at) >= REPEAT_INTERVAL);
-    if due {
-        *last = Some(now);
-    }
-    due
 }
 
 /// Returns the time within which a robot with this estimate must come.

@@ -40,16 +40,16 @@ fn connected(name: &str, lease: Option<u64>) -> ChargerUser {
     ChargerUser { place: place("P"), ..user }
 }
 
-fn lease(charger: &str, name: &str) -> ChargerAction {
-    ChargerAction::Lease { charger: place(charger), robot: robot(name) }
+fn lease(charger: &str, name: &str) -> ResourceAction {
+    ResourceAction::Lease { resource: Resource::Charger(place(charger)), robot: robot(name) }
 }
 
-fn notify(name: &str) -> ChargerAction {
-    ChargerAction::Notify { charger: place("P"), robot: robot(name), epoch: epoch(5) }
+fn notify(name: &str) -> ResourceAction {
+    ResourceAction::Notify { resource: Resource::Charger(place("P")), robot: robot(name), epoch: epoch(5) }
 }
 
-fn free(name: &str, cause: EndOfLease) -> ChargerAction {
-    ChargerAction::Free { charger: place("P"), robot: robot(name), epoch: epoch(5), cause }
+fn free(name: &str, cause: EndOfLease) -> ResourceAction {
+    ResourceAction::Free { resource: Resource::Charger(place("P")), robot: robot(name), epoch: epoch(5), cause }
 }
 
 /// Returns the leases of a ledger in which `P` is leased to the robot.
@@ -57,7 +57,7 @@ fn leased(name: &str) -> BTreeMap<PlaceId, ResourceLease> {
     BTreeMap::from([(place("P"), ResourceLease { robot: robot(name), epoch: epoch(5), since_ms: 0 })])
 }
 
-fn granted(robots: &[ChargerUser]) -> Vec<ChargerAction> {
+fn granted(robots: &[ChargerUser]) -> Vec<ResourceAction> {
     ChargerLeases::default().due(&BTreeMap::new(), robots, at(0))
 }
 

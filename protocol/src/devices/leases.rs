@@ -5,11 +5,13 @@
 //! not get the others, so robots that need one device each do not overtake it for ever.
 
 use super::DeviceReports;
-use crate::chargers::{ANSWER_MAX, EndOfLease, GONE_MAX, REPEAT_INTERVAL, is_due};
 use crate::ids::{DeviceId, RobotId};
 use crate::knowledge::DeviceClaims;
 use crate::lease::Epoch;
-use crate::ledger::ResourceLease;
+use crate::ledger::{Resource, ResourceLease};
+use crate::resource_leases::{
+    ANSWER_MAX, EndOfLease, GONE_MAX, LeaseStep, LeaseSteps, REPEAT_INTERVAL, ResourceAction,
+};
 use crate::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -44,38 +46,6 @@ impl DeviceUser {
     }
 }
 
-/// Action of the coordinator.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum DeviceAction {
-    /// Lease the device to the robot.
-    Lease {
-        /// The device.
-        device: DeviceId,
-        /// The robot.
-        robot: RobotId,
-    },
-    /// Notify the robot of its lease.
-    Notify {
-        /// The device.
-        device: DeviceId,
-        /// The robot.
-        robot: RobotId,
-        /// Position of the grant.
-        epoch: Epoch,
-    },
-    /// End the lease.
-    Free {
-        /// The device.
-        device: DeviceId,
-        /// The robot.
-        robot: RobotId,
-        /// Position of the grant.
-        epoch: Epoch,
-        /// Cause.
-        cause: EndOfLease,
-    },
-}
-
 /// The leases of devices, as a coordinator follows them.
 #[derive(Debug, Default)]
 pub struct DeviceLeases {
@@ -93,16 +63,9 @@ struct FollowedLease {
     since: NodeTime,
     gone_since: Option<NodeTime>,
     unclaimed_since: Option<NodeTime>,
-    notified_at: Option<NodeTime>,
-    ended_at: Option<NodeTime>,
+    steps: LeaseSteps,
     /// True once the device may have opened for the robot: a node of a device that has restarted may report another state.
     was_served: bool,
-}
-
-/// What a lease needs.
-enum LeaseStep {
-    Notify,
-    End(EndOfLease),
 }
 
 impl DeviceLeases {
@@ -114,28 +77,22 @@ impl DeviceLeases {
         robots: &[DeviceUser],
         reports: &DeviceReports,
         now: NodeTime,
-    ) -> Vec<DeviceAction> {
+    ) -> Vec<ResourceAction> {
         let in_force: BTreeSet<Epoch> = leases.values().map(|lease| lease.epoch).collect();
         self.followed.retain(|epoch, _| in_force.contains(epoch));
         self.proposed.retain(|device, (_, at)| !leases.contains_key(device) && now.since(*at) < REPEAT_INTERVAL);
         let users: BTreeMap<&RobotId, &DeviceUser> = robots.iter().map(|user| (&user.robot, user)).collect();
         let mut actions = vec![];
         for (device, lease) in leases {
-            let (device, robot, epoch) = (device.clone(), lease.robot.clone(), lease.epoch);
-            let followed = self.followed.entry(epoch).or_insert_with(|| FollowedLease::new(now));
-            let user = users.get(&robot).copied();
+            let followed = self.followed.entry(lease.epoch).or_insert_with(|| FollowedLease::new(now));
+            let user = users.get(&lease.robot).copied();
             // A device without a report may have opened for the robot.
-            let is_served = reports.get(&device).is_none_or(|report| report.lease == Some(epoch.index));
-            match followed.follow(&device, epoch, user, is_served, now) {
-                None => {}
-                Some(LeaseStep::Notify) => actions.push(DeviceAction::Notify { device, robot, epoch }),
-                Some(LeaseStep::End(cause)) => {
-                    if cause == EndOfLease::NoAnswer {
-                        self.waiting.insert(robot.clone(), now); // behind the others
-                    }
-                    actions.push(DeviceAction::Free { device, robot, epoch, cause });
-                }
+            let is_served = reports.get(device).is_none_or(|report| report.lease == Some(lease.epoch.index));
+            let Some(step) = followed.follow(device, lease.epoch, user, is_served, now) else { continue };
+            if matches!(step, LeaseStep::End(EndOfLease::NoAnswer)) {
+                self.waiting.insert(lease.robot.clone(), now); // behind the others
             }
+            actions.push(step.action(Resource::Device(device.clone()), lease));
         }
         actions.extend(self.grant(leases, robots, now));
         actions
@@ -148,7 +105,7 @@ impl DeviceLeases {
         leases: &BTreeMap<DeviceId, ResourceLease>,
         robots: &[DeviceUser],
         now: NodeTime,
-    ) -> Vec<DeviceAction> {
+    ) -> Vec<ResourceAction> {
         let asks = |user: &&DeviceUser| user.is_alive && user.asks();
         let asking: BTreeSet<&RobotId> = robots.iter().filter(asks).map(|user| &user.robot).collect();
         self.waiting.retain(|robot, _| asking.contains(robot));
@@ -182,7 +139,7 @@ impl DeviceLeases {
             }
             for device in missing {
                 self.proposed.insert(device.clone(), (robot.clone(), now));
-                actions.push(DeviceAction::Lease { device, robot: robot.clone() });
+                actions.push(ResourceAction::Lease { resource: Resource::Device(device), robot: robot.clone() });
             }
         }
         actions
@@ -196,8 +153,7 @@ impl FollowedLease {
             since: now,
             gone_since: None,
             unclaimed_since: None,
-            notified_at: None,
-            ended_at: None,
+            steps: LeaseSteps::default(),
             was_served: false,
         }
     }
@@ -219,28 +175,28 @@ impl FollowedLease {
             let is_removed = user.is_some_and(|user| user.is_in_maintenance);
             let is_inside = |claims: &DeviceClaims| self.was_served && claims.contains_key(device);
             let may_be_inside = known.is_none_or(is_inside) && !is_removed;
-            return if now.since(since) >= GONE_MAX && !may_be_inside { self.end(EndOfLease::Gone, now) } else { None };
+            return if now.since(since) >= GONE_MAX && !may_be_inside {
+                self.steps.end(EndOfLease::Gone, now)
+            } else {
+                None
+            };
         };
         self.gone_since = None;
         match claims.get(device) {
             None => {
                 let since = *self.unclaimed_since.get_or_insert(now);
-                if now.since(since) >= GIVEN_BACK_AFTER { self.end(EndOfLease::Done, now) } else { None }
+                if now.since(since) >= GIVEN_BACK_AFTER { self.steps.end(EndOfLease::Done, now) } else { None }
             }
             Some(claim) if claim.lease == Some(epoch.index) => {
                 (self.unclaimed_since, self.since) = (None, now);
                 None
             }
             // A robot whose node has restarted inside lacks the lease until a notice arrives.
-            Some(_) if now.since(self.since) >= ANSWER_MAX && !is_served => self.end(EndOfLease::NoAnswer, now),
+            Some(_) if now.since(self.since) >= ANSWER_MAX && !is_served => self.steps.end(EndOfLease::NoAnswer, now),
             Some(_) => {
                 self.unclaimed_since = None;
-                is_due(&mut self.notified_at, now).then_some(LeaseStep::Notify)
+                self.steps.notify(now)
             }
         }
-    }
-
-    fn end(&mut self, cause: EndOfLease, now: NodeTime) -> Option<LeaseStep> {
-        is_due(&mut self.ended_at, now).then_some(LeaseStep::End(cause))
     }
 }

@@ -19,7 +19,7 @@ mod reports;
 #[cfg(test)]
 mod tests;
 
-pub use leases::{DeviceAction, DeviceLeases, DeviceUser};
+pub use leases::{DeviceLeases, DeviceUser};
 pub use reports::{DeviceReports, DeviceWatch};
 
 use crate::ids::{DeviceId, NodeId, PlaceId};

@@ -1,11 +1,11 @@
 use super::*;
-use crate::chargers::EndOfLease;
 use crate::ids::RobotId;
 use crate::knowledge::{
     DeviceClaim, DeviceKnowledge, DeviceReport, DeviceState, Knowledge, KnowledgeBase, Record, RecordStamp,
 };
 use crate::lease::Epoch;
-use crate::ledger::ResourceLease;
+use crate::ledger::{Resource, ResourceLease};
+use crate::resource_leases::{EndOfLease, ResourceAction};
 use crate::units::NodeTime;
 
 fn at(ms: u64) -> NodeTime {
@@ -33,8 +33,8 @@ fn leased(leases: &[(&str, &str, u64)]) -> BTreeMap<DeviceId, ResourceLease> {
     leases.iter().map(lease).collect()
 }
 
-fn grant(name: &str, to: &str) -> DeviceAction {
-    DeviceAction::Lease { device: device(name), robot: robot(to) }
+fn grant(name: &str, to: &str) -> ResourceAction {
+    ResourceAction::Lease { resource: Resource::Device(device(name)), robot: robot(to) }
 }
 
 fn lift() -> Device {
@@ -88,8 +88,11 @@ fn a_robot_that_waits_for_a_stuck_lift_keeps_no_door_free() {
 fn a_lease_is_notified_until_the_claim_has_it_and_ends_with_the_claim() {
     let mut leases = DeviceLeases::default();
     let (own, served) = (leased(&[("lift", "ada", 5)]), DeviceReports::new());
-    let notify =
-        DeviceAction::Notify { device: device("lift"), robot: robot("ada"), epoch: Epoch { term: 1, index: 5 } };
+    let notify = ResourceAction::Notify {
+        resource: Resource::Device(device("lift")),
+        robot: robot("ada"),
+        epoch: Epoch { term: 1, index: 5 },
+    };
     assert_eq!(leases.due(&own, &[user("ada", &[("lift", None)])], &served, at(0)), [notify]);
     assert_eq!(leases.due(&own, &[user("ada", &[("lift", Some(5))])], &served, at(900)), []);
     assert_eq!(leases.due(&own, &[user("ada", &[])], &served, at(1_000)), [], "its node may have restarted");
@@ -100,7 +103,7 @@ fn a_lease_is_notified_until_the_claim_has_it_and_ends_with_the_claim() {
     );
     assert_eq!(leases.due(&own, &[user("ada", &[])], &served, at(2_100)), []);
     let ended = leases.due(&own, &[user("ada", &[])], &served, at(4_100));
-    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::Done, .. }]), "{ended:?}");
+    assert!(matches!(&ended[..], [ResourceAction::Free { cause: EndOfLease::Done, .. }]), "{ended:?}");
 }
 
 #[test]
@@ -113,7 +116,7 @@ fn a_robot_that_does_not_answer_goes_behind_the_others() {
     let own = leased(&[("door", "ada", 5)]);
     leases.due(&own, &robots, &idle, at(100));
     let ended = leases.due(&own, &robots, &idle, at(10_100));
-    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::NoAnswer, .. }]), "{ended:?}");
+    assert!(matches!(&ended[..], [ResourceAction::Free { cause: EndOfLease::NoAnswer, .. }]), "{ended:?}");
     assert_eq!(leases.due(&none, &robots, &idle, at(10_200)), [grant("door", "bob")]);
 }
 
@@ -131,7 +134,7 @@ fn a_lost_robot_that_may_be_inside_keeps_its_lease() {
     assert_eq!(end_of(Some(5), &lost), []);
     let removed = DeviceUser { is_in_maintenance: true, ..lost.clone() };
     for ended in [end_of(Some(5), &removed), end_of(None, &lost)] {
-        assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::Gone, .. }]), "{ended:?}");
+        assert!(matches!(&ended[..], [ResourceAction::Free { cause: EndOfLease::Gone, .. }]), "{ended:?}");
     }
 }
 
@@ -153,7 +156,7 @@ fn a_robot_inside_keeps_its_lease_while_its_claims_are_unknown() {
     assert_eq!(leases.due(&own, &[], &report(None), at(180_000)), [], "a new record is on its way");
     let removed = DeviceUser { is_in_maintenance: true, ..forgotten };
     let ended = leases.due(&own, &[removed], &report(None), at(180_100));
-    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::Gone, .. }]), "{ended:?}");
+    assert!(matches!(&ended[..], [ResourceAction::Free { cause: EndOfLease::Gone, .. }]), "{ended:?}");
     // The node of the device has restarted after the loss of the robot.
     let mut leases = DeviceLeases::default();
     let lost = DeviceUser { is_alive: false, ..known };
@@ -170,10 +173,10 @@ fn a_robot_inside_keeps_its_lease_while_its_claims_are_unknown() {
     let claims = user("ada", &[("lift", None)]);
     for ms in [0, 60_000] {
         let due = leases.due(&own, std::slice::from_ref(&claims), &report(Some(5)), at(ms));
-        assert!(matches!(&due[..], [DeviceAction::Notify { .. }]), "{due:?}");
+        assert!(matches!(&due[..], [ResourceAction::Notify { .. }]), "{due:?}");
     }
     let ended = leases.due(&own, &[claims], &report(None), at(60_100));
-    assert!(matches!(&ended[..], [DeviceAction::Free { cause: EndOfLease::NoAnswer, .. }]), "{ended:?}");
+    assert!(matches!(&ended[..], [ResourceAction::Free { cause: EndOfLease::NoAnswer, .. }]), "{ended:?}");
 }
 
 #[test]

@@ -4,8 +4,6 @@ use super::actions::{CoordinatorAction, SessionState};
 use super::auctions::Auctions;
 use super::battery_swaps::BatterySwaps;
 use super::change_feed::ChangeFeed;
-use super::charger_leases::ChargerDelivery;
-use super::device_leases::DeviceDelivery;
 use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
@@ -15,6 +13,7 @@ use super::reauctions::{self, Reauctions};
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards, track_new_awards};
 use super::reports::ReportHandler;
 use super::requests::Requests;
+use super::resource_leases::ResourceDelivery;
 use super::robot_orders::OrderDelivery;
 use super::schedules::Schedules;
 use super::scope::Scope;
@@ -80,8 +79,7 @@ pub(super) struct LeaderSession {
     early_requests: Vec<Query>,
     people: People,
     orders: OrderDelivery,
-    chargers: ChargerDelivery,
-    devices: DeviceDelivery,
+    resources: ResourceDelivery,
     schedules: Schedules,
     swaps: BatterySwaps,
     /// The voter change in progress.
@@ -123,8 +121,7 @@ impl LeaderSession {
             requests: Requests::new(&context),
             people: People::new(&context),
             orders: OrderDelivery::new(&context),
-            chargers: ChargerDelivery::default(),
-            devices: DeviceDelivery::default(),
+            resources: ResourceDelivery::default(),
             schedules: Schedules::default(),
             swaps: BatterySwaps::default(),
             autopilot: Autopilot::new(settings.autopilot, yielded),
@@ -301,8 +298,7 @@ impl LeaderSession {
         let now = self.context.now();
         let confirmed_ms = self.confirmed_ms();
         self.orders.follow(&mut self.context, now, confirmed_ms);
-        self.chargers.follow(&mut self.context, now, confirmed_ms);
-        self.devices.follow(&mut self.context, now, confirmed_ms);
+        self.resources.follow(&mut self.context, now, confirmed_ms);
         let robots = self.changes.publish(&mut self.context, changes, now);
         let scope = match (examined, changes) {
             (Examined::Changed, MissionChanges::These(missions)) => Scope::Changed { missions, robots: &robots },

@@ -4,11 +4,12 @@ use super::{BELOW, claim, place, robot, share, thresholds};
 use crate::robot::charging::policy::{
     Activity, CLAIM_AGE, Claim, LeaseOffer, OtherRobot, ReceivedLeases, Situation, prevails,
 };
-use consort_protocol::chargers::{ChargerAction, ChargerLeases, ChargerUser};
+use consort_protocol::chargers::{ChargerLeases, ChargerUser};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::knowledge::{ChargerClaim, Charging};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, Ledger, Resource};
+use consort_protocol::resource_leases::ResourceAction;
 use consort_protocol::units::{BatteryShare, NodeTime};
 use consort_protocol::versions::VersionRange;
 use proptest::collection::vec;
@@ -183,13 +184,14 @@ impl SimulatedCoordinator {
         }
         for action in self.session.due(&self.ledger.charger_leases(), users, now) {
             match action {
-                ChargerAction::Lease { charger, robot } => {
-                    self.apply(Command::LeaseResource { resource: Resource::Charger(charger), robot, at_ms: 0 });
+                ResourceAction::Lease { resource, robot } => {
+                    self.apply(Command::LeaseResource { resource, robot, at_ms: 0 });
                 }
-                ChargerAction::Free { charger, epoch, .. } => {
-                    self.apply(Command::FreeResource { resource: Resource::Charger(charger), epoch });
+                ResourceAction::Free { resource, epoch, .. } => {
+                    self.apply(Command::FreeResource { resource, epoch });
                 }
-                ChargerAction::Notify { charger, robot, epoch } => {
+                ResourceAction::Notify { resource, robot, epoch } => {
+                    let Resource::Charger(charger) = resource else { panic!("a session of chargers leases no device") };
                     self.notices.push((number + round.delay, robot, LeaseOffer { charger, lease: epoch.index }));
                 }
             }
