@@ -335,7 +335,8 @@ pub(crate) fn robot_node_with(
     let node = NodeId::from(robot.name.clone());
     let bare = bare_node(node, fleet, incarnation, robot.may_vote, extensions)?;
     let RobotConfig { stationary, mains_powered, .. } = *robot;
-    Ok(NodeSettings { stationary, mains_powered, robot: Some(part), driver_server, ..bare })
+    let node = NodeSettings { stationary, mains_powered, robot: Some(part), driver_server, ..bare };
+    with_devices(node, &robot.device)
 }
 
 /// Builds the driver server of a robot whose driver is a process of this node, or on a socket.
@@ -399,9 +400,17 @@ pub fn station_node(
 ) -> Result<NodeSettings, Diagnostics> {
     let StationConfig { stationary, mains_powered, may_vote, .. } = *station;
     let bare = bare_node(station.name.clone(), fleet, incarnation, may_vote, extensions)?;
-    let device = |device| device_part(device, &station.name, &bare.fleet);
-    let devices = station.device.iter().map(device).collect::<Result<_, _>>()?;
-    Ok(NodeSettings { stationary, mains_powered, devices, ..bare })
+    with_devices(NodeSettings { stationary, mains_powered, ..bare }, &station.device)
+}
+
+/// Adds the drivers of devices to a node.
+///
+/// # Errors
+/// [`Diagnostics`] of a driver.
+fn with_devices(node: NodeSettings, configs: &[DeviceDriverConfig]) -> Result<NodeSettings, Diagnostics> {
+    let device = |config: &DeviceDriverConfig| device_part(config, &node.node, &node.fleet);
+    let devices = configs.iter().map(device).collect::<Result<_, _>>()?;
+    Ok(NodeSettings { devices, ..node })
 }
 
 /// Builds the driver of a device at a node: a program, a socket, or a simulated device.
@@ -451,7 +460,8 @@ pub(crate) fn world_node(
     let shared = SharedWorld::new(build_world(world, fleet, extensions)?);
     let host = DriverServerPart { world: Box::new(shared.clone()), speed: world.speed };
     let bare = bare_node(world.name.clone(), fleet, incarnation, world.may_vote, extensions)?;
-    Ok((NodeSettings { stationary: true, mains_powered: true, driver_server: Some(host), ..bare }, shared))
+    let node = NodeSettings { stationary: true, mains_powered: true, driver_server: Some(host), ..bare };
+    Ok((with_devices(node, &world.device)?, shared))
 }
 
 /// Builds the world of a world file, at time zero.

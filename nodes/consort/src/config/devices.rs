@@ -1,4 +1,4 @@
-//! Devices of the building: their declaration in the fleet file, and their drivers in the station file.
+//! Devices of the building: their declaration in the fleet file, and their drivers in the files of nodes.
 
 use consort_driver::{DriverEndpoint, DriverSetting};
 use consort_protocol::devices::{AlarmPosition, Device, DeviceKind, Devices};
@@ -8,13 +8,17 @@ use consort_protocol::mission::Domain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::time::Duration;
 
 /// Longest time without a response or a confirmation, in seconds.
 const SILENT_S_MAX: u32 = 3600;
 
-/// Most drivers of devices at a station: a record is at most 3 KiB, and names have up to 64 bytes.
-const DRIVERS_MAX: usize = 16;
+/// Most drivers of devices at a node without a robot: a record is at most 3 KiB, and names have up to 64 bytes.
+pub(super) const DRIVERS_MAX: usize = 16;
+
+/// Most drivers of devices at the node of a robot, whose record also describes the robot. A guess.
+pub(super) const ROBOT_DRIVERS_MAX: usize = 4;
 
 /// `[[device]]` in the fleet file: a door, a lift or another device of the building. A robot requests it, and enters once
 /// the device confirms. A device serves one robot at a time.
@@ -25,7 +29,8 @@ pub struct DeviceConfig {
     pub name: DeviceId,
     /// Its kind, for people: `door`, `lift`, `call_point`, `dispenser` or `other`.
     pub kind: DeviceKind,
-    /// Name of the station that runs its driver. No other node reports the device, whatever its certificate permits.
+    /// Name of the node that runs its driver, usually a station. No other node reports the device, whatever its certificate
+    /// permits.
     pub host: NodeId,
     /// Lanes of the map that it guards, each by its two ends, in both directions. The ride of a lift between two stops is a
     /// lane, too. Default: none.
@@ -45,7 +50,7 @@ pub struct DeviceConfig {
     pub in_alarm: AlarmPosition,
 }
 
-/// `[[device]]` in the station file: the driver of a device that the fleet file declares, run by the station.
+/// `[[device]]` in the file of a node: the driver of a device of which the fleet file names the node as its host.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DeviceDriverConfig {
@@ -117,15 +122,20 @@ pub(crate) fn devices(configs: &[DeviceConfig], domain: &Domain) -> Result<Devic
     if problems.is_empty() { Ok(Devices::new(configs.iter().map(DeviceConfig::device))) } else { Err(problems) }
 }
 
-/// Returns the problems of the drivers of a station.
-pub(super) fn driver_problems(configs: &[DeviceDriverConfig]) -> Vec<String> {
+/// Resolves the paths of drivers relative to `folder`, the folder of the file.
+pub(super) fn resolve_drivers(configs: &mut [DeviceDriverConfig], folder: &Path) {
+    configs.iter_mut().filter_map(|device| device.driver.as_mut()).for_each(|driver| driver.resolve(folder));
+}
+
+/// Returns the problems of the drivers of a node, which runs at most `drivers_max`.
+pub(super) fn driver_problems(configs: &[DeviceDriverConfig], drivers_max: usize) -> Vec<String> {
     let problem = |config: &DeviceDriverConfig| {
         let problem = config.driver.clone().map(DriverEndpoint::try_from)?.err()?;
         Some(format!("device {}: driver: {problem}", config.name))
     };
-    let too_many = (configs.len() > DRIVERS_MAX).then(|| {
+    let too_many = (configs.len() > drivers_max).then(|| {
         format!(
-            "device: {} drivers; allowed are {DRIVERS_MAX} at a station, since its record has to contain all",
+            "device: {} drivers; allowed are {drivers_max} at this node, since its record has to contain all",
             configs.len()
         )
     });
@@ -159,10 +169,13 @@ mod tests {
     }
 
     #[test]
-    fn a_station_runs_one_driver_for_each_device() {
+    fn a_node_runs_one_driver_for_each_device() {
         let door = || DeviceDriverConfig { name: "door".parse().unwrap(), driver: None, simulated_s: 3 };
-        assert_eq!(driver_problems(&[door()]), Vec::<String>::new());
-        assert_eq!(driver_problems(&[door(), door()]), ["device door: is named twice; a device has one driver"]);
+        assert_eq!(driver_problems(&[door()], DRIVERS_MAX), Vec::<String>::new());
+        assert_eq!(
+            driver_problems(&[door(), door()], DRIVERS_MAX),
+            ["device door: is named twice; a device has one driver"]
+        );
     }
 
     #[test]

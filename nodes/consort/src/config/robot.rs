@@ -1,5 +1,6 @@
 //! The robot file: a node that controls a robot.
 
+use super::devices::{DeviceDriverConfig, ROBOT_DRIVERS_MAX, driver_problems, resolve_drivers};
 use super::fleet::unknown_skill;
 use super::node::{common_config, validate_common};
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
@@ -81,6 +82,9 @@ pub struct RobotConfig {
     /// Log, metrics and spans.
     #[serde(default)]
     pub telemetry: TelemetryConfig,
+    /// Drivers of doors, lifts and other devices of the building that the node runs. Default: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub device: Vec<DeviceDriverConfig>,
 }
 
 fn full() -> BatteryShare {
@@ -119,6 +123,7 @@ impl RobotConfig {
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
             telemetry: TelemetryConfig::default(),
+            device: vec![],
         }
     }
 }
@@ -130,6 +135,7 @@ impl ConfigFile for RobotConfig {
         if let Some(driver) = &mut self.driver {
             driver.resolve(folder);
         }
+        resolve_drivers(&mut self.device, folder);
         self.common_mut().resolve_paths(folder);
     }
 
@@ -147,6 +153,7 @@ impl ConfigFile for RobotConfig {
         if let Some(Err(problem)) = self.driver.clone().map(DriverEndpoint::try_from) {
             validate.push(format!("driver: {problem}"));
         }
+        validate.extend(driver_problems(&self.device, ROBOT_DRIVERS_MAX));
         validate.extend(validate_common(&self.fleet, &self.bus, &self.telemetry, domain));
         validate
     }

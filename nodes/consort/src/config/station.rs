@@ -1,6 +1,6 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
-use super::devices::{DeviceDriverConfig, driver_problems};
+use super::devices::{DRIVERS_MAX, DeviceDriverConfig, driver_problems, resolve_drivers};
 use super::node::{common_config, validate_common};
 use super::{ArchiveConfig, BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
 use consort_protocol::ids::NodeId;
@@ -42,7 +42,7 @@ pub struct StationConfig {
     /// Log, metrics and spans.
     #[serde(default)]
     pub telemetry: TelemetryConfig,
-    /// Drivers of doors, lifts and other devices of the building that the station runs. Default: none.
+    /// Drivers of doors, lifts and other devices of the building that the node runs. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub device: Vec<DeviceDriverConfig>,
     /// Archive in the data directory. Default: none.
@@ -73,13 +73,13 @@ impl ConfigFile for StationConfig {
     const KIND: &'static str = "station";
 
     fn resolve_paths(&mut self, folder: &Path) {
-        self.device.iter_mut().filter_map(|device| device.driver.as_mut()).for_each(|driver| driver.resolve(folder));
+        resolve_drivers(&mut self.device, folder);
         self.common_mut().resolve_paths(folder);
     }
 
     fn validate(&self, domain: &Domain) -> Vec<String> {
         let mut problems = validate_common(&self.fleet, &self.bus, &self.telemetry, domain);
-        problems.extend(driver_problems(&self.device));
+        problems.extend(driver_problems(&self.device, DRIVERS_MAX));
         problems.extend(self.archive.iter().flat_map(ArchiveConfig::validate));
         problems
     }

@@ -1,5 +1,6 @@
 //! The world file: a node with a simulated world.
 
+use super::devices::{DRIVERS_MAX, DeviceDriverConfig, driver_problems, resolve_drivers};
 use super::node::{common_config, validate_common};
 use super::read::join_normalized;
 use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig};
@@ -46,6 +47,9 @@ pub struct WorldConfig {
     pub bus: BusConfig,
     /// Log, metrics and spans.
     pub telemetry: TelemetryConfig,
+    /// Drivers of doors, lifts and other devices of the building that the node runs. Default: none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub device: Vec<DeviceDriverConfig>,
     /// Durations of actions.
     pub durations: Durations,
     /// Size limits of the world.
@@ -82,6 +86,7 @@ impl Default for WorldConfig {
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
             telemetry: TelemetryConfig::default(),
+            device: vec![],
             durations: Durations::default(),
             limits: WorldLimits::default(),
             systems: system_names().map(str::to_owned).collect(),
@@ -103,6 +108,7 @@ impl ConfigFile for WorldConfig {
     const KIND: &'static str = "world";
 
     fn resolve_paths(&mut self, folder: &Path) {
+        resolve_drivers(&mut self.device, folder);
         self.common_mut().resolve_paths(folder);
         if let Some(map) = self.map.as_mut().filter(|map| !is_shipped(map)) {
             *map = join_normalized(folder, Path::new(map)).display().to_string();
@@ -115,6 +121,7 @@ impl ConfigFile for WorldConfig {
             let (speed, least, most) = (self.speed, SPEED.start(), SPEED.end());
             validate.push(format!("speed is {speed}, allowed is {least} to {most}"));
         }
+        validate.extend(driver_problems(&self.device, DRIVERS_MAX));
         validate.extend(validate_common(&self.fleet, &self.bus, &self.telemetry, domain));
         validate
     }
