@@ -2,29 +2,35 @@
 
 use crate::{jobs, once};
 use consort_skills::workload::Workload;
-use consort_tests::chaos::{ChaosFleet, FIRST_SEED_WITH_ALARMS, FaultKind, RunConfig, SeedSweep, generate};
+use consort_tests::chaos::{
+    ChaosFleet, FIRST_SEED_WITH_ALARMS, FIRST_SEED_WITH_STOPS, FaultKind, RunConfig, SeedSweep, generate,
+};
 use std::ops::RangeInclusive;
 
 /// Seeds of open fleets. More seeds find more, and make the check in CI longer; sweeps of thousands of seeds are run
 /// with `consort-lab chaos`.
 const OPEN_SEEDS: RangeInclusive<u64> = 1..=45;
 
-/// Seeds of closed fleets with all faults. The last 100 have schedules, the last 70 of them orders of people to robots
-/// and chargers, the last 40 closures, and the last 10 alarms, speed limits, zones and changes of missions.
-const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_ALARMS + 9;
+/// Seeds of closed fleets with all faults. Those from 91 on have schedules, from 121 on orders of people to robots and
+/// chargers, from 151 on closures, and from 181 on alarms, speed limits, zones and changes of missions.
+const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_ALARMS + 3;
+
+/// Seeds of closed fleets in most of which robots plan stops at chargers.
+const STOP_SEEDS: RangeInclusive<u64> = FIRST_SEED_WITH_STOPS..=FIRST_SEED_WITH_STOPS + 5;
 
 /// Seeds with missions that cannot be completed as the only faults.
 const POISON_SEEDS: RangeInclusive<u64> = 1..=20;
 
-/// Runs these seeds with open or closed fleets and these faults.
-fn everything_holds(seeds: RangeInclusive<u64>, minutes: f64, closed: bool, kinds: &[FaultKind]) {
+/// Runs these seeds with open or closed fleets and these faults. Returns the number of planned stops at chargers.
+fn everything_holds(seeds: RangeInclusive<u64>, minutes: f64, closed: bool, kinds: &[FaultKind]) -> usize {
     let order = |seed| RunConfig { seed, nodes: 7, minutes, closed, mutant: None, workload: Workload::default() };
     let composition = ChaosFleet::of(7);
-    let (mut missions, mut runs) = (0, 0);
+    let (mut missions, mut runs, mut charging_stops) = (0, 0, 0);
     let found =
         SeedSweep { seeds, jobs: jobs(), config: &|seed| (order(seed), generate(seed, &composition, minutes, kinds)) }
             .run(|outcome| {
                 missions += outcome.counters.acknowledged;
+                charging_stops += outcome.counters.charging_stops;
                 runs += 1;
             });
     if let Some(outcome) = found
@@ -35,6 +41,7 @@ fn everything_holds(seeds: RangeInclusive<u64>, minutes: f64, closed: bool, kind
         panic!("seed {}: {}: {}\n{events}\n{schedule}", outcome.seed, violation.invariant, violation.reason);
     }
     assert!(missions >= runs, "only {missions} missions were submitted in {runs} runs");
+    charging_stops
 }
 
 #[test]
@@ -45,6 +52,12 @@ fn invariants_hold_for_the_first_seeds() {
 #[test]
 fn invariants_hold_in_closed_fleets_with_a_hostile_node() {
     everything_holds(CLOSED_SEEDS, 2.0, true, &FaultKind::FAULTS);
+}
+
+#[test]
+fn invariants_hold_in_closed_fleets_with_planned_stops_at_chargers() {
+    let charging_stops = everything_holds(STOP_SEEDS, 2.0, true, &FaultKind::FAULTS);
+    assert!(charging_stops >= 3, "{charging_stops}");
 }
 
 #[test]

@@ -44,4 +44,12 @@ impl ChargingSetup {
             capacity: WattHours::new(Self::CAPACITY_WH).expect("a capacity"),
         }
     }
+
+    /// Tells the robots the power of the chargers: they plan stops before roles for which their charge does not suffice.
+    #[must_use]
+    pub fn with_known_power(mut self) -> ChargingSetup {
+        let power = Some(self.power);
+        self.settings.chargers.iter_mut().for_each(|charger| charger.power = power);
+        self
+    }
 }

@@ -313,8 +313,7 @@ fn a_robot_is_promised_a_role_after_a_planned_stop_at_a_charger() {
     for_each_seed(SEEDS, async |seed| {
         // The round takes 19.6 % from where the robot is, and 15.8 % from the charger.
         let robots = vec![carrier("fern", ROOMS[1], 0.25)];
-        let mut charging = setup(0.2);
-        charging.settings.chargers[0].power = Some(charging.power);
+        let charging = setup(0.2).with_known_power();
         let adjust = Box::new(|_: &mut NodeSettings| ());
         let mut fleet = Fleet::hospital_with_chargers(seed, robots, &["aster"], charging, adjust).await;
         fleet.wait_for_coordinator().await;

@@ -2,7 +2,7 @@
 
 use super::fault_kind::FaultKind;
 use super::orders::FIRST_SEED;
-use super::schedule::{ChaosAction, ScheduledAction};
+use super::schedule::{ChaosAction, Schedule};
 use crate::{ChargingSetup, RobotSpec};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -27,27 +27,48 @@ const DISCHARGE: f64 = 0.001;
 /// Charges of the carriers at the start, in turn: some charge soon.
 const CHARGES: [f64; 3] = [0.6, 0.45, 0.4];
 
-/// Returns the number of chargers in a run, from a generator of its own. Runs with nodes that are gone for good have none,
-/// since such a robot may stand at the only charger, nor do runs with missions that cannot be completed as the only
-/// faults, which bound the time of the others.
-pub(super) fn charger_count(seed: u64, kinds: &[FaultKind], steps: &[ScheduledAction]) -> usize {
-    let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0xc4a2_9e25);
-    let loses_robots = steps.iter().any(|step| matches!(step.action, ChaosAction::Remove { .. }));
-    if seed < FIRST_SEED || kinds == [FaultKind::Poison] || loses_robots || !chance.random_bool(RUNS) {
-        return 0;
+/// Charges in runs with planned stops: a mission and the way to a charger need more.
+const CHARGES_WITH_STOPS: [f64; 3] = [0.38, 0.3, 0.25];
+
+/// First seed with planned stops. Smaller seeds keep their schedules, fleets and charges: mutation checks, the scoreboard
+/// and the sweeps of closed fleets use them.
+pub const FIRST_SEED_WITH_STOPS: u64 = 211;
+
+/// Share of the later runs with planned stops, of those that may have chargers.
+const STOPS: f64 = 0.8;
+
+/// Gives some runs chargers, from generators of their own. Runs with nodes that are gone for good have none, since such a
+/// robot may stand at the only charger, nor do runs with missions that cannot be completed as the only faults, which
+/// bound the time of the others.
+pub(super) fn add_chargers(seed: u64, kinds: &[FaultKind], schedule: Schedule) -> Schedule {
+    let loses_robots = schedule.steps.iter().any(|step| matches!(step.action, ChaosAction::Remove { .. }));
+    if seed < FIRST_SEED || kinds == [FaultKind::Poison] || loses_robots {
+        return schedule;
     }
-    if chance.random_bool(SINGLE) { 1 } else { PLACES.len() }
+    let mut stops = ChaCha8Rng::seed_from_u64(seed ^ 0x5709_c4a2);
+    let plans_stops = seed >= FIRST_SEED_WITH_STOPS && stops.random_bool(STOPS);
+    let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0xc4a2_9e25);
+    let has_chargers = chance.random_bool(RUNS) || plans_stops;
+    let chargers = match has_chargers {
+        true if chance.random_bool(SINGLE) => 1,
+        true => PLACES.len(),
+        false => 0,
+    };
+    Schedule { chargers, plans_stops, ..schedule }
 }
 
-/// Returns the setup of a fleet with `count` chargers; `None` for none.
-pub(super) fn setup(count: usize) -> Option<ChargingSetup> {
-    (count > 0).then(|| ChargingSetup::new(&PLACES[..count.min(PLACES.len())], BELOW, POWER_W))
+/// Returns the setup of a fleet with the chargers of a schedule; `None` without any.
+pub(super) fn setup(schedule: &Schedule) -> Option<ChargingSetup> {
+    let places = &PLACES[..schedule.chargers.min(PLACES.len())];
+    let setup = (!places.is_empty()).then(|| ChargingSetup::new(places, BELOW, POWER_W))?;
+    Some(if schedule.plans_stops { setup.with_known_power() } else { setup })
 }
 
 /// Gives the carriers small batteries.
-pub(super) fn with_small_batteries(carriers: Vec<RobotSpec>) -> Vec<RobotSpec> {
+pub(super) fn with_small_batteries(carriers: Vec<RobotSpec>, schedule: &Schedule) -> Vec<RobotSpec> {
+    let charges = if schedule.plans_stops { CHARGES_WITH_STOPS } else { CHARGES };
     let small = |(carrier, charge): (RobotSpec, f64)| RobotSpec { discharge: DISCHARGE, ..carrier.with_charge(charge) };
-    carriers.into_iter().zip(CHARGES.into_iter().cycle()).map(small).collect()
+    carriers.into_iter().zip(charges.into_iter().cycle()).map(small).collect()
 }
 
 #[cfg(test)]
@@ -56,8 +77,12 @@ mod tests {
     use super::super::generate::generate;
     use super::*;
 
+    fn generated(seed: u64, kinds: &[FaultKind]) -> Schedule {
+        generate(seed, &ChaosFleet::of(7), 2.0, kinds)
+    }
+
     fn chargers(seed: u64, kinds: &[FaultKind]) -> usize {
-        generate(seed, &ChaosFleet::of(7), 2.0, kinds).chargers
+        generated(seed, kinds).chargers
     }
 
     #[test]
@@ -73,17 +98,35 @@ mod tests {
     }
 
     #[test]
+    fn most_of_the_latest_runs_with_chargers_plan_stops() {
+        let plans_stops = |seed: u64| generated(seed, &FaultKind::FAULTS).plans_stops;
+        assert!(!(1..FIRST_SEED_WITH_STOPS).any(plans_stops));
+        let latest = FIRST_SEED_WITH_STOPS..FIRST_SEED_WITH_STOPS + 60;
+        let (with, without): (Vec<u64>, Vec<u64>) = latest.partition(|seed| plans_stops(*seed));
+        assert!(with.len() >= 20 && without.len() >= 3, "{with:?}");
+        assert!(with.iter().all(|seed| chargers(*seed, &FaultKind::FAULTS) > 0));
+        assert!(without.iter().all(|seed| !generated(*seed, &[FaultKind::Poison]).plans_stops));
+    }
+
+    #[test]
     fn the_setup_has_the_chargers_of_the_map() {
-        assert!(setup(0).is_none());
+        let schedule = |chargers, plans_stops| Schedule { chargers, plans_stops, ..Schedule::of(vec![]) };
+        assert!(setup(&schedule(0, false)).is_none());
         let map = consort_world::map::shipped("hospital").expect("it is shipped");
         for count in 1..=PLACES.len() {
-            let chargers = setup(count).expect("there are chargers").settings.chargers;
-            assert_eq!(chargers.len(), count);
-            assert!(chargers.iter().all(|charger| map.place(&charger.place).is_some()));
+            let chargers =
+                |plans_stops| setup(&schedule(count, plans_stops)).expect("there are chargers").settings.chargers;
+            let (plain, with_stops) = (chargers(false), chargers(true));
+            assert_eq!([plain.len(), with_stops.len()], [count; 2]);
+            assert!(plain.iter().all(|charger| map.place(&charger.place).is_some() && charger.power.is_none()));
+            assert!(with_stops.iter().all(|charger| charger.power.is_some_and(|power| power.get() == POWER_W)));
         }
-        let carriers = ["garnet", "hazel"].map(|name| RobotSpec::carrier(name, "Dock")).to_vec();
-        let small: Vec<(f64, f64)> =
-            with_small_batteries(carriers).iter().map(|carrier| (carrier.battery, carrier.discharge)).collect();
-        assert_eq!(small, [(CHARGES[0], DISCHARGE), (CHARGES[1], DISCHARGE)]);
+        let small = |plans_stops| -> Vec<(f64, f64)> {
+            let carriers = ["garnet", "hazel"].map(|name| RobotSpec::carrier(name, "Dock")).to_vec();
+            let small = with_small_batteries(carriers, &schedule(1, plans_stops));
+            small.iter().map(|carrier| (carrier.battery, carrier.discharge)).collect()
+        };
+        assert_eq!(small(false), [(CHARGES[0], DISCHARGE), (CHARGES[1], DISCHARGE)]);
+        assert_eq!(small(true), [(CHARGES_WITH_STOPS[0], DISCHARGE), (CHARGES_WITH_STOPS[1], DISCHARGE)]);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::alarms::{self, add_alarms};
 use super::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS, WORLD};
-use super::chargers::charger_count;
+use super::chargers::add_chargers;
 use super::closures::add_closures;
 use super::control_flow::replace_missions;
 use super::fault_kind::FaultKind;
@@ -136,9 +136,9 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
         add_speed_limits(seed, FIRST_MS..draw.end_ms, &mut draw.steps);
         add_mission_changes(seed, composition, FIRST_MS..draw.end_ms, &mut draw.steps);
     }
-    let chargers = charger_count(seed, kinds, &draw.steps);
     let schedule = Schedule::of(draw.steps).in_order();
-    Schedule { world_speed: if is_slow { SLOW_SPEED } else { schedule.world_speed }, chargers, ..schedule }
+    let world_speed = if is_slow { SLOW_SPEED } else { schedule.world_speed };
+    add_chargers(seed, kinds, Schedule { world_speed, ..schedule })
 }
 
 pub(super) struct Draw<'a> {

@@ -47,6 +47,7 @@ mod zones;
 
 pub use alarms::FIRST_SEED as FIRST_SEED_WITH_ALARMS;
 pub use chaos_fleet::{ChaosFleet, SHIFT_ARMS, SHIFT_CARRIERS, UserParticipants, user_missions};
+pub use chargers::FIRST_SEED_WITH_STOPS;
 pub use fault_kind::{FaultKind, UnknownFaultKind};
 pub use generate::generate;
 pub use person_action::{CancelSelection, ClosureAction, MissionAction, OrderAction, SpeedLimitAction};

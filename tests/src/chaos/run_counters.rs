@@ -2,7 +2,7 @@
 
 use crate::{Fleet, Observation, slug};
 use consort_protocol::event::EventKind;
-use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::ledger::MissionState;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -27,6 +27,8 @@ pub struct RunCounters {
     pub canceled: usize,
     /// Roles that were promised to a robot.
     pub promised: usize,
+    /// Roles that auctions have promised after a stop at a charger.
+    pub charging_stops: usize,
     /// Acknowledged missions that no ledger contains: must be 0.
     pub lost: usize,
     /// Durations from the loss of each leader to the takeover by the next, in milliseconds.
@@ -56,11 +58,15 @@ impl RunCounters {
             {
                 self.leaderless_since = Some(at);
             }
-            Observation::Published(event) => {
-                if let EventKind::Awarded { promised, .. } = &event.kind {
-                    self.promised += promised.len();
+            Observation::Published(event) => match &event.kind {
+                EventKind::Awarded { promised, .. } => self.promised += promised.len(),
+                EventKind::Closed { record, .. } => {
+                    let has_stop =
+                        |role: &RoleId| record.planned.get(role).is_some_and(|planned| planned.charging.is_some());
+                    self.charging_stops += record.promised.keys().filter(|role| has_stop(role)).count();
                 }
-            }
+                _ => {}
+            },
             _ => {}
         }
     }

@@ -20,6 +20,9 @@ pub struct Schedule {
     /// Number of chargers, which robots use by themselves: at most 2. With chargers the batteries are small.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub chargers: usize,
+    /// Robots know the power of the chargers, so they plan stops before roles, and they start with little charge.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub plans_stops: bool,
 }
 
 /// World speed of most runs.
@@ -40,7 +43,7 @@ fn is_zero(number: &usize) -> bool {
 impl Schedule {
     /// Returns the schedule of these actions at the usual speed of the world, without chargers.
     pub fn of(steps: Vec<ScheduledAction>) -> Schedule {
-        Schedule { steps, world_speed: USUAL_SPEED, chargers: 0 }
+        Schedule { steps, world_speed: USUAL_SPEED, chargers: 0, plans_stops: false }
     }
 
     /// Returns the same schedule with other actions.
@@ -53,7 +56,7 @@ impl Schedule {
     #[must_use]
     pub fn requesting<'m>(mut self, missions: impl Iterator<Item = &'m str> + Clone) -> Schedule {
         if missions.clone().next().is_some() {
-            self.chargers = 0;
+            (self.chargers, self.plans_stops) = (0, false);
         }
         let mut names = missions.cycle();
         for step in self.steps.iter_mut().filter(|step| !step.action.is_poison()) {

@@ -13,7 +13,8 @@ use std::time::Duration;
 impl Display for Schedule {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.chargers > 0 {
-            writeln!(f, "chargers: {}", self.chargers)?;
+            let stops = if self.plans_stops { ", at which robots plan stops" } else { "" };
+            writeln!(f, "chargers: {}{stops}", self.chargers)?;
         }
         self.steps.iter().try_for_each(|step| writeln!(f, "{step}"))
     }

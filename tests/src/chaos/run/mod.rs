@@ -134,13 +134,13 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let options = NodeOptions {
         world_speed: schedule.world_speed.into(),
         extensions: workload.extensions,
-        charging: chargers::setup(schedule.chargers),
+        charging: chargers::setup(schedule),
         candidates: candidates(config.seed),
         ..node_options(config, &injector)
     };
     let (mut members, people) = composition.participants(&workload);
     if options.charging.is_some() {
-        members = chargers::with_small_batteries(members);
+        members = chargers::with_small_batteries(members, schedule);
     }
     let fleet = Fleet::hospital_with(config.seed, members, &composition.stations, people, options).await;
     let checker = Checker::new(injector.ended_missions_max(), lease_terms(config.seed).lease, schedule);
