@@ -21,8 +21,8 @@ pub struct ChargingStop {
     pub charger: PlaceId,
     /// Time for the way to it, for connecting and for charging.
     pub time: Seconds,
-    /// Charge above the minimum that a role must leave, when the robot goes on.
-    pub spare: BatteryShare,
+    /// Charge at which the robot goes on: it suffices for the role and for the way to a charger after it.
+    pub until: BatteryShare,
     /// Charge left after the role.
     pub remaining: BatteryShare,
 }
@@ -34,7 +34,9 @@ pub struct StopLimits {
     pub charge: f64,
     /// Charge that must always be exceeded.
     pub floor: BatteryShare,
-    /// Charge up to which the robot charges.
+    /// Charge with which the robot could do the role without the stop, from where it is; infinite if it could not at all.
+    pub needed_here: f64,
+    /// Charge up to which the robot charges at most.
     pub until: BatteryShare,
 }
 
@@ -56,31 +58,31 @@ pub struct StopOption {
 }
 
 /// Returns the stop with which the role ends first; the first of equal ones. The charge stays above the floor on the way to the
-/// charger, during the role, and until a charger is reached after it. A robot that has nearly the charge up to which it charges
-/// plans no stop: by its record it would have charged already. `charging_time` returns the time for which the robot charges at a
-/// charger from a charge on, if it is known.
+/// charger, during the role, and until a charger is reached after it. The robot charges until it has enough for the role, from
+/// the charger and from where it is: its coordinator awards the role by its charge alone. A robot that has nearly the charge up
+/// to which it charges at most plans no stop: by its record it would have charged already. `charging_time` returns the time for
+/// which the robot charges at a charger from a charge to another, if it is known.
 pub fn plan_stop(
     limits: StopLimits,
     options: &[StopOption],
-    charging_time: impl Fn(&PlaceId, f64) -> Option<Seconds>,
+    charging_time: impl Fn(&PlaceId, f64, BatteryShare) -> Option<Seconds>,
 ) -> Option<ChargingStop> {
-    let StopLimits { charge, floor, until } = limits;
+    let StopLimits { charge, floor, needed_here, until } = limits;
     // Its record may state the tolerance more than it has, and counts as charged the tolerance below.
     if charge >= until.get() - 2.0 * CHARGE_TOLERANCE {
         return None;
     }
     let stop = |option: &StopOption| {
         let arrival = charge - option.way_energy;
-        let remaining = until.get() - CHARGE_TOLERANCE - option.role_energy;
-        let suffices = arrival > floor.get() && remaining - option.onward_energy > floor.get();
-        let time = option.way_time + charging_time(&option.charger, arrival).filter(|_| suffices)?;
-        let stop = ChargingStop {
-            charger: option.charger.clone(),
-            time,
-            spare: BatteryShare::new(until.get() - floor.get()).ok()?,
-            remaining: BatteryShare::new(remaining).ok()?,
-        };
-        Some((time + option.role_time, stop))
+        let needed = floor.get() + option.role_energy + option.onward_energy;
+        let left = until.get() - CHARGE_TOLERANCE - option.role_energy - option.onward_energy;
+        let suffices = arrival > floor.get() && left > floor.get();
+        // The record may overstate the charge, and the role is awarded the tolerance below.
+        let enough = needed.max(needed_here) + 2.0 * CHARGE_TOLERANCE;
+        let until = BatteryShare::new(enough.min(until.get())).ok().filter(|_| suffices)?;
+        let time = option.way_time + charging_time(&option.charger, arrival, until)?;
+        let remaining = BatteryShare::new(until.get() - CHARGE_TOLERANCE - option.role_energy).ok()?;
+        Some((time + option.role_time, ChargingStop { charger: option.charger.clone(), time, until, remaining }))
     };
     let stops = options.iter().filter_map(stop);
     stops.min_by(|one, other| one.0.get().total_cmp(&other.0.get())).map(|(_, stop)| stop)
@@ -118,20 +120,23 @@ mod tests {
             charge in -0.2_f64..1.0,
             floor in 0.02_f64..0.3,
             until in 0.3_f64..1.0,
+            needed_here in 0.0_f64..1.5,
             energies in prop::collection::vec((0.0_f64..0.4, 0.0_f64..0.9, 0.0_f64..0.3), 0..5),
         ) {
             let options: Vec<StopOption> = (0..).zip(&energies)
                 .map(|(number, (way, role, onward))| option(number, *way, *role, *onward)).collect();
-            let limits = StopLimits { charge, floor: share(floor), until: share(until) };
-            let charging_s = |from: f64| (until - from).max(0.0) * 1000.0;
-            let found = plan_stop(limits, &options, |_, from| Seconds::new(charging_s(from)).ok());
+            let limits = StopLimits { charge, floor: share(floor), needed_here, until: share(until) };
+            let charging_s = |from: f64, to: f64| (to - from).max(0.0) * 1000.0;
+            let found = plan_stop(limits, &options, |_, from, to| Seconds::new(charging_s(from, to.get())).ok());
             let is_possible = |option: &&StopOption| {
                 charge < until - 2.0 * CHARGE_TOLERANCE
                     && charge - option.way_energy > floor
                     && until - CHARGE_TOLERANCE - option.role_energy - option.onward_energy > floor
             };
+            let needed = |option: &StopOption| needed_here.max(floor + option.role_energy + option.onward_energy);
             let end_s = |option: &StopOption| {
-                option.way_time.get() + charging_s(charge - option.way_energy) + option.role_time.get()
+                let to = until.min(needed(option) + 2.0 * CHARGE_TOLERANCE);
+                option.way_time.get() + charging_s(charge - option.way_energy, to) + option.role_time.get()
             };
             let soonest = options.iter().filter(is_possible).map(end_s).reduce(f64::min);
             let chosen = found.as_ref().map(|stop| {
@@ -141,23 +146,40 @@ mod tests {
             prop_assert_eq!(chosen.map(end_s), soonest);
             for (stop, option) in found.iter().zip(chosen) {
                 prop_assert!(stop.remaining.get() - option.onward_energy > floor);
-                prop_assert!(stop.spare.get() <= until - floor + 1e-9);
+                prop_assert!(stop.until.get() <= until);
+                prop_assert!(stop.until.get() >= until.min(needed(option)), "the role can be awarded");
             }
         }
+    }
+
+    fn limits(charge: f64, needed_here: f64) -> StopLimits {
+        StopLimits { charge, floor: share(0.1), needed_here, until: share(0.9) }
+    }
+
+    #[test]
+    fn a_robot_goes_on_when_its_charge_suffices_for_the_role() {
+        let stop = |needed_here| {
+            let time = |_: &PlaceId, from: f64, to: BatteryShare| Seconds::new((to.get() - from) * 1000.0).ok();
+            let stop = plan_stop(limits(0.3, needed_here), &[option(0, 0.1, 0.3, 0.1)], time).expect("a stop");
+            [stop.until.get(), stop.remaining.get(), stop.time.get() / 1000.0].map(|value| (value * 100.0).round())
+        };
+        // From the charger the role needs 50 %. The way to the charger takes 10 s.
+        assert_eq!(stop(0.45), [54.0, 22.0, 35.0]);
+        assert_eq!(stop(0.6), [64.0, 32.0, 45.0], "the robot could also begin from where it is");
+        assert_eq!(stop(0.95), [90.0, 58.0, 71.0]);
+        assert_eq!(stop(f64::INFINITY), [90.0, 58.0, 71.0]);
     }
 
     #[test]
     fn a_robot_that_counts_as_charged_plans_no_stop() {
         let found = |charge| {
-            let limits = StopLimits { charge, floor: share(0.1), until: share(0.9) };
-            plan_stop(limits, &[option(0, 0.01, 0.4, 0.1)], |_, _| Some(seconds(100.0))).is_some()
+            plan_stop(limits(charge, 0.95), &[option(0, 0.01, 0.4, 0.1)], |_, _, _| Some(seconds(100.0))).is_some()
         };
         assert_eq!([0.3, 0.85, 0.87, 0.89, 0.95].map(found), [true, true, false, false, false]);
     }
 
     #[test]
     fn a_charger_whose_power_is_unknown_is_no_stop() {
-        let limits = StopLimits { charge: 0.3, floor: share(0.1), until: share(0.9) };
-        assert_eq!(plan_stop(limits, &[option(0, 0.1, 0.4, 0.1)], |_, _| None), None);
+        assert_eq!(plan_stop(limits(0.3, 0.6), &[option(0, 0.1, 0.4, 0.1)], |_, _, _| None), None);
     }
 }

@@ -52,10 +52,10 @@ fn span() -> impl Strategy<Value = RoleSpan> {
 
 fn planned() -> impl Strategy<Value = PlannedRole> {
     let position = (seconds(), option::of(role_of_mission()), any::<u32>(), any::<u32>());
-    let charging = (place(), seconds(), share(), share()).prop_map(|(charger, time, spare, remaining)| ChargingStop {
+    let charging = (place(), seconds(), share(), share()).prop_map(|(charger, time, until, remaining)| ChargingStop {
         charger,
         time,
-        spare,
+        until,
         remaining,
     });
     let charging = option::of(charging);

@@ -149,7 +149,7 @@ fn span() -> RoleSpan {
 fn stop() -> ChargingStop {
     let share = |share: f64| BatteryShare::new(share).expect("a share");
     let time = Seconds::new(300.0).expect("a time");
-    ChargingStop { charger: slug("Dock"), time, spare: share(0.8), remaining: share(0.5) }
+    ChargingStop { charger: slug("Dock"), time, until: share(0.8), remaining: share(0.5) }
 }
 
 fn planned() -> PlannedRole {

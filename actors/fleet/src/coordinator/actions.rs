@@ -110,6 +110,14 @@ pub(super) enum CoordinatorAction {
     FailMission { mission: MissionId, cause: String, class: CauseClass },
 }
 
+/// Charge of a robot by its record, as a share of a full battery.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RecordedCharge {
+    pub(super) charge: f64,
+    /// Charge above the minimum that a role must leave.
+    pub(super) spare: f64,
+}
+
 /// Session state that the pending actions depend on.
 pub(super) struct SessionState<'a> {
     pub(super) lease_monitor: &'a LeaseMonitor,
@@ -117,8 +125,8 @@ pub(super) struct SessionState<'a> {
     pub(super) notified: &'a BTreeMap<(Epoch, RoleId), NodeTime>,
     /// Robots with promises that cannot take a role, with the reasons.
     pub(super) unfit: &'a BTreeMap<RobotId, String>,
-    /// Charge that robots with promises have above the minimum that a role must leave, as shares of full batteries.
-    pub(super) spare_charge: &'a BTreeMap<RobotId, f64>,
+    /// Charge of robots with promises.
+    pub(super) charges: &'a BTreeMap<RobotId, RecordedCharge>,
     /// Maximum number of promises of a robot.
     pub(super) promises_max: u32,
     /// Time before the earliest start of a mission from which its roles are promised.

@@ -8,7 +8,7 @@ use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
 use super::message::{AwardedRole, CollectedBids, CoordinatorMessage};
 use super::people::People;
-use super::promises::{spare_charges, unfit_robots};
+use super::promises::{recorded_charges, unfit_robots};
 use super::reauctions::{self, Reauctions};
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards, track_new_awards};
 use super::reports::ReportHandler;
@@ -359,17 +359,10 @@ impl LeaderSession {
             let NodeParts { knowledge, .. } = &context.settings.parts;
             let unfit = &unfit_robots(ledger, scope, knowledge, context.has_all_records(now));
             let AuctionSettings { promises, limits, .. } = &context.settings.auctions;
-            let spare_charge = &spare_charges(ledger, scope, knowledge, limits);
+            let charges = &recorded_charges(ledger, scope, knowledge, limits);
             let PromiseTerms { promises_max, ahead, .. } = *promises;
-            let state = SessionState {
-                lease_monitor: &lease_monitor,
-                rounds,
-                notified,
-                unfit,
-                spare_charge,
-                promises_max,
-                ahead,
-            };
+            let state =
+                SessionState { lease_monitor: &lease_monitor, rounds, notified, unfit, charges, promises_max, ahead };
             let actions = pending_actions(ledger, &state, scope, now, confirmed_ms);
             stop_renewing_released(&actions, &mut lease_monitor, now);
             actions

@@ -65,13 +65,13 @@ impl ModelSession {
 
     fn pending_actions(&self, now: NodeTime) -> Vec<CoordinatorAction> {
         let (rounds, notified) = (BTreeMap::new(), BTreeMap::new());
-        let (unfit, spare_charge) = (BTreeMap::new(), BTreeMap::new());
+        let (unfit, charges) = (BTreeMap::new(), BTreeMap::new());
         let state = SessionState {
             lease_monitor: &self.monitor,
             rounds: &rounds,
             notified: &notified,
             unfit: &unfit,
-            spare_charge: &spare_charge,
+            charges: &charges,
             promises_max: 0,
             ahead: Seconds::ZERO,
         };

@@ -1,6 +1,6 @@
 //! Promises that are due: the award of a promised role, or the end of a promise that cannot be kept.
 
-use super::actions::{CoordinatorAction, RoundPhase, SessionState};
+use super::actions::{CoordinatorAction, RecordedCharge, RoundPhase, SessionState};
 use super::message::AwardedRole;
 use super::queues::may_return;
 use super::scope::Scope;
@@ -26,7 +26,7 @@ const CHARGING_LATE_MS: u64 = 5 * 60 * 1000;
 pub(super) fn promises_due(
     ledger: &Ledger,
     scope: Scope<'_>,
-    SessionState { rounds, unfit, spare_charge, promises_max, .. }: &SessionState<'_>,
+    SessionState { rounds, unfit, charges, promises_max, .. }: &SessionState<'_>,
     now_ms: Option<u64>,
     is_due: impl Fn(&AwardedRole) -> bool,
 ) -> Vec<CoordinatorAction> {
@@ -59,14 +59,14 @@ pub(super) fn promises_due(
         let can_start = entry.can_proceed(role) && entry.submission.may_start(now_ms);
         let is_free = !taken.contains(&robot.robot);
         let is_idle = is_free || waiting.contains_key(&robot.robot);
-        let spare = spare_charge.get(&robot.robot);
+        let charge = charges.get(&robot.robot);
         let late_ms = robot.planned_ms.saturating_add(CHARGING_LATE_MS);
         let may_charge = robot.charging.as_ref().filter(|_| now_ms.is_none_or(|now_ms| now_ms < late_ms));
-        let charges_first = may_charge.is_some_and(|stop| has_to_charge(stop, spare));
+        let charges_first = may_charge.is_some_and(|stop| has_to_charge(stop, charge));
         // A robot that only waits in another role cannot charge before it has returned that.
         let is_checked = is_free || is_idle && robot.charging.is_none();
-        let lacks_charge = |spare: &f64| robot.energy.get() > spare + CHARGE_TOLERANCE;
-        let is_too_low = can_start && is_checked && !charges_first && spare.is_some_and(lacks_charge);
+        let lacks_charge = |charge: &RecordedCharge| robot.energy.get() > charge.spare + CHARGE_TOLERANCE;
+        let is_too_low = can_start && is_checked && !charges_first && charge.is_some_and(lacks_charge);
         let displaced = || format!("{} has promised enough roles of a higher priority", robot.robot);
         let too_low = || format!("the charge of {} is too low for it", robot.robot);
         let reason = unfit.get(&robot.robot).cloned();
@@ -93,8 +93,8 @@ pub(super) fn promises_due(
 }
 
 /// Checks whether a robot has not charged yet as it has planned.
-fn has_to_charge(stop: &ChargingStop, spare: Option<&f64>) -> bool {
-    spare.is_none_or(|spare| *spare < stop.spare.get() - CHARGE_TOLERANCE)
+fn has_to_charge(stop: &ChargingStop, recorded: Option<&RecordedCharge>) -> bool {
+    recorded.is_none_or(|recorded| recorded.charge < stop.until.get() - CHARGE_TOLERANCE)
 }
 
 /// Returns the robots of a scope with promises that cannot take a role, with the reasons, as far as this node knows.
@@ -122,17 +122,19 @@ pub(super) fn unfit_robots(
     promised_robots(ledger, scope).into_iter().filter_map(|robot| Some((robot.clone(), unfit(robot)?))).collect()
 }
 
-/// Returns the charge that robots of a scope with promises have above the minimum that a role must leave, as shares of
-/// full batteries, as far as this node knows.
-pub(super) fn spare_charges(
+/// Returns the charge of the robots of a scope with promises, as far as this node knows.
+pub(super) fn recorded_charges(
     ledger: &Ledger,
     scope: Scope<'_>,
     knowledge: &SharedKnowledge,
     limits: &BidLimits,
-) -> BTreeMap<RobotId, f64> {
-    let spare = |worker: &RobotKnowledge| worker.battery.get() - limits.charge_floor(worker.useful_charge).get();
+) -> BTreeMap<RobotId, RecordedCharge> {
+    let recorded = |worker: &RobotKnowledge| {
+        let charge = worker.battery.get();
+        RecordedCharge { charge, spare: charge - limits.charge_floor(worker.useful_charge).get() }
+    };
     let robots = promised_robots(ledger, scope).into_iter();
-    robots.filter_map(|robot| Some((robot.clone(), read_record(knowledge, robot, spare)?))).collect()
+    robots.filter_map(|robot| Some((robot.clone(), read_record(knowledge, robot, recorded)?))).collect()
 }
 
 fn promised_robots<'l>(ledger: &'l Ledger, scope: Scope<'_>) -> BTreeSet<&'l RobotId> {
@@ -168,7 +170,7 @@ mod tests {
     struct Case {
         promises_max: u32,
         unfit: &'static [&'static str],
-        /// Spare charge of the arm.
+        /// Charge of the arm, all of which is above the minimum.
         spare: Option<f64>,
         /// No role was proposed a short time ago.
         is_due: bool,
@@ -188,10 +190,11 @@ mod tests {
     ) -> Vec<CoordinatorAction> {
         let (rounds, notified) = (&BTreeMap::new(), &BTreeMap::new());
         let unfit = &unfit.iter().map(|robot| (robot.parse().unwrap(), "judged dead".to_owned())).collect();
-        let spare_charge = &spare.map(|spare| ("lab-arm".parse().unwrap(), spare)).into_iter().collect();
+        let recorded = spare.map(|spare| ("lab-arm".parse().unwrap(), RecordedCharge { charge: spare, spare }));
+        let charges = &recorded.into_iter().collect();
         let lease_monitor = &LeaseMonitor::new(LeaseTerms::default());
         let ahead = Seconds::ZERO;
-        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
+        let state = SessionState { lease_monitor, rounds, notified, unfit, charges, promises_max, ahead };
         promises_due(ledger, Scope::All, &state, Some(now_ms), |_| is_due)
     }
 

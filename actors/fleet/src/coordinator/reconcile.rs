@@ -171,8 +171,8 @@ mod tests {
         confirmed_ms: Option<u64>,
     ) -> Vec<CoordinatorAction> {
         let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
-        let (lease_monitor, spare_charge) = (&LeaseMonitor::new(LeaseTerms::default()), &BTreeMap::new());
-        let state = SessionState { lease_monitor, rounds, notified, unfit, spare_charge, promises_max, ahead };
+        let (lease_monitor, charges) = (&LeaseMonitor::new(LeaseTerms::default()), &BTreeMap::new());
+        let state = SessionState { lease_monitor, rounds, notified, unfit, charges, promises_max, ahead };
         pending_actions(ledger, &state, scope, NodeTime::ZERO, confirmed_ms)
     }
 

@@ -39,12 +39,12 @@ impl Log {
         self.add(cart, priority, None)
     }
 
-    /// Does the same for an arm that charges before the role, up to this charge above the minimum.
-    pub(crate) fn add_mission_after_charging(&mut self, cart: &str, spare: f64) -> MissionId {
+    /// Does the same for an arm that charges before the role, up to this charge.
+    pub(crate) fn add_mission_after_charging(&mut self, cart: &str, until: f64) -> MissionId {
         let share = |share| BatteryShare::new(share).unwrap();
         let span = RoleSpan { from: None, to: None, time: Seconds::ZERO, energy: Energy::ZERO };
         let (charger, time) = ("Dock".parse().unwrap(), Seconds::ZERO);
-        let stop = ChargingStop { charger, time, spare: share(spare), remaining: share(0.5) };
+        let stop = ChargingStop { charger, time, until: share(until), remaining: share(0.5) };
         self.add(cart, 0, Some(PlannedRole { charging: Some(stop), ..PlannedRole::alone(span, Seconds::ZERO) }))
     }
 

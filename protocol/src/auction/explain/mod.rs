@@ -216,7 +216,9 @@ fn later_text(record: &AuctionRecord, role: &RoleId) -> String {
     };
     let planned = record.planned.get(role);
     let when = match planned.and_then(|planned| planned.charging.as_ref()) {
-        Some(stop) => format!("{when}, after charging at {}", stop.charger),
+        Some(stop) => {
+            format!("{when}, after charging at {} until it has {}", stop.charger, stop.until.percent())
+        }
         None => when,
     };
     match planned.and_then(|planned| Some((planned.before.as_ref()?, planned.delay.get()))) {

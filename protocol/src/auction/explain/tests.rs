@@ -1,5 +1,5 @@
 use super::*;
-use crate::auction::{AuctionId, PlannedRole, RoleOfMission, RoleSpan, ViabilityError};
+use crate::auction::{AuctionId, ChargingStop, PlannedRole, RoleOfMission, RoleSpan, ViabilityError};
 use crate::units::{BatteryShare, Energy};
 
 fn slug<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
@@ -120,6 +120,14 @@ fn a_promise_is_explained_with_its_position() {
     record.planned.insert(slug("r1"), planned);
     let position = "(before r2 of vital-signs-7, which it delays by 12 s)";
     assert_eq!(role(&record), format!("r1: birch gets the role in about 20 s {position} with {bid}"));
+
+    let share = |value: f64| BatteryShare::new(value).unwrap();
+    let stop = ChargingStop { charger: slug("dock"), time: seconds(15.0), until: share(0.42), remaining: share(0.2) };
+    let span = RoleSpan { from: None, to: None, time: seconds(40.0), energy: Energy::ZERO };
+    let planned = PlannedRole { charging: Some(stop), ..PlannedRole::alone(span, seconds(20.0)) };
+    record.planned.insert(slug("r1"), planned);
+    let stop = ", after charging at dock until it has 42.0 %";
+    assert_eq!(role(&record), format!("r1: birch gets the role in about 20 s{stop} with {bid}"));
 }
 
 #[test]

@@ -178,7 +178,7 @@ fn a_free_robot_that_has_to_charge_is_promised_the_role_after_its_stop() {
     let span = RoleSpan { from: None, to: None, time: seconds(100.0), energy: Energy::ZERO };
     let share = |share| BatteryShare::new(share).unwrap();
     let (charger, time) = ("dock".parse().unwrap(), seconds(300.0));
-    let stop = ChargingStop { charger, time, spare: share(0.8), remaining: share(0.6) };
+    let stop = ChargingStop { charger, time, until: share(0.8), remaining: share(0.6) };
     planned.remaining = 0.05;
     planned.planned = Some(Box::new(PlannedRole { charging: Some(stop), ..PlannedRole::alone(span, time) }));
     let responses = [bid("arm-1", "arm", None), charging];

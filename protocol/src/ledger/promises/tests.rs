@@ -285,7 +285,7 @@ fn a_stop_at_a_charger_counts_once_towards_the_deadline_of_a_promise() {
     entry.submission.deadline_ms = Some(345_000);
     let promise = entry.roles.get_mut(&role("arm")).unwrap().holder.as_mut().unwrap();
     let (charger, time) = ("dock".parse().unwrap(), Seconds::new(300.0).unwrap());
-    let stop = ChargingStop { charger, time, spare: BatteryShare::FULL, remaining: BatteryShare::FULL };
+    let stop = ChargingStop { charger, time, until: BatteryShare::FULL, remaining: BatteryShare::FULL };
     (promise.planned_ms, promise.charging) = (310_000, Some(stop));
     let slack = log.promised_roles(second, &["arm"])[0].slack;
     assert_eq!(slack.map(Seconds::get), Some(10.0));

@@ -15,7 +15,7 @@ use std::collections::BTreeSet;
 pub struct ChargerReserve {
     chargers: BTreeSet<PlaceId>,
     limits: BidLimits,
-    /// Forecast of the charging, and the charge up to which the robot charges; `None` for a robot that plans no stops.
+    /// Forecast of the charging, and the charge up to which the robot charges at most; `None` for a robot that plans no stops.
     stops: Option<(ChargingForecast, BatteryShare)>,
 }
 
@@ -61,11 +61,15 @@ impl ChargerReserve {
         let BeforeStop { charge, useful_charge, context } = before;
         let (forecast, until) = self.stops.as_ref()?;
         let at = |place: PlaceId| EstimateContext { place, pose: None, ..context.clone() };
+        let role_from = |context: &EstimateContext| {
+            let budget = budget_from(context)?;
+            let onward = nearest(estimator, &at(budget.ends_at.clone()), &self.chargers).into_iter().next()?;
+            Some((budget, onward))
+        };
         let option = |drive: Drive| {
             let there = at(drive.to.clone());
             let dock = estimator.estimate(&dock_at(&drive.to), &there).ok()?;
-            let budget = budget_from(&there)?;
-            let onward = nearest(estimator, &at(budget.ends_at.clone()), &self.chargers).into_iter().next()?;
+            let (budget, onward) = role_from(&there)?;
             let option = StopOption {
                 charger: drive.to,
                 way_time: drive.time + dock.time,
@@ -78,8 +82,11 @@ impl ChargerReserve {
         };
         let drives = nearest(estimator, context, &self.chargers);
         let (options, budgets): (Vec<StopOption>, Vec<PlanBudget>) = drives.into_iter().filter_map(option).unzip();
-        let limits = StopLimits { charge, floor: self.floor(useful_charge), until: *until };
-        let stop = plan_stop(limits, &options, |charger, from| forecast.known_time(charger, from, *until))?;
+        let floor = self.floor(useful_charge);
+        let needed = |(budget, onward): (PlanBudget, Drive)| floor.get() + budget.energy + onward.energy;
+        let needed_here = role_from(context).map_or(f64::INFINITY, needed);
+        let limits = StopLimits { charge, floor, needed_here, until: *until };
+        let stop = plan_stop(limits, &options, |charger, from, to| forecast.known_time(charger, from, to))?;
         let mut both = options.iter().zip(budgets);
         let budget = both.find_map(|(option, budget)| (option.charger == stop.charger).then_some(budget))?;
         Some((stop, budget))
