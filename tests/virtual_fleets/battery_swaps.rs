@@ -6,6 +6,7 @@ use consort_fleet::robot::BatterySwap;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::mission::{Format, IhtnFields, MissionDocument};
+use consort_protocol::yaml;
 use consort_skills::actions::RobotBackend as _;
 use consort_skills::domain_file::DomainFile;
 use consort_skills::missions::NamedMissions;
@@ -17,32 +18,18 @@ use std::time::Duration;
 
 const SOON: Duration = Duration::from_secs(60);
 
-const DOMAIN: &str = r#"{
-    "domain": "swaps",
-    "actions": { "renew": { "simulate": { "duration_s": [1, 1], "renews_battery": true } } },
-    "tasks": { "swap_battery": { "tree": "swap.xml", "estimate": { "time_s": "30.0" } } }
-}"#;
-
-const TREE: &str = r#"<root BTCPP_format="4" main_tree_to_execute="swap"><BehaviorTree ID="swap"><Sequence>
-    <AskPerson role="porter" message="please swap my battery" at="Dock"/><renew/></Sequence></BehaviorTree></root>"#;
-
-const MISSION: &str = r#"{
-    "mission": "battery-swap", "parameters": { "robot": { "kind": "text" } },
-    "roles": { "r1": { "kind": "managed", "eligible": "robot.name == ${robot}" } },
-    "root": { "task": "all", "method": "sequential", "tasks": [
-        { "task": "go", "type": "navigation", "roles": ["r1"], "parameters": { "to": "Dock" } },
-        { "task": "swap", "type": "swap_battery", "roles": ["r1"] }
-    ] }
-}"#;
+const DOMAIN: &str = include_str!("../../examples/battery-swap/domain.yaml");
+const TREE: &str = include_str!("../../examples/battery-swap/swap_battery.xml");
+const MISSION: &str = include_str!("../../examples/battery-swap/mission.yaml");
 
 /// The coordinator dies while a person is asked. The swap is requested once.
 #[test]
 fn a_person_swaps_the_battery_of_a_robot_with_low_charge_once() {
     for_each_seed([951, 952], async |seed| {
-        let trees = BTreeMap::from([("swap.xml".to_owned(), TREE.to_owned())]);
-        let domain = DomainFile::check(serde_json::from_str(DOMAIN).expect("a domain"), &trees, &[]);
+        let trees = BTreeMap::from([("swap_battery.xml".to_owned(), TREE.to_owned())]);
+        let domain = DomainFile::check(yaml::parse(DOMAIN).expect("YAML"), &trees, &[]);
         let mut missions = NamedMissions::default();
-        let mission = MissionDocument::parse(MISSION, Format::Json, IhtnFields::default()).expect("a mission");
+        let mission = MissionDocument::parse(MISSION, Format::Yaml, IhtnFields::default()).expect("a mission");
         missions.add(mission).expect("no other has its name");
         let missions = Arc::new(missions);
         let mut charging = ChargingSetup::new(&[], 0.4, 1440.0);

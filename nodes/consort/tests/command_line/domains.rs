@@ -22,6 +22,18 @@ fn the_example_domain_and_its_mission_are_valid() {
 }
 
 #[test]
+fn the_example_of_battery_swaps_is_valid() {
+    let swaps = |name: &str| crate_file(&format!("../../examples/battery-swap/{name}"));
+    let (domain, mission) = (swaps("domain.yaml"), swaps("mission.yaml"));
+    let ran = run(&["check", &domain, &mission, "--domain", &domain]);
+    let expected = [
+        format!("{domain}: ok, a domain: 1 action, 1 task type, content "),
+        format!("\n{mission}: ok, a mission: battery-swap, 1 role, 2 steps\n"),
+    ];
+    assert!(ran.code == Some(0) && expected.iter().all(|line| ran.out.contains(line)), "{}{}", ran.out, ran.err);
+}
+
+#[test]
 fn a_task_that_moves_an_item_hands_over() {
     let text = std::fs::read_to_string(plants("rounds.yaml")).expect("an example");
     let moving = text.replace("litres: \"1.5\" } }", "litres: \"1.5\" }, acquires: { tray: gardener } }");

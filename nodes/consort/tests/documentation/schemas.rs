@@ -134,6 +134,7 @@ const NO_JSONSCHEMA: &str = "python3 has no jsonschema (apt-get install python3-
 fn shipped_files_satisfy_their_schemas() {
     let mut paths = files("examples", &[".toml", ".yaml"]);
     paths.extend(files("examples/vacuum", &[".toml", ".yaml"]));
+    paths.extend(files("examples/battery-swap", &[".yaml"]));
     paths.extend(files("skills/missions", &[".yaml"]));
     paths.extend(files("tests/features/missions", &[".yaml"]));
     paths.extend(files("tests/features/maps", &[".yaml"]));
