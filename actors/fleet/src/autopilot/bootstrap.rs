@@ -7,7 +7,7 @@ use consort_bus::cluster_membership::ClusterMembership;
 use consort_bus::{BusError, Query, SharedBus, Stream, reply};
 use consort_gossip::SharedKnowledge;
 use consort_protocol::codec::{self, CodecError};
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::{BootstrapReply, BootstrapRequest};
@@ -100,13 +100,11 @@ impl Bootstrap {
         let listen_deadline = Instant::now() + LISTEN_TIME;
         let mut changed = self.knowledge.changes();
         loop {
-            let observed_fleet = self.observed_fleet();
-            if observed_fleet.has_voters {
+            if self.has_voters() {
                 return; // another node has bootstrapped the cluster
             }
-            let knows_enough = self.candidates().len() >= self.expected_nodes.max(1);
             let now = Instant::now();
-            if now >= listen_deadline && knows_enough && lock(promise).begin_request(&observed_fleet, now) {
+            if now >= listen_deadline && self.begins_request(promise, now) {
                 match self.all_agree().await {
                     Ok(()) if lock(promise).confirm(&self.observed_fleet(), Instant::now()) => {
                         let candidates = self.candidates();
@@ -133,6 +131,14 @@ impl Bootstrap {
         }
     }
 
+    /// Checks whether this node may ask the other nodes now. A node that knows of a cluster may not, and does not count the
+    /// candidates: robots that are not voters get here with each record that changes.
+    fn begins_request(&self, promise: &Mutex<BootstrapPromise>, now: Instant) -> bool {
+        self.known_cluster().is_none()
+            && self.candidates().len() >= self.expected_nodes.max(1)
+            && lock(promise).begin_request(&self.observed_fleet(), now)
+    }
+
     /// Asks all reachable nodes, known or not, whether this node may bootstrap the cluster.
     async fn all_agree(&self) -> Result<(), Disagreement> {
         let request = codec::encode(&self.me)?;
@@ -155,15 +161,24 @@ impl Bootstrap {
     }
 
     fn observed_fleet(&self) -> ObservedFleet {
-        let known_cluster =
-            self.knowledge.read(|base| base.iter().find_map(|(_, entry)| entry.record.knowledge.cluster));
         let candidates = self.candidates().into_keys().collect();
         ObservedFleet {
-            cluster: self.membership.cluster().or(known_cluster),
-            has_voters: !self.replica.leadership().borrow().voters.is_empty(),
+            cluster: self.known_cluster(),
+            has_voters: self.has_voters(),
             replaces_damaged: self.replaces_damaged,
             next_founder: first_voters(candidates, self.target_voters).map(|voter| voter.node).min(),
         }
+    }
+
+    /// Checks whether the node's own replica of the ledger has voters.
+    fn has_voters(&self) -> bool {
+        !self.replica.leadership().borrow().voters.is_empty()
+    }
+
+    /// Returns the cluster of this node, or one that another node has stated.
+    fn known_cluster(&self) -> Option<ClusterId> {
+        let stated = || self.knowledge.read(|base| base.iter().find_map(|(_, entry)| entry.record.knowledge.cluster));
+        self.membership.cluster().or_else(stated)
     }
 
     /// Returns all nodes that could bootstrap the cluster, with their raft ids.
