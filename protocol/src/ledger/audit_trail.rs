@@ -1,10 +1,10 @@
 //! Audit trail: who requested which change, and when.
 
+use super::shared_queue::SharedQueue;
 use crate::bounds::limit_text;
 use crate::codec;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
 use std::fmt;
 
 /// Maximum number of entries; the earliest are dropped. A guess: some days of a busy fleet.
@@ -97,7 +97,7 @@ pub struct AuditEntry {
 /// The audit trail, limited in number and size.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct AuditTrail {
-    entries: VecDeque<AuditEntry>,
+    entries: SharedQueue<AuditEntry>,
     /// Number of entries ever made.
     made: u64,
     /// Encoded size of the entries.

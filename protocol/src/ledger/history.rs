@@ -11,10 +11,11 @@
 use super::command_error::CommandError;
 use super::entry::{MissionEntry, MissionState};
 use super::history_limits::HistoryLimits;
+use super::shared_map::SharedMap;
+use super::shared_queue::SharedQueue;
 use crate::ids::{MissionId, RequestId};
 use consort_text::shorten;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, VecDeque};
 
 /// Wire version since which the ledger has a history.
 pub(super) const HISTORY_SINCE: u8 = 3;
@@ -72,9 +73,9 @@ fn in_brief(state: &MissionState) -> MissionState {
 /// Ended missions, by the order of their ends.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct History {
-    tombstones: BTreeMap<MissionId, Tombstone>,
+    tombstones: SharedMap<MissionId, Tombstone>,
     /// All missions with a tombstone, earliest end first.
-    order: VecDeque<MissionId>,
+    order: SharedQueue<MissionId>,
     /// Number of missions at the end of `order` that are kept whole.
     whole: u64,
     /// Size of all tombstones.

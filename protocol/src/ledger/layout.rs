@@ -13,6 +13,7 @@ use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::sync::Arc;
 
 /// Wire version, and what it adds to the ledger.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -22,7 +23,7 @@ pub(super) struct VersionedPart {
     /// History; present exactly from [`HISTORY_SINCE`] on.
     pub(super) history: Option<History>,
     /// Schedules; empty without a history.
-    pub(super) schedules: BTreeMap<ScheduleId, ScheduleEntry>,
+    pub(super) schedules: BTreeMap<ScheduleId, Arc<ScheduleEntry>>,
     /// Orders of people; empty without a history.
     pub(super) orders: OrderBook,
     /// Requests of people; empty without a history.

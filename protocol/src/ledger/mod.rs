@@ -38,6 +38,9 @@
 //! Queries use indexes by state, rank and robot (the module `missions`), and readers on the same node ask which missions have
 //! changed (the module `mission_changes`).
 //!
+//! A copy of the ledger, such as a snapshot that is being written, shares its large parts (the modules `shared_map` and
+//! `shared_queue`).
+//!
 //! Ended missions are kept in the order of their ends: the latest whole, and for a day what a client
 //! may still ask for (the module `history`).
 //!
@@ -78,6 +81,8 @@ mod role_orders;
 mod schedule;
 mod schedules;
 mod service_order;
+mod shared_map;
+mod shared_queue;
 mod speed_limit;
 mod spread;
 mod submission;

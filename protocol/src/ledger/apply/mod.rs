@@ -13,6 +13,7 @@ use super::missions::{MissionGroup, Missions};
 use super::order_book::OrderBook;
 use super::resource_lease::{Resource, ResourceLease};
 use super::schedule::ScheduleEntry;
+use super::shared_map::SharedMap;
 use super::submission::Submission;
 use crate::auction::{AuctionRecord, RoleEstimate};
 use crate::ids::{ClusterId, MissionId, PlaceId, RequestId, RobotId, RoleId, ScheduleId};
@@ -22,6 +23,7 @@ use crate::plan::StepIndex;
 use crate::units::{Energy, Seconds};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Maximum number of ended missions before wire version 3.
 const HISTORY_MAX: usize = 500;
@@ -32,7 +34,7 @@ pub struct Ledger {
     cluster: Option<ClusterId>,
     pub(super) missions: Missions,
     /// Missions of all requests that are remembered.
-    requests: BTreeMap<RequestId, MissionId>,
+    requests: SharedMap<RequestId, MissionId>,
     submitted: u64,
     versioned: VersionedPart,
 }
@@ -301,11 +303,11 @@ impl Ledger {
         id
     }
 
-    pub(super) fn schedule_entries(&self) -> &BTreeMap<ScheduleId, ScheduleEntry> {
+    pub(super) fn schedule_entries(&self) -> &BTreeMap<ScheduleId, Arc<ScheduleEntry>> {
         &self.versioned.schedules
     }
 
-    pub(super) fn schedule_entries_mut(&mut self) -> &mut BTreeMap<ScheduleId, ScheduleEntry> {
+    pub(super) fn schedule_entries_mut(&mut self) -> &mut BTreeMap<ScheduleId, Arc<ScheduleEntry>> {
         &mut self.versioned.schedules
     }
 

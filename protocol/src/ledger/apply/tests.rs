@@ -7,6 +7,7 @@ use crate::ids::{TaskId, TaskType};
 use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskSpec};
 use crate::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 use crate::scalar::Scalar;
+use std::time::{Duration, Instant};
 
 fn role(name: &str) -> RoleId {
     RoleId::new(name).unwrap()
@@ -525,6 +526,26 @@ fn a_full_ledger_accepts_missions_after_others_have_ended() {
     log.cancel(&first);
     log.submit("one-more");
     assert_eq!(log.apply_submission("two-more", 0), full);
+}
+
+/// A snapshot copies the ledger while it is locked.
+#[test]
+fn a_copy_of_a_full_ledger_takes_less_than_a_millisecond() {
+    let mut log = Log::with_history();
+    log.fail_others(20_000);
+    for number in 0..1000 {
+        log.submit(&format!("waiting{number}"));
+    }
+    assert_eq!((log.0.active_missions().len(), log.0.latest_ended().count()), (1000, 20_000));
+    let time_to_copy = || {
+        let began = Instant::now();
+        let copy = log.0.clone();
+        let elapsed = began.elapsed();
+        assert!(copy == log.0);
+        elapsed
+    };
+    let shortest = (0..10).map(|_| time_to_copy()).min().unwrap();
+    assert!(shortest < Duration::from_millis(1), "{shortest:?}");
 }
 
 #[test]

@@ -3,7 +3,8 @@
 use crate::ids::{MissionId, RobotId};
 use crate::ledger::entry::MissionEntry;
 use crate::ledger::service_order::ServiceRank;
-use std::collections::{BTreeMap, BTreeSet};
+use crate::ledger::shared_map::SharedMap;
+use std::collections::BTreeSet;
 
 /// Group of missions that queries need together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -62,11 +63,11 @@ pub(super) fn is_promised(entry: &MissionEntry, robot: &RobotId) -> bool {
 #[derive(Debug, Clone, Default)]
 pub(super) struct MissionIndex {
     /// The missions of each group, in the order in which they are served.
-    groups: [BTreeSet<(ServiceRank, MissionId)>; MissionGroup::ALL.len()],
-    held: BTreeMap<RobotId, BTreeSet<MissionId>>,
-    promised: BTreeMap<RobotId, BTreeSet<MissionId>>,
+    groups: [SharedMap<(ServiceRank, MissionId), ()>; MissionGroup::ALL.len()],
+    held: SharedMap<RobotId, BTreeSet<MissionId>>,
+    promised: SharedMap<RobotId, BTreeSet<MissionId>>,
     /// What the indexes contain of each mission that is in any of them.
-    indexed: BTreeMap<MissionId, IndexedMission>,
+    indexed: SharedMap<MissionId, IndexedMission>,
 }
 
 impl MissionIndex {
@@ -85,7 +86,7 @@ impl MissionIndex {
         }
         if let Some(present) = present {
             for group in &present.groups {
-                self.groups[*group as usize].insert((present.rank, id.clone()));
+                self.groups[*group as usize].insert((present.rank, id.clone()), ());
             }
             present.holders.iter().for_each(|robot| add(&mut self.held, robot, id));
             present.promised.iter().for_each(|robot| add(&mut self.promised, robot, id));
@@ -93,8 +94,12 @@ impl MissionIndex {
         }
     }
 
-    pub(super) fn of_group(&self, group: MissionGroup) -> impl ExactSizeIterator<Item = &MissionId> {
-        self.groups[group as usize].iter().map(|(_, id)| id)
+    pub(super) fn of_group(&self, group: MissionGroup) -> impl Iterator<Item = &MissionId> {
+        self.groups[group as usize].iter().map(|((_, id), ())| id)
+    }
+
+    pub(super) fn count(&self, group: MissionGroup) -> usize {
+        self.groups[group as usize].len()
     }
 
     pub(super) fn held_by(&self, robot: &RobotId) -> impl Iterator<Item = &MissionId> {
@@ -106,11 +111,16 @@ impl MissionIndex {
     }
 }
 
-fn add(missions: &mut BTreeMap<RobotId, BTreeSet<MissionId>>, robot: &RobotId, id: &MissionId) {
-    missions.entry(robot.clone()).or_default().insert(id.clone());
+fn add(missions: &mut SharedMap<RobotId, BTreeSet<MissionId>>, robot: &RobotId, id: &MissionId) {
+    match missions.get_mut(robot) {
+        Some(of_robot) => {
+            of_robot.insert(id.clone());
+        }
+        None => missions.insert(robot.clone(), BTreeSet::from([id.clone()])),
+    }
 }
 
-fn remove(missions: &mut BTreeMap<RobotId, BTreeSet<MissionId>>, robot: &RobotId, id: &MissionId) {
+fn remove(missions: &mut SharedMap<RobotId, BTreeSet<MissionId>>, robot: &RobotId, id: &MissionId) {
     if let Some(of_robot) = missions.get_mut(robot) {
         of_robot.remove(id);
         if of_robot.is_empty() {

@@ -4,13 +4,15 @@
 //! [`Missions::get_mut`], which notes them. [`Missions::settle`] updates the indexes after the command; until then queries examine
 //! the noted missions themselves, so they are exact at any time.
 //!
-//! A copy of the ledger, such as a snapshot that is being written, shares the missions. A change copies a shared mission first.
+//! A copy of the ledger, such as a snapshot that is being written, shares the missions and the indexes. A change copies a shared
+//! mission first.
 
 mod index;
 
 use super::entry::MissionEntry;
 use super::mission_changes::ChangeList;
 use super::service_order::service_order;
+use super::shared_map::SharedMap;
 use crate::ids::{MissionId, RobotId};
 pub(super) use index::MissionGroup;
 use index::{MissionIndex, holds, is_promised};
@@ -21,7 +23,7 @@ use std::sync::Arc;
 /// Missions by id.
 #[derive(Debug, Default)]
 pub(super) struct Missions {
-    entries: BTreeMap<MissionId, Arc<MissionEntry>>,
+    entries: SharedMap<MissionId, Arc<MissionEntry>>,
     index: MissionIndex,
     /// Missions that the present command may have changed.
     touched: BTreeSet<MissionId>,
@@ -86,7 +88,7 @@ impl Missions {
 
     /// Returns the number of missions of a group.
     pub(super) fn count(&self, group: MissionGroup) -> usize {
-        if self.touched.is_empty() { self.index.of_group(group).len() } else { self.of_group(group).len() }
+        if self.touched.is_empty() { self.index.count(group) } else { self.of_group(group).len() }
     }
 
     /// Returns the first active mission, by id, in which a robot holds a role.
@@ -115,8 +117,8 @@ impl From<BTreeMap<MissionId, MissionEntry>> for Missions {
     fn from(entries: BTreeMap<MissionId, MissionEntry>) -> Missions {
         let mut index = MissionIndex::default();
         entries.iter().for_each(|(id, entry)| index.update(id, Some(entry)));
-        let entries = entries.into_iter().map(|(id, entry)| (id, Arc::new(entry))).collect();
-        Missions { entries, index, ..Missions::default() }
+        let entries: BTreeMap<_, _> = entries.into_iter().map(|(id, entry)| (id, Arc::new(entry))).collect();
+        Missions { entries: entries.into(), index, ..Missions::default() }
     }
 }
 
@@ -137,7 +139,7 @@ impl PartialEq for Missions {
 
 impl Serialize for Missions {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(self.entries.iter().map(|(id, entry)| (id, &**entry)))
+        self.entries.serialize(serializer)
     }
 }
 

@@ -1,10 +1,10 @@
-use crate::auction::{AuctionId, AuctionRecord};
+use crate::auction::{AuctionEntry, AuctionId, AuctionRecord, BidVerdict, RefusalReason};
 use crate::codec;
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::ledger::{
-    ChangeCursor, Command, HistoryLimits, Ledger, MissionCancelation, MissionChange, MissionChanges, MissionEntry,
-    OrderRequest, Priority, RecoveryBranch, Submission,
+    Branch, ChangeCursor, Command, HistoryLimits, Ledger, MissionCancelation, MissionChange, MissionChanges,
+    MissionEntry, OrderRequest, Priority, RecoveryBranch, Submission,
 };
 use crate::mission::test_data::{FETCH_PARCEL, domain};
 use crate::mission::{Format, MissionTemplate, RoleKind};
@@ -197,7 +197,7 @@ fn a_refused_command_and_a_copy_leave_the_missions_of_others_alone() {
     assert_eq!(changes, MissionChanges::These([mission.clone()].into()));
     assert_eq!((copy.active_missions().len(), log.ledger.active_missions().len()), (3, 2));
     let shared = ids(copy.missions()).into_iter().filter(|id| {
-        let of = |ledger: &Ledger| Arc::clone(&ledger.missions.entries[*id]);
+        let of = |ledger: &Ledger| Arc::clone(ledger.missions.entries.get(id).unwrap());
         Arc::ptr_eq(&of(&copy), &of(&log.ledger))
     });
     assert!(shared.count() == 2, "a change copies the mission, and no other");
@@ -206,4 +206,32 @@ fn a_refused_command_and_a_copy_leave_the_missions_of_others_alone() {
     check_queries(&copy);
     assert_eq!(log.ledger.missions_with_people().len(), 2);
     assert_eq!(copy.mission_state(ids(copy.active_missions())[0]).map(|state| state.as_str()), Some("pending"));
+}
+
+#[test]
+fn a_waiting_mission_that_twelve_robots_refuse_needs_at_most_20_kb() {
+    let mut log = Log::new();
+    log.apply(Command::first_wire_version(3));
+    (0..500).for_each(|_| log.submit(0));
+    let waiting: Vec<MissionEntry> = log.ledger.active_missions().into_iter().cloned().collect();
+    for MissionEntry { id, roles, .. } in waiting {
+        let problem = "its driver has not replied for 20 s, and a person has to look at it".to_owned();
+        let verdict = BidVerdict::Refused { reason: RefusalReason::OutOfService { problem } };
+        let robots = (0..12).map(|number| RobotId::new(format!("robot-{number:03}")).unwrap());
+        let refusal = |(robot, role): (RobotId, &RoleId)| {
+            let (role, verdict, parts) = (role.clone(), verdict.clone(), vec![]);
+            AuctionEntry { role, robot, verdict, parts }
+        };
+        let entries =
+            robots.flat_map(|robot| roles.keys().map(move |role| (robot.clone(), role))).map(refusal).collect();
+        let auction = AuctionId { mission: id.clone(), term: 1, round: 1 };
+        let failure = Some("no robot bids for any role".to_owned());
+        let auction = AuctionRecord { entries, failure, ..AuctionRecord::empty(auction) }.for_ledger(false);
+        log.apply(Command::Defer { mission: id, branch: Branch::Main, auction });
+    }
+    assert!(
+        log.ledger.missions().all(|entry| entry.auction.as_ref().is_some_and(|auction| !auction.entries.is_empty()))
+    );
+    let bytes = codec::encode_record(&log.ledger).unwrap().len() / 500;
+    assert!(bytes <= 20_000, "{bytes} bytes for each mission");
 }

@@ -12,20 +12,22 @@ use super::history::HISTORY_SINCE;
 use super::schedule::{Occurrence, Schedule, ScheduleEntry, SchedulePause};
 use crate::codec;
 use crate::ids::ScheduleId;
+use std::sync::Arc;
 
 impl Ledger {
     /// Returns the schedules, by id.
     pub fn schedules(&self) -> impl Iterator<Item = &ScheduleEntry> {
-        self.schedule_entries().values()
+        self.schedule_entries().values().map(|entry| &**entry)
     }
 
     /// Returns a schedule.
     pub fn schedule(&self, id: &ScheduleId) -> Option<&ScheduleEntry> {
-        self.schedule_entries().get(id)
+        self.schedule_entries().get(id).map(|entry| &**entry)
     }
 
     fn schedule_mut(&mut self, id: &ScheduleId) -> Result<&mut ScheduleEntry, CommandError> {
-        self.schedule_entries_mut().get_mut(id).ok_or_else(|| CommandError::NoSchedule { schedule: id.clone() })
+        let entry = self.schedule_entries_mut().get_mut(id).map(Arc::make_mut);
+        entry.ok_or_else(|| CommandError::NoSchedule { schedule: id.clone() })
     }
 
     /// Adds a schedule, whose occurrences after `from_ms` count. The same schedule may be added again.
@@ -48,7 +50,7 @@ impl Ledger {
         }
         let id = schedule.id.clone();
         let entry = ScheduleEntry { schedule, pause: None, handled_ms: from_ms, submitted: 0, last: None };
-        self.schedule_entries_mut().insert(id, entry);
+        self.schedule_entries_mut().insert(id, Arc::new(entry));
         Ok(CommandOutcome::Done)
     }
 
