@@ -7,7 +7,7 @@
 //! So an operator decides on it, not a node.
 
 use super::log_store::{PersistentState, StoreIdentity};
-use super::storage::{self, AppliedState, CachedEntry, StoredSnapshot, encode_record, snapshot_id};
+use super::storage::{self, AppliedState, StoredSnapshot, encode_record, snapshot_id};
 use super::types::{Epoch, LogId, Peer, RaftId, SnapshotMeta, StateMachine, StoredMembership, Vote, epoch_of};
 use consort_protocol::ids::NodeId;
 use openraft::{CommittedLeaderId, Membership};
@@ -41,9 +41,9 @@ fn replay<S: StateMachine>(stored: PersistentState) -> io::Result<ReplayedLog<S>
     // The entries covered by the snapshot are committed, even if the stored committed position
     // lags.
     let committed = log.committed.max(machine.applied);
-    for (_, CachedEntry { entry, .. }) in log.entries {
-        if machine.applied < Some(entry.log_id) {
-            machine.apply_entry(entry);
+    for cached in log.entries.values() {
+        if machine.applied < Some(cached.log_id) {
+            machine.apply_entry(cached.to_entry()?);
         }
     }
     Ok(ReplayedLog { vote: log.vote, committed, machine })

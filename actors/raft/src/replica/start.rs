@@ -25,7 +25,7 @@ use tracing::info;
 
 /// Growth of the log after which a snapshot is taken, in bytes, whatever the number of entries. After a larger snapshot the log
 /// may grow by its size, so that snapshots of a large state do not take most of the time. Raised: fewer snapshots, and more
-/// memory, since each replica keeps its log in memory, several times as large as encoded.
+/// memory, since each replica keeps its log in memory.
 const LOG_GROWTH_MAX: u64 = 8 << 20;
 
 /// Size limit, in bytes, up to which commands share an entry. A slow link carries such an entry

@@ -32,7 +32,7 @@ pub(crate) fn load_state<S: StateMachine>(
         purged: read(purged)?,
         entries: entries
             .iter()
-            .map(|(index, bytes)| Ok((*index, CachedEntry { entry: decode_record(bytes)?, bytes: bytes.len() })))
+            .map(|(index, bytes)| Ok((*index, CachedEntry::stored(bytes)?)))
             .collect::<Result<_, std::io::Error>>()?,
     };
     check_continuity(&log)?;
@@ -61,14 +61,14 @@ fn position_text(log_id: Option<&LogId>) -> String {
 /// first, directly after the purged part.
 fn check_continuity<S: StateMachine>(log: &Log<S>) -> std::io::Result<()> {
     let mut last = log.purged;
-    for (index, CachedEntry { entry, .. }) in &log.entries {
+    for (index, CachedEntry { log_id, .. }) in &log.entries {
         // `None` after the greatest possible index.
         let expected = last.map_or(Some(0), |last| last.index.checked_add(1));
-        if Some(*index) != expected || entry.log_id.index != *index || last >= Some(entry.log_id) {
-            let (found, last) = (epoch_of(&entry.log_id), position_text(last.as_ref()));
+        if Some(*index) != expected || log_id.index != *index || last >= Some(*log_id) {
+            let (found, last) = (epoch_of(log_id), position_text(last.as_ref()));
             return Err(invalid_data(format!("the log has entry {found} at index {index}, directly after {last}")));
         }
-        last = Some(entry.log_id);
+        last = Some(*log_id);
     }
     Ok(())
 }

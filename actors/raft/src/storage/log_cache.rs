@@ -1,6 +1,9 @@
 //! The log, cached in memory.
+//!
+//! A decoded entry is several times as large as an encoded one, so only the latest entries are kept decoded: those that
+//! are being replicated and applied. The others are decoded when a follower that lags needs them.
 
-use super::records::{Covered, encode_record, lock};
+use super::records::{Covered, decode_record, encode_record, lock};
 use crate::log_store::LogStore;
 use crate::settings::APPEND_BYTES;
 use crate::types::{LogId, StateMachine, StorageError, StorageIOError, TypeConfig, Vote};
@@ -12,6 +15,10 @@ use std::ops::RangeBounds;
 use std::sync::{Arc, Mutex};
 use tokio::sync::watch;
 
+/// Number of entries, at the end of the log, that are kept decoded. Raised: a follower that lags costs less computing time, and
+/// the log takes more memory. A guess: more entries than are committed within a round trip.
+const DECODED_MAX: u64 = 128;
+
 /// The log as openraft reads it; the log store holds the same data durably.
 pub(crate) struct Log<S: StateMachine> {
     pub(crate) vote: Option<Vote>,
@@ -20,11 +27,47 @@ pub(crate) struct Log<S: StateMachine> {
     pub(crate) entries: BTreeMap<u64, CachedEntry<S>>,
 }
 
-/// Log entry.
+impl<S: StateMachine> Log<S> {
+    /// Adds entries, and keeps only the latest entries decoded.
+    fn append(&mut self, entries: Vec<CachedEntry<S>>) {
+        for cached in entries {
+            let index = cached.log_id.index;
+            self.entries.insert(index, cached);
+            let earlier = index.checked_sub(DECODED_MAX).and_then(|earlier| self.entries.get_mut(&earlier));
+            if let Some(earlier) = earlier {
+                earlier.decoded = None;
+            }
+        }
+    }
+}
+
+/// Log entry. Copies share its content.
+#[derive(Clone)]
 pub(crate) struct CachedEntry<S: StateMachine> {
-    pub(crate) entry: Entry<TypeConfig<S>>,
-    /// Encoded size in bytes.
-    pub(super) bytes: usize,
+    pub(crate) log_id: LogId,
+    bytes: Arc<[u8]>,
+    /// The same entry, if it is among the latest.
+    decoded: Option<Arc<Entry<TypeConfig<S>>>>,
+}
+
+impl<S: StateMachine> CachedEntry<S> {
+    /// Creates an entry that is stored encoded.
+    pub(super) fn stored(bytes: &[u8]) -> std::io::Result<CachedEntry<S>> {
+        let entry: Entry<TypeConfig<S>> = decode_record(bytes)?;
+        Ok(CachedEntry { log_id: entry.log_id, bytes: bytes.into(), decoded: None })
+    }
+
+    fn appended(entry: Entry<TypeConfig<S>>, bytes: &[u8]) -> CachedEntry<S> {
+        CachedEntry { log_id: entry.log_id, bytes: bytes.into(), decoded: Some(Arc::new(entry)) }
+    }
+
+    /// Returns the entry for openraft.
+    pub(crate) fn to_entry(&self) -> std::io::Result<Entry<TypeConfig<S>>> {
+        match &self.decoded {
+            Some(entry) => Ok(Entry::clone(entry)),
+            None => decode_record(&self.bytes),
+        }
+    }
 }
 
 /// Log and vote, cached in memory.
@@ -54,7 +97,7 @@ impl<S: StateMachine> LogCache<S> {
     /// Creates the cache of a loaded log. `covered` is the last entry covered by the stored
     /// snapshot.
     pub(super) fn new(log_store: Arc<dyn LogStore>, log: Log<S>, covered: watch::Receiver<Covered>) -> LogCache<S> {
-        let bytes = log.entries.values().map(|cached| cached.bytes as u64).sum();
+        let bytes = log.entries.values().map(|cached| cached.bytes.len() as u64).sum();
         let appended_bytes = Arc::new(watch::Sender::new(bytes));
         LogCache { log_store, log: Arc::new(Mutex::new(log)), appended: Arc::default(), appended_bytes, covered }
     }
@@ -62,7 +105,7 @@ impl<S: StateMachine> LogCache<S> {
     /// Returns the last entry of the log, if it ever had an entry.
     pub(crate) fn last(&self) -> Option<LogId> {
         let log = lock(&self.log);
-        log.entries.last_key_value().map(|(_, cached)| cached.entry.log_id).or(log.purged)
+        log.entries.last_key_value().map(|(_, cached)| cached.log_id).or(log.purged)
     }
 
     /// Returns a watch of the number of appends.
@@ -89,6 +132,15 @@ fn writing_logs(error: std::io::Error) -> StorageError {
     StorageIOError::write_logs(AnyError::new(&error)).into()
 }
 
+fn reading_logs(error: std::io::Error) -> StorageError {
+    StorageIOError::read_logs(AnyError::new(&error)).into()
+}
+
+/// Decodes entries outside of the lock.
+fn decoded<S: StateMachine>(cached: &[CachedEntry<S>]) -> std::io::Result<Vec<Entry<TypeConfig<S>>>> {
+    cached.iter().map(CachedEntry::to_entry).collect()
+}
+
 fn writing_vote(error: std::io::Error) -> StorageError {
     StorageIOError::write_vote(AnyError::new(&error)).into()
 }
@@ -98,7 +150,8 @@ impl<S: StateMachine> RaftLogReader<TypeConfig<S>> for LogCache<S> {
         &mut self,
         range: R,
     ) -> Result<Vec<Entry<TypeConfig<S>>>, StorageError> {
-        Ok(lock(&self.log).entries.range(range).map(|(_, cached)| cached.entry.clone()).collect())
+        let cached: Vec<_> = lock(&self.log).entries.range(range).map(|(_, cached)| cached.clone()).collect();
+        decoded(&cached).map_err(reading_logs)
     }
 
     /// Returns the entries from `start` and before `end` that fit in a single message: at least the
@@ -108,20 +161,18 @@ impl<S: StateMachine> RaftLogReader<TypeConfig<S>> for LogCache<S> {
         start: u64,
         end: u64,
     ) -> Result<Vec<Entry<TypeConfig<S>>>, StorageError> {
-        let log = lock(&self.log);
         let mut bytes = 0;
         let fits = |cached: &&CachedEntry<S>| {
             let first = bytes == 0;
-            bytes += cached.bytes;
+            bytes += cached.bytes.len();
             first || bytes <= APPEND_BYTES
         };
-        Ok(log
-            .entries
-            .range(start..end)
-            .map(|(_, cached)| cached)
-            .take_while(fits)
-            .map(|cached| cached.entry.clone())
-            .collect())
+        let cached: Vec<CachedEntry<S>> = {
+            let log = lock(&self.log);
+            let range = log.entries.range(start..end).map(|(_, cached)| cached);
+            range.take_while(fits).cloned().collect()
+        };
+        decoded(&cached).map_err(reading_logs)
     }
 }
 
@@ -168,12 +219,11 @@ impl<S: StateMachine> RaftLogStorage<TypeConfig<S>> for LogCache<S> {
         let records =
             entries.iter().map(|entry| Ok((entry.log_id.index, encode_record(entry)?))).collect::<Result<Vec<_>, _>>();
         let records = records.map_err(writing_logs)?;
-        let sizes: Vec<usize> = records.iter().map(|(_, record)| record.len()).collect();
+        let appended: u64 = records.iter().map(|(_, record)| record.len() as u64).sum();
+        let cached = entries.into_iter().zip(&records).map(|(entry, (_, record))| CachedEntry::appended(entry, record));
+        let cached: Vec<CachedEntry<S>> = cached.collect();
         self.log_store.append(records).await.map_err(writing_logs)?;
-        let appended: u64 = sizes.iter().map(|bytes| *bytes as u64).sum();
-        let cached =
-            entries.into_iter().zip(sizes).map(|(entry, bytes)| (entry.log_id.index, CachedEntry { entry, bytes }));
-        lock(&self.log).entries.extend(cached);
+        lock(&self.log).append(cached);
         self.appended.send_modify(|count| *count += 1);
         self.appended_bytes.send_modify(|bytes| *bytes += appended);
         callback.log_io_completed(Ok(()));
@@ -194,8 +244,51 @@ impl<S: StateMachine> RaftLogStorage<TypeConfig<S>> for LogCache<S> {
         let last = encode_record(&through).map_err(writing_logs)?;
         self.log_store.purge(through.index, last).await.map_err(writing_logs)?;
         let mut log = lock(&self.log);
-        log.entries = log.entries.split_off(&(through.index + 1));
+        let kept = log.entries.split_off(&(through.index + 1));
+        let purged = std::mem::replace(&mut log.entries, kept);
         log.purged = Some(through);
+        drop(log);
+        drop(purged); // thousands of entries, outside of the lock
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log_store::MemoryLogStore;
+    use crate::types::{Batch, RaftId};
+    use consort_protocol::ids::ClusterId;
+    use consort_protocol::ledger::{Command, Ledger};
+    use openraft::{CommittedLeaderId, EntryPayload};
+
+    fn entry(index: u64) -> Entry<TypeConfig<Ledger>> {
+        let command = Command::Bootstrap { cluster: ClusterId(index) };
+        let log_id = LogId::new(CommittedLeaderId::new(1, RaftId(7)), index);
+        Entry { log_id, payload: EntryPayload::Normal(Batch(vec![command])) }
+    }
+
+    #[tokio::test]
+    async fn only_the_latest_entries_are_kept_decoded_and_all_can_be_read() {
+        let mut log = Log::<Ledger> { vote: None, committed: None, purged: None, entries: BTreeMap::new() };
+        let entries: Vec<_> = (0..1000).map(entry).collect();
+        for some in entries.chunks(10) {
+            let append = |entry: &Entry<TypeConfig<Ledger>>| {
+                CachedEntry::appended(entry.clone(), &encode_record(entry).unwrap())
+            };
+            log.append(some.iter().map(append).collect());
+            let decoded = log.entries.values().filter(|cached| cached.decoded.is_some()).count();
+            assert!(decoded as u64 <= DECODED_MAX, "{decoded}");
+        }
+        let (_covered, receiver) = watch::channel(Ok(None));
+        let mut cache = LogCache::new(Arc::new(MemoryLogStore::new(1)), log, receiver);
+        assert_eq!(cache.last(), Some(entries[999].log_id));
+        let encoded = |entries: &[Entry<TypeConfig<Ledger>>]| -> Vec<Vec<u8>> {
+            entries.iter().map(|entry| encode_record(entry).unwrap()).collect()
+        };
+        let read = cache.try_get_log_entries(0..1000).await.unwrap();
+        assert_eq!(encoded(&read), encoded(&entries));
+        let read = cache.limited_get_log_entries(400, 900).await.unwrap();
+        assert_eq!(encoded(&read), encoded(&entries[400..900]));
     }
 }

@@ -8,7 +8,6 @@ mod snapshot_id;
 mod state_machine;
 
 pub(crate) use load::{load_state, open};
-pub(crate) use log_cache::CachedEntry;
 #[cfg(feature = "test-util")]
 pub(crate) use records::decode_record;
 pub(crate) use records::{SnapshotError, StoredSnapshot, encode_record};

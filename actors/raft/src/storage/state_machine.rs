@@ -141,7 +141,13 @@ impl<S: StateMachine> StateMachineStore<S> {
         let record = encode_record(&stored).map_err(writing_snapshot)?;
         let _exclusive = self.snapshots.lock().await;
         self.log_store.save_snapshot(record).await.map_err(writing_snapshot)?;
-        lock(&self.machine).restore(state, stored);
+        let former = {
+            let mut machine = lock(&self.machine);
+            let former = std::mem::take(&mut machine.state);
+            machine.restore(state, stored);
+            former
+        };
+        drop(former); // a large one, outside of the lock
         self.covered.send_modify(|covered| *covered = Ok(last));
         self.publish_cluster(cluster);
         self.applied.send_replace(last.as_ref().map(epoch_of).unwrap_or_default());
