@@ -32,7 +32,7 @@ fn the_figures_of_a_fleet_follow_from_its_size() {
 
 #[test]
 fn commits_are_measured_among_waiting_missions() {
-    let figures = measure_commits(CommitSetup { missions: 20, seed: 1 }, |_| ());
+    let figures = measure_commits(CommitSetup { missions: 20, history: 3, seed: 1 }, |_| ());
     let commit = figures.commit_ms.expect("commits were measured");
     assert_eq!((figures.missions, figures.commits), (20, 400));
     assert!(commit.p50 > 0.5 && commit.p999 < 1000.0, "{figures:?}");

@@ -1,11 +1,11 @@
 //! Measurements of commits by the number of missions in the ledger.
 //!
-//! The missions wait for the time at which they may start, so there are no auctions. Then missions are requested and
-//! canceled, one after the other. The coordinator runs on a runtime of its own, which measures its computing time. The
-//! fleet writes an early wire version, with which the ledger holds any number of missions.
+//! Some missions have ended. Others wait for the time at which they may start, so there are no auctions. Then missions are
+//! requested and canceled, one after the other. The coordinator runs on a runtime of its own, which measures its computing
+//! time. A fleet with more missions than a ledger accepts writes an early wire version, with which there is no limit.
 
 use super::runtimes::Runtimes;
-use super::{STATIONS, memory_mb, visit};
+use super::{STATIONS, memory_mb, resident_kb, visit};
 use crate::fleet::NodeOptions;
 use crate::percentiles::Percentiles;
 use crate::{Fleet, RobotSpec, slug};
@@ -23,6 +23,9 @@ use tokio::time::sleep;
 /// Number of missions that are requested and canceled.
 const MEASURED: usize = 200;
 
+/// Most missions that may wait in a ledger with limits while others are measured.
+const LIMITED_MAX: usize = 1000;
+
 /// Duration of the measurement without commits.
 const IDLE: Duration = Duration::from_secs(10);
 
@@ -37,6 +40,8 @@ const OBSERVATIONS_KEPT: usize = 1000;
 pub struct CommitSetup {
     /// Number of missions that wait meanwhile.
     pub missions: usize,
+    /// Number of missions that have ended before.
+    pub history: usize,
     /// Seed of the random numbers.
     pub seed: u64,
 }
@@ -46,6 +51,8 @@ pub struct CommitSetup {
 pub struct CommitFigures {
     /// Number of missions that wait.
     pub missions: usize,
+    /// Number of missions that had ended before.
+    pub history: usize,
     /// Number of measured commits.
     pub commits: usize,
     /// From a request of a client to the acknowledgement, with the coordinator's computing time, also across snapshots.
@@ -58,6 +65,9 @@ pub struct CommitFigures {
     pub copy_ms: f64,
     /// Encoded size of a waiting mission, in bytes: the mean.
     pub mission_bytes: f64,
+    /// Memory of the process for a waiting mission, in kB for each voter: the ledger, the log and the rest of the node. Too low
+    /// if the process has measured another fleet before, whose memory is used again.
+    pub mission_memory_kb: Option<f64>,
     /// Most memory of the process so far, in MB.
     pub memory_mb: Option<f64>,
     /// Duration of the measurement in seconds.
@@ -72,10 +82,12 @@ pub fn measure_commits(setup: CommitSetup, progress: impl Fn(&str)) -> CommitFig
     let handles = BTreeMap::from([(STATIONS[0].to_owned(), coordinator.handle())]);
     let figures = runtimes.block_on(async {
         progress("starts");
-        let adjust = |settings: &mut NodeSettings| {
+        let adjust = move |settings: &mut NodeSettings| {
             settings.fleet.request_limits = RequestLimits { missions_max: 0, requests_per_s: 0 };
             settings.fleet.snapshot_every = SNAPSHOT_EVERY;
-            settings.supported_versions = settings.supported_versions.up_to(2);
+            if setup.missions > LIMITED_MAX {
+                settings.supported_versions = settings.supported_versions.up_to(2);
+            }
         };
         let options =
             NodeOptions { adjust: Box::new(adjust), runtimes: handles, world_speed: 1.0, ..NodeOptions::default() };
@@ -84,11 +96,20 @@ pub fn measure_commits(setup: CommitSetup, progress: impl Fn(&str)) -> CommitFig
         let leader = fleet.wait_for_coordinator().await;
         assert_eq!(leader.as_str(), STATIONS[0], "the first voter by name creates the cluster");
 
-        progress("missions");
-        for number in 0..setup.missions {
-            request(&fleet, number).await;
-            fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
+        progress("history");
+        for number in 0..setup.history {
+            let mission = request(&fleet, number).await;
+            cancel(&fleet, &mission).await;
         }
+        progress("missions");
+        let memory_before = resident_kb();
+        let first_measured = setup.history + setup.missions;
+        for number in setup.history..first_measured {
+            request(&fleet, number).await;
+        }
+        let voted = (setup.missions * STATIONS.len()) as f64;
+        let mission_memory_kb = resident_kb().zip(memory_before).filter(|_| setup.missions > 0);
+        let mission_memory_kb = mission_memory_kb.map(|(now, before)| (now - before) / voted);
         progress("idle");
         let before = coordinator.cpu();
         sleep(IDLE).await;
@@ -101,24 +122,25 @@ pub fn measure_commits(setup: CommitSetup, progress: impl Fn(&str)) -> CommitFig
             coordinator_ms.push(computing.as_secs_f64() * 1000.0);
             commit_ms.push((fleet.elapsed() - at + computing).as_secs_f64() * 1000.0);
         };
-        for number in setup.missions..setup.missions + MEASURED {
+        for number in first_measured..first_measured + MEASURED {
             let began = (fleet.elapsed(), coordinator.cpu());
             let mission = request(&fleet, number).await;
             add(&fleet, began);
             let began = (fleet.elapsed(), coordinator.cpu());
-            fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
+            cancel(&fleet, &mission).await;
             add(&fleet, began);
-            fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
         }
         let (copy_ms, mission_bytes) = fleet.ledger(sizes).expect("there is a coordinator");
         CommitFigures {
             missions: setup.missions,
+            history: setup.history,
             commits: commit_ms.len(),
             commit_ms: Percentiles::of(commit_ms),
             coordinator_ms: Percentiles::of(coordinator_ms).map(|percentiles| percentiles.p50),
             idle_percent: idle.as_secs_f64() / IDLE.as_secs_f64() * 100.0,
             copy_ms,
             mission_bytes,
+            mission_memory_kb,
             memory_mb: None,
             wall_s: 0.0,
         }
@@ -131,7 +153,13 @@ async fn request(fleet: &Fleet, number: usize) -> MissionId {
     let mut request = visit(number, &slug::<PlaceId>("Dock"));
     request["not_before"] = json!(86_400);
     let reply: Value = fleet.request_answered(ApiCall::Submit, &request).await;
+    fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
     slug(reply["mission"].as_str().unwrap_or_else(|| panic!("refused: {reply}")))
+}
+
+async fn cancel(fleet: &Fleet, mission: &MissionId) {
+    fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
+    fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
 }
 
 /// Returns the time to copy the ledger in milliseconds, and the mean encoded size of an active mission in bytes.

@@ -374,6 +374,14 @@ async fn takeovers(fleet: &mut Fleet) -> Option<Percentiles> {
 
 /// Returns the most memory that the process had so far, in MB; `None` if the system does not tell.
 fn memory_mb() -> Option<f64> {
-    let status = Status::from_read(std::fs::File::open("/proc/self/status").ok()?).ok()?;
-    Some(status.vmhwm? as f64 * 1.024 / 1000.0)
+    Some(status()?.vmhwm? as f64 * 1.024 / 1000.0)
+}
+
+/// Returns the memory that the process has now, in kB; `None` if the system does not tell.
+fn resident_kb() -> Option<f64> {
+    Some(status()?.vmrss? as f64 * 1.024)
+}
+
+fn status() -> Option<Status> {
+    Status::from_read(std::fs::File::open("/proc/self/status").ok()?).ok()
 }
