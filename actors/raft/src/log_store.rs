@@ -80,7 +80,7 @@ pub trait LogStore: Send + Sync + 'static {
     /// Removes all entries up to and including `index`, and stores the id of the last of them.
     async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()>;
 
-    /// Replaces the snapshot.
+    /// Replaces the snapshot. Other writes may happen meanwhile, except of another snapshot.
     async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()>;
 }
 

@@ -118,6 +118,43 @@ fn written_data_is_read_back_after_a_restart() {
     assert_eq!(block_on(open(&folder).expect("the same store").read()).expect("a checkpoint store"), None);
 }
 
+#[test]
+fn a_snapshot_of_any_size_replaces_the_former() {
+    let folder = TempDir::new();
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    for size in [300_000, 64 * 1024, 64 * 1024 + 1, 1_000_000, 128 * 1024, 300_000, 10] {
+        let mut snapshot = vec![0; size];
+        rng.fill_bytes(&mut snapshot);
+        let store = open(&folder).expect("a store");
+        block_on(store.save_snapshot(snapshot.clone())).expect("a write");
+        drop(store);
+        let state = block_on(open(&folder).expect("the same store").load()).expect("a log store");
+        assert!(state.snapshot == Some(snapshot), "{size} bytes");
+    }
+}
+
+#[test]
+fn an_append_does_not_wait_for_a_large_snapshot() {
+    let folder = TempDir::new();
+    let store = open(&folder).expect("a store");
+    block_on(async {
+        let mut snapshot = std::pin::pin!(store.save_snapshot(vec![7; 8 << 20]));
+        let appends = async {
+            for index in 0..5 {
+                store.append(vec![(index, vec![8; 100])]).await.expect("a write");
+            }
+        };
+        tokio::select! {
+            biased;
+            _ = &mut snapshot => panic!("the snapshot was written before the entries"),
+            () = appends => {}
+        }
+        snapshot.await.expect("a write");
+    });
+    let state = block_on(store.load()).expect("a log store");
+    assert_eq!((state.entries.len(), state.snapshot.map(|snapshot| snapshot.len())), (5, Some(8 << 20)));
+}
+
 /// Opens a store, and replaces it if it is damaged.
 fn open_or_replace(folder: &Path, fresh: u128) -> (DurableStore, Option<Quarantine>) {
     DurableStore::open_or_replace(folder, &owner("ada"), StoreIdentity(fresh)).expect("a store")

@@ -9,8 +9,9 @@ use super::layout::StoreOwner;
 use crate::log_store::{PersistentState, StoreIdentity};
 use crate::storage::{SnapshotError, StoredSnapshot};
 use consort_protocol::ids::{FleetId, NodeId};
-use redb::{Database, ReadableDatabase, ReadableTable, StorageBackend, Table, TableDefinition};
+use redb::{Database, ReadTransaction, ReadableDatabase, ReadableTable, StorageBackend, Table, TableDefinition};
 use std::io;
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Version of the table format. It is increased by a change that older programs cannot read.
@@ -22,6 +23,9 @@ const VALUES: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("ones");
 /// Log entries by index.
 const LOG: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("log");
 
+/// Pieces of a large snapshot, by number.
+const PIECES: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("snapshot_pieces");
+
 const FORMAT_KEY: &str = "format";
 const FLEET_KEY: &str = "fleet";
 const NODE_KEY: &str = "node";
@@ -32,6 +36,9 @@ const VOTE_KEY: &str = "vote";
 const COMMITTED_KEY: &str = "committed";
 const PURGED_KEY: &str = "purged";
 const SNAPSHOT_KEY: &str = "snapshot";
+/// Numbers of the pieces of the snapshot: the first, and that after the last, of 8 bytes each. Absent if the snapshot is a
+/// single value, or if there is none.
+const SNAPSHOT_PIECES_KEY: &str = "snapshot_pieces";
 const CHECKPOINT_KEY: &str = "page";
 /// Present if the store replaces a damaged store.
 const REPLACES_DAMAGED_KEY: &str = "replaces_damaged";
@@ -56,6 +63,10 @@ pub(super) enum LedgerWrite {
     /// Removes all entries up to this index, and stores the id of the last of them.
     Purge(u64, Vec<u8>),
     Snapshot(Vec<u8>),
+    /// A piece of the next snapshot, with its position among the pieces. The present snapshot remains.
+    SnapshotPiece(u64, Vec<u8>),
+    /// Replaces the snapshot by the first pieces written since.
+    SnapshotOfPieces(u64),
     Checkpoint(Option<Vec<u8>>),
     Incarnation(u64),
     /// Replaces log, vote and snapshot.
@@ -121,7 +132,7 @@ impl LedgerFile {
         let database = builder.set_cache_size(CACHE_BYTES).create_with_backend(file).map_err(io_error)?;
         let mut ledger =
             LedgerFile { database, owner: owner.clone(), identity, replaces_damaged: replaced.is_some(), commits: 0 };
-        ledger.transact(|values, _| {
+        ledger.transact(|Tables { values, .. }| {
             values.insert(FORMAT_KEY, &FORMAT.to_be_bytes()[..]).map_err(io_error)?;
             values.insert(FLEET_KEY, owner.fleet.as_str().as_bytes()).map_err(io_error)?;
             values.insert(NODE_KEY, owner.node.as_str().as_bytes()).map_err(io_error)?;
@@ -185,8 +196,9 @@ impl LedgerFile {
         let identity = value_of(IDENTITY_KEY)?.try_into().map_err(|_| malformed(IDENTITY_KEY))?;
         let commits = number(COMMITS_KEY, &value_of(COMMITS_KEY)?)?;
         let replaces_damaged = values.get(REPLACES_DAMAGED_KEY).map_err(io_error)?.is_some();
-        let snapshot = values.get(SNAPSHOT_KEY).map_err(io_error)?;
-        snapshot.map_or(Ok(()), |bytes| check_snapshot(bytes.value()))?;
+        if let Some(snapshot) = read_snapshot(&read_transaction)? {
+            check_snapshot(&snapshot)?;
+        }
         drop((values, read_transaction));
         let identity = StoreIdentity(u128::from_be_bytes(identity));
         Ok(LedgerFile { database, owner, identity, replaces_damaged, commits })
@@ -234,7 +246,7 @@ impl LedgerFile {
             vote: self.value_of(VOTE_KEY)?,
             committed: self.value_of(COMMITTED_KEY)?,
             purged: self.value_of(PURGED_KEY)?,
-            snapshot: self.value_of(SNAPSHOT_KEY)?,
+            snapshot: read_snapshot(&read_transaction)?,
             entries: entries.collect::<io::Result<_>>()?,
         })
     }
@@ -252,7 +264,7 @@ impl LedgerFile {
     /// Applies all changes, in order, in a single transaction. When it returns `Ok`, they are on
     /// disk.
     pub(super) fn write(&mut self, changes: &[LedgerWrite]) -> io::Result<()> {
-        self.transact(|values, log| changes.iter().try_for_each(|change| apply(change, values, log)))
+        self.transact(|tables| changes.iter().try_for_each(|change| apply(change, tables)))
     }
 
     fn value_of(&self, name: &str) -> io::Result<Option<Vec<u8>>> {
@@ -262,23 +274,53 @@ impl LedgerFile {
         Ok(value.map(|value| value.value().to_vec()))
     }
 
-    fn transact(
-        &mut self,
-        change: impl FnOnce(&mut Table<'_, &str, &[u8]>, &mut Table<'_, u64, &[u8]>) -> io::Result<()>,
-    ) -> io::Result<()> {
+    fn transact(&mut self, change: impl FnOnce(&mut Tables<'_>) -> io::Result<()>) -> io::Result<()> {
         let commits = self.commits + 1;
         // Durability is redb's default: `commit` returns after the file was synced.
         let write_transaction = self.database.begin_write().map_err(io_error)?;
         {
-            let mut values = write_transaction.open_table(VALUES).map_err(io_error)?;
-            let mut log = write_transaction.open_table(LOG).map_err(io_error)?;
-            change(&mut values, &mut log)?;
-            values.insert(COMMITS_KEY, &commits.to_be_bytes()[..]).map_err(io_error)?;
+            let values = write_transaction.open_table(VALUES).map_err(io_error)?;
+            let log = write_transaction.open_table(LOG).map_err(io_error)?;
+            let pieces = write_transaction.open_table(PIECES).map_err(io_error)?;
+            let mut tables = Tables { values, log, pieces };
+            change(&mut tables)?;
+            tables.values.insert(COMMITS_KEY, &commits.to_be_bytes()[..]).map_err(io_error)?;
         }
         write_transaction.commit().map_err(io_error)?;
         self.commits = commits;
         Ok(())
     }
+}
+
+/// The tables of a transaction.
+struct Tables<'txn> {
+    values: Table<'txn, &'static str, &'static [u8]>,
+    log: Table<'txn, u64, &'static [u8]>,
+    pieces: Table<'txn, u64, &'static [u8]>,
+}
+
+/// Returns the numbers of the pieces of the snapshot; none if it is a single value, or if there is none.
+fn piece_numbers(values: &impl ReadableTable<&'static str, &'static [u8]>) -> io::Result<Range<u64>> {
+    let Some(numbers) = values.get(SNAPSHOT_PIECES_KEY).map_err(io_error)? else { return Ok(0..0) };
+    let (first, end) = numbers.value().split_at_checked(8).ok_or_else(|| malformed(SNAPSHOT_PIECES_KEY))?;
+    Ok(number(SNAPSHOT_PIECES_KEY, first)?..number(SNAPSHOT_PIECES_KEY, end)?)
+}
+
+/// Reads the newest snapshot.
+fn read_snapshot(read_transaction: &ReadTransaction) -> io::Result<Option<Vec<u8>>> {
+    let values = read_transaction.open_table(VALUES).map_err(io_error)?;
+    let numbers = piece_numbers(&values)?;
+    if numbers.is_empty() {
+        let snapshot = values.get(SNAPSHOT_KEY).map_err(io_error)?;
+        return Ok(snapshot.map(|bytes| bytes.value().to_vec()));
+    }
+    let pieces = read_transaction.open_table(PIECES).map_err(io_error)?;
+    let mut snapshot = vec![];
+    for number in numbers {
+        let piece = pieces.get(number).map_err(io_error)?.ok_or_else(|| malformed(SNAPSHOT_PIECES_KEY))?;
+        snapshot.extend_from_slice(piece.value());
+    }
+    Ok(Some(snapshot))
 }
 
 /// Checks the checksum of the stored snapshot. A snapshot of another layout belongs to another release; the
@@ -294,7 +336,8 @@ fn number(name: &str, bytes: &[u8]) -> io::Result<u64> {
     bytes.try_into().map(u64::from_be_bytes).map_err(|_| malformed(name))
 }
 
-fn apply(change: &LedgerWrite, values: &mut Table<'_, &str, &[u8]>, log: &mut Table<'_, u64, &[u8]>) -> io::Result<()> {
+fn apply(change: &LedgerWrite, tables: &mut Tables<'_>) -> io::Result<()> {
+    let Tables { values, log, pieces } = tables;
     match change {
         LedgerWrite::Vote(vote) => put(values, VOTE_KEY, Some(vote)),
         LedgerWrite::Committed(committed) => put(values, COMMITTED_KEY, committed.as_deref()),
@@ -304,7 +347,23 @@ fn apply(change: &LedgerWrite, values: &mut Table<'_, &str, &[u8]>, log: &mut Ta
             log.retain_in(..=*through, |_, _| false).map_err(io_error)?;
             put(values, PURGED_KEY, Some(last))
         }
-        LedgerWrite::Snapshot(snapshot) => put(values, SNAPSHOT_KEY, Some(snapshot)),
+        LedgerWrite::Snapshot(snapshot) => {
+            put(values, SNAPSHOT_KEY, Some(snapshot))?;
+            remove_pieces(values, pieces)
+        }
+        LedgerWrite::SnapshotPiece(position, piece) => {
+            // Replaces a piece of a snapshot that was not completed.
+            let number = piece_numbers(&*values)?.end + position;
+            pieces.insert(number, &piece[..]).map(drop).map_err(io_error)
+        }
+        LedgerWrite::SnapshotOfPieces(count) => {
+            let first = piece_numbers(&*values)?.end;
+            let numbers = first..first + count;
+            pieces.retain(|number, _| numbers.contains(&number)).map_err(io_error)?;
+            put(values, SNAPSHOT_KEY, None)?;
+            let numbers = [numbers.start.to_be_bytes(), numbers.end.to_be_bytes()].concat();
+            put(values, SNAPSHOT_PIECES_KEY, Some(&numbers))
+        }
         LedgerWrite::Checkpoint(checkpoint) => put(values, CHECKPOINT_KEY, checkpoint.as_deref()),
         LedgerWrite::Incarnation(incarnation) => put(values, INCARNATION_KEY, Some(&incarnation.to_be_bytes())),
         LedgerWrite::Replace(state) => {
@@ -312,10 +371,20 @@ fn apply(change: &LedgerWrite, values: &mut Table<'_, &str, &[u8]>, log: &mut Ta
             put(values, COMMITTED_KEY, state.committed.as_deref())?;
             put(values, PURGED_KEY, state.purged.as_deref())?;
             put(values, SNAPSHOT_KEY, state.snapshot.as_deref())?;
+            remove_pieces(values, pieces)?;
             log.retain_in(0.., |_, _| false).map_err(io_error)?;
             append(log, state.entries.iter().map(|(index, entry)| (*index, &entry[..])))
         }
     }
+}
+
+/// Removes the pieces of the former snapshot, once the snapshot is a single value.
+fn remove_pieces(
+    values: &mut Table<'_, &'static str, &'static [u8]>,
+    pieces: &mut Table<'_, u64, &'static [u8]>,
+) -> io::Result<()> {
+    put(values, SNAPSHOT_PIECES_KEY, None)?;
+    pieces.retain(|_, _| false).map_err(io_error)
 }
 
 fn put(values: &mut Table<'_, &str, &[u8]>, name: &str, value: Option<&[u8]>) -> io::Result<()> {
