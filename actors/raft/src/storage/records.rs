@@ -23,7 +23,41 @@ pub(crate) fn encode_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>>
 #[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct StoredSnapshot {
     pub(crate) meta: SnapshotMeta,
+    #[serde(with = "raw_bytes")]
     pub(crate) state: Vec<u8>,
+}
+
+/// Bytes as a whole, in the layout of a list of numbers. serde writes and reads such a list number by number.
+mod raw_bytes {
+    use serde::de::{Error, Visitor};
+    use serde::{Deserializer, Serializer};
+    use std::fmt;
+
+    pub(super) fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(bytes)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
+        deserializer.deserialize_byte_buf(BytesVisitor)
+    }
+
+    struct BytesVisitor;
+
+    impl Visitor<'_> for BytesVisitor {
+        type Value = Vec<u8>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("bytes")
+        }
+
+        fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Vec<u8>, E> {
+            Ok(bytes.to_vec())
+        }
+
+        fn visit_byte_buf<E: Error>(self, bytes: Vec<u8>) -> Result<Vec<u8>, E> {
+            Ok(bytes)
+        }
+    }
 }
 
 impl StoredSnapshot {
@@ -61,3 +95,22 @@ pub(super) struct SnapshotNotStored(pub(super) String);
 
 /// Last entry covered by the stored snapshot, or the reason why a received snapshot was not stored.
 pub(super) type Covered = Result<Option<LogId>, SnapshotNotStored>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_snapshot_has_the_layout_of_its_fields() {
+        let meta = SnapshotMeta { snapshot_id: "T1-N2-3".to_owned(), ..SnapshotMeta::default() };
+        for size in [0, 1, 250, 251, 70_000] {
+            let state = vec![7; size];
+            let record = encode_record(&StoredSnapshot { meta: meta.clone(), state: state.clone() }).unwrap();
+            assert!(record == encode_record(&(&meta, &state)).unwrap(), "{size} bytes");
+            let read: StoredSnapshot = decode_record(&record).unwrap();
+            assert!((read.meta, read.state) == (meta.clone(), state), "{size} bytes");
+            let incomplete = StoredSnapshot::decode(&record[..record.len() - 1]);
+            assert!(matches!(incomplete, Err(SnapshotError::Undecodable(_))), "{size} bytes");
+        }
+    }
+}
