@@ -186,8 +186,9 @@ pub struct RoleEntry {
     pub kind: RoleKind,
     /// Phase: open, promised, awarded, active or ended.
     pub phase: RolePhase,
-    /// Holder; kept after the end, for display. Of a promised role: the robot that gets it.
-    pub holder: Option<RoleAssignment>,
+    /// Holder; kept after the end, for display. Of a promised role: the robot that gets it. It is boxed, since the smallest map
+    /// of roles has room for eleven, and most missions wait with a single open role.
+    pub holder: Option<Box<RoleAssignment>>,
     /// Steps of its local plan that have ended.
     pub ended: BTreeSet<StepIndex>,
 }
@@ -296,14 +297,14 @@ impl MissionEntry {
     /// awards or promises.
     pub fn role_robots(&self) -> BTreeMap<RoleId, RoleHolder> {
         let holding = |holder: &RoleAssignment| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch };
-        let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_ref()?))));
+        let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_deref()?))));
         held.collect()
     }
 
     /// Returns the roles that robots hold now, with their entries and holders.
     pub fn held_roles(&self) -> impl Iterator<Item = (&RoleId, &RoleEntry, &RoleAssignment)> {
         let held = self.roles.iter().filter(|(_, role)| matches!(role.phase, RolePhase::Awarded | RolePhase::Active));
-        held.filter_map(|(id, role)| Some((id, role, role.holder.as_ref()?)))
+        held.filter_map(|(id, role)| Some((id, role, role.holder.as_deref()?)))
     }
 
     /// Returns the signals that other roles have sent to `receiver`, according to their ended

@@ -38,7 +38,7 @@ pub(super) fn promises_due(
     for robot in promises.iter().map(|(.., promise)| &promise.robot).collect::<BTreeSet<_>>() {
         let Some((entry, role, _)) = ledger.held_by(robot) else { continue };
         taken.insert(robot);
-        let holder = entry.roles.get(role).and_then(|held| held.holder.as_ref());
+        let holder = entry.roles.get(role).and_then(|held| held.holder.as_deref());
         if let Some(holder) = holder.filter(|holder| may_return(ledger, entry, role, holder)) {
             waiting.insert(robot, AwardedRole::of(entry, role, holder));
         }

@@ -109,7 +109,7 @@ fn brief(entry: &MissionEntry) -> MissionBrief {
 }
 
 fn role_view(ledger: &Ledger, entry: &MissionEntry, (id, role): (&RoleId, &RoleEntry)) -> RoleView {
-    let promise = role.holder.as_ref().filter(|_| role.phase == RolePhase::Promised);
+    let promise = role.holder.as_deref().filter(|_| role.phase == RolePhase::Promised);
     RoleView {
         role: id.clone(),
         kind: role.kind,

@@ -392,7 +392,7 @@ impl Ledger {
                 let position = positions.get(&id).copied().unwrap_or_default();
                 let start = auction.promised.get(&id).copied().unwrap_or(Seconds::ZERO);
                 let planned_ms = later_ms(auction.at_ms, start);
-                role.holder = Some(RoleAssignment {
+                role.holder = Some(Box::new(RoleAssignment {
                     robot,
                     epoch: at,
                     incarnation,
@@ -403,7 +403,7 @@ impl Ledger {
                     delayed,
                     planned_ms,
                     charging,
-                });
+                }));
                 role.phase = if is_promised(&id) { RolePhase::Promised } else { RolePhase::Awarded };
                 role.ended.clear();
             }

@@ -98,7 +98,7 @@ impl MissionEntry {
     pub fn assigned_roles(&self) -> impl Iterator<Item = (&RoleId, &RoleEntry, &RoleAssignment)> {
         let phases = [RolePhase::Promised, RolePhase::Awarded, RolePhase::Active];
         let assigned = self.roles.iter().filter(move |(_, role)| phases.contains(&role.phase));
-        assigned.filter_map(|(id, role)| Some((id, role, role.holder.as_ref()?)))
+        assigned.filter_map(|(id, role)| Some((id, role, role.holder.as_deref()?)))
     }
 
     /// Returns the promised roles, with their robots.

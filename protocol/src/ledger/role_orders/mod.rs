@@ -196,7 +196,7 @@ impl Ledger {
             let (robot, mission, role) = (robot.clone(), mission.clone(), other.clone());
             return Err(CommandError::TwoRoles { robot, mission, role });
         }
-        Ok((role.phase, role.holder.clone()))
+        Ok((role.phase, role.holder.as_deref().cloned()))
     }
 
     /// Opens a promised role again, unless others have acted on the promise.
