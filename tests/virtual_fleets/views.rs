@@ -360,9 +360,12 @@ fn every_node_answers_views_with_their_origin_and_age() {
                 assert_eq!(fleet_view["seen_by"], node, "seed {seed}");
                 assert!(fleet_view["closures"].is_array(), "seed {seed}: {node}: {fleet_view}");
                 let fern = fleet_view["nodes"].as_array()?.iter().find(|node| node["node"] == "fern")?;
-                (fern["orders"]["hold"]["by"] == "Nia").then_some(())
+                let robot = query_views(&bus, "consort/ward/view/robot/fern").await.0.remove("view/robot/fern")?;
+                assert_eq!(robot["seen_by"], node, "seed {seed}");
+                assert!(robot["ledger"]["revision"].is_u64(), "seed {seed}: {node}: {robot}");
+                [fern, &robot].iter().all(|view| view["orders"]["hold"]["by"] == "Nia").then_some(())
             };
-            fleet.poll_until("the hold in the view of the fleet", Duration::from_secs(2), held).await;
+            fleet.poll_until("the hold in the views of the fleet and the robot", Duration::from_secs(2), held).await;
             let (views, _) = query_views(&bus, "consort/ward/view/**").await;
             let of_its_own = ["fleet", "coordinator", "ensembles", "map"];
             for view in of_its_own {

@@ -1,6 +1,6 @@
 //! Views of nodes, robots and ensembles.
 
-use super::{readable, readable_if_known, readable_or_default};
+use super::{LedgerCopy, readable, readable_if_known, readable_or_default};
 use crate::codec;
 use crate::ensemble::{ExchangedValue, Membership};
 use crate::fnv::fnv1a;
@@ -127,14 +127,16 @@ pub struct NodeView {
     /// Its traits.
     #[serde(flatten)]
     pub traits: NodeTraits,
-    /// The role that its robot holds: by the ledger, or by the robot's record if the replying node
-    /// has no ledger.
+    /// The role that its robot holds: by the ledger, or by the robot's record if neither the replying node nor a
+    /// voter that it has asked has a ledger.
     #[serde(default)]
     pub holds: Option<HeldRole>,
-    /// Orders of people to its robot, by the ledger; none if the replying node has no ledger.
+    /// Orders of people to its robot, by the ledger; none if neither the replying node nor a voter that it has
+    /// asked has a ledger.
     #[serde(default)]
     pub orders: RobotOrders,
-    /// Roles that its robot gets later, in their order, by the ledger; none if the replying node has no ledger.
+    /// Roles that its robot gets later, in their order, by the ledger; none if neither the replying node nor a
+    /// voter that it has asked has a ledger.
     #[serde(default, deserialize_with = "readable")]
     pub promised: Vec<PromisedRoleView>,
 }
@@ -260,6 +262,10 @@ pub struct RobotView {
     /// declares no feedback. Null in the cases in which the readings are null.
     #[serde(default)]
     pub feedback: Option<BTreeMap<String, Scalar>>,
+    /// The copy of the ledger that the role, the orders and the promised roles are from; absent if they are not from
+    /// a ledger.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ledger: Option<LedgerCopy>,
 }
 
 /// The ensembles of a fleet.

@@ -58,7 +58,7 @@ pub(super) struct Copies {
     base: OnceLock<KnowledgeBase>,
     statuses: OnceLock<BTreeMap<NodeId, MemberStatus>>,
     /// `None` without a copy of the ledger.
-    robots: OnceLock<Option<RobotsInLedger>>,
+    robots: OnceLock<Option<(LedgerCopy, RobotsInLedger)>>,
 }
 
 /// The part of the ledger about each robot, from a single pass over the missions.
@@ -150,9 +150,7 @@ impl ViewContext<'_> {
     /// Returns the views of the ledger, if this node has a copy.
     fn ledger_views(&self, wanted: &impl Fn(&Key) -> bool, named: Option<&MissionId>) -> Vec<(Key, Value)> {
         let Some(replica) = self.own_copy() else { return vec![] };
-        // Before the state is read: it may become newer in between, but not older.
-        let age_ms = if self.linearizable { Some(0) } else { replica.staleness().map(millis) };
-        let (revision, views) = replica.read_with_position(|Epoch { index: revision, .. }, ledger| {
+        let (copy, views) = self.read_copy(replica, |ledger| {
             let mut views = vec![];
             if wanted(&Key::ViewMissions) {
                 views.push((Key::ViewMissions, LedgerView::Missions(missions(ledger))));
@@ -178,9 +176,8 @@ impl ViewContext<'_> {
                 let view = LedgerView::Mission(Box::new(ended_mission(id.clone(), tombstone)));
                 views.push((Key::ViewMission(id.clone()), view));
             }
-            (revision, views)
+            views
         });
-        let copy = LedgerCopy { revision, age_ms, linearizable: self.linearizable };
         let provenance = Provenance { ledger: Some(copy), ..self.provenance() };
         views.into_iter().map(|(key, view)| (key, view.draw(&provenance))).collect()
     }
@@ -205,6 +202,15 @@ impl ViewContext<'_> {
         self.views.replica.as_ref().filter(|_| self.status.has_ledger)
     }
 
+    /// Reads a copy of the ledger, with its revision and age.
+    fn read_copy<T>(&self, replica: &Replica<Ledger>, look: impl FnOnce(&Ledger) -> T) -> (LedgerCopy, T) {
+        // Before the state is read: it may become newer in between, but not older.
+        let age_ms = if self.linearizable { Some(0) } else { replica.staleness().map(millis) };
+        replica.read_with_position(|Epoch { index: revision, .. }, ledger| {
+            (LedgerCopy { revision, age_ms, linearizable: self.linearizable }, look(ledger))
+        })
+    }
+
     /// Reads the ledger, if this node has a copy.
     fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
         Some(self.own_copy()?.read(look))
@@ -221,8 +227,9 @@ impl ViewContext<'_> {
     }
 
     /// Returns the part of the ledger about each robot, if this node has a copy of the ledger.
-    fn robots_in_ledger(&self) -> Option<&RobotsInLedger> {
-        self.copies.robots.get_or_init(|| self.ledger(RobotsInLedger::of)).as_ref()
+    fn robots_in_ledger(&self) -> Option<&(LedgerCopy, RobotsInLedger)> {
+        let read = || Some(self.read_copy(self.own_copy()?, RobotsInLedger::of));
+        self.copies.robots.get_or_init(read).as_ref()
     }
 
     /// Returns the JSON of a view with its provenance. The fields of `view/world` and `view/map`
@@ -328,7 +335,8 @@ impl ViewContext<'_> {
     fn robot(&self, node: &NodeId, stored: &KnownRecord) -> Value {
         let Provenance { coordinator, term, at_ms, .. } = self.provenance();
         let DriverValues { readings, feedback } = self.driver_values(node);
-        json(RobotView { node: self.node(node, stored), coordinator, term, at_ms, readings, feedback })
+        let ledger = self.robots_in_ledger().map(|(copy, _)| copy.clone());
+        json(RobotView { node: self.node(node, stored), coordinator, term, at_ms, readings, feedback, ledger })
     }
 
     /// Returns the values of the driver of a node's robot, if they are known here.
@@ -345,7 +353,7 @@ impl ViewContext<'_> {
     fn node(&self, node: &NodeId, stored: &KnownRecord) -> NodeView {
         let (record, status, robot_id) = (&stored.record, self.statuses().get(node), RobotId::from(node.clone()));
         let alive = status.is_some_and(MemberStatus::is_alive);
-        let in_ledger = self.robots_in_ledger();
+        let in_ledger = self.robots_in_ledger().map(|(_, robots)| robots);
         let by_ledger = in_ledger.map(|robots| robots.held.get(&robot_id).cloned());
         let mut robot = stored.knowledge().robot.clone();
         if let (false, Some(worker)) = (alive, &mut robot) {

@@ -54,7 +54,7 @@ use consort_protocol::units::NodeTime;
 use consort_protocol::view::{ChargingView, DeclarationsView, MapView, RobotView};
 use consort_raft::{RaftId, Replica};
 use draw::{Copies, DriverValues, ViewContext, json, millis};
-use ledger_part::{copy_ledger_part, is_of_ledger, shows_ledger};
+use ledger_part::{copy_ledger_part, has_part_of_ledger, is_of_ledger, shows_ledger};
 use list_parts::{ListParts, PartRequest};
 use ractor::ActorRef;
 use serde_json::{Map, Value};
@@ -302,32 +302,32 @@ impl ViewService {
             || wanted(&Key::ViewAudit)
             || wanted(&Key::ViewAuctions)
             || wanted(&Key::ViewHealth)
-            || wanted(&Key::ViewFleet)
+            || views.iter().any(|(key, _)| has_part_of_ledger(key))
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(requested));
         let lacks_ledger = needs_ledger && !context.status.has_ledger;
         let lacks_motion =
             !self.views.knowledge.receives_motion() && views.iter().any(|(key, _)| self.shows_motion(key));
         if lacks_ledger || lacks_motion {
             let is_lacking = |key: &Key| {
-                let of_ledger = is_of_ledger(key) || *key == Key::ViewFleet;
+                let of_ledger = is_of_ledger(key) || has_part_of_ledger(key);
                 wanted(key) && (lacks_ledger && of_ledger || lacks_motion && self.shows_motion(key))
             };
             let only_health = requested.as_str() == self.views.keys.write(&Key::ViewHealth);
             let is_shown = |key: &Key, view: &Value| match key {
                 Key::ViewHealth => only_health,
-                key => shows_ledger(key, view) || !lacks_ledger && *key != Key::ViewFleet && is_lacking(key),
+                key => shows_ledger(key, view) || !lacks_ledger && !has_part_of_ledger(key) && is_lacking(key),
             };
             match self.query_voter(requested, &context.status, &is_shown).await {
                 Some(voter_views) => {
-                    let is_usable = |key: &Key, view: &Value| match key {
-                        Key::ViewFleet => shows_ledger(key, view),
-                        _ => view.get("error").is_none(),
+                    let is_usable = |key: &Key, view: &Value| {
+                        if has_part_of_ledger(key) { shows_ledger(key, view) } else { view.get("error").is_none() }
                     };
                     let contributes = |(key, view): &(Key, Value)| is_lacking(key) && is_usable(key, view);
                     for (key, mut value) in voter_views.into_iter().filter(contributes) {
                         let own = views.iter().position(|(own, _)| *own == key);
-                        if let Some(own) = own.filter(|_| key == Key::ViewFleet && !lacks_motion) {
-                            copy_ledger_part(&value, &mut views[own].1);
+                        let is_current = !lacks_motion || !self.shows_motion(&key);
+                        if let Some(own) = own.filter(|_| has_part_of_ledger(&key) && is_current) {
+                            copy_ledger_part(&key, &value, &mut views[own].1);
                             continue;
                         }
                         if let Some(own) = own {
