@@ -3,7 +3,8 @@
 use crate::{jobs, once};
 use consort_skills::workload::Workload;
 use consort_tests::chaos::{
-    ChaosFleet, FIRST_SEED_WITH_ALARMS, FIRST_SEED_WITH_STOPS, FaultKind, RunConfig, SeedSweep, generate,
+    ChaosFleet, FIRST_LARGE_SEED, FIRST_SEED_WITH_ALARMS, FIRST_SEED_WITH_STOPS, FaultKind, RunConfig, SeedSweep,
+    generate,
 };
 use std::ops::RangeInclusive;
 
@@ -12,11 +13,15 @@ use std::ops::RangeInclusive;
 const OPEN_SEEDS: RangeInclusive<u64> = 1..=45;
 
 /// Seeds of closed fleets with all faults. Those from 91 on have schedules, from 121 on orders of people to robots and
-/// chargers, from 151 on closures, and from 181 on alarms, speed limits, zones and changes of missions.
-const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_ALARMS + 3;
+/// chargers, and from 151 on closures.
+const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_ALARMS - 1;
 
-/// Seeds of closed fleets in most of which robots plan stops at chargers.
+/// Seeds of closed fleets with all of these, with alarms, speed limits, zones and changes of missions. In most of them
+/// robots plan stops at chargers.
 const STOP_SEEDS: RangeInclusive<u64> = FIRST_SEED_WITH_STOPS..=FIRST_SEED_WITH_STOPS + 5;
+
+/// Seeds of closed fleets with all of these, and with the settings of a large fleet.
+const LARGE_SEEDS: RangeInclusive<u64> = FIRST_LARGE_SEED..=FIRST_LARGE_SEED + 3;
 
 /// Seeds with missions that cannot be completed as the only faults.
 const POISON_SEEDS: RangeInclusive<u64> = 1..=20;
@@ -58,6 +63,11 @@ fn invariants_hold_in_closed_fleets_with_a_hostile_node() {
 fn invariants_hold_in_closed_fleets_with_planned_stops_at_chargers() {
     let charging_stops = everything_holds(STOP_SEEDS, 2.0, true, &FaultKind::FAULTS);
     assert!(charging_stops >= 3, "{charging_stops}");
+}
+
+#[test]
+fn invariants_hold_with_the_settings_of_a_large_fleet() {
+    everything_holds(LARGE_SEEDS, 2.0, true, &FaultKind::FAULTS);
 }
 
 #[test]

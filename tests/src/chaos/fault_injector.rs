@@ -1,7 +1,7 @@
 //! Fault injection before nodes start: disks that lose writes, clocks that drift, skills that fail.
 
 use super::chaos_fleet::{ChaosFleet, DATE_MS};
-use super::generate::lease_terms;
+use super::generate::{is_large, lease_terms};
 use super::mutants::Mutant;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
 use super::zones::zones;
@@ -143,6 +143,7 @@ impl FaultInjector {
         let date = DATE_MS + u64::try_from(parts.started.elapsed().as_millis()).unwrap_or(u64::MAX);
         (settings.fleet.history_limits.missions_max, settings.fleet.request_limits.missions_max) = parts.mission_limits;
         settings.fleet.lease_terms = lease_terms(parts.seed);
+        settings.fleet.scoped_knowledge = is_large(parts.seed);
         if !parts.is_upgraded {
             settings.supported_versions = VersionRange::OWN.up_to(VersionRange::OWN.newest - 1);
         }

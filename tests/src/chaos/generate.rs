@@ -54,6 +54,15 @@ const FEW_KINDS: usize = 4;
 /// Leases and graces in milliseconds. All tolerate as much drift of the clocks as the default does.
 const LEASES_MS: [(u64, u64); 3] = [(4_000, 2_000), (2_000, 1_700), (1_000, 1_550)];
 
+/// First seed of fleets with the settings of a large fleet. Fleets of smaller seeds keep theirs.
+pub const FIRST_LARGE_SEED: u64 = 5001;
+
+/// Checks whether the fleet of the run with this seed has the settings of a large fleet: the motion of robots is sent apart
+/// from their records, and some robots do not receive it.
+pub(super) fn is_large(seed: u64) -> bool {
+    seed >= FIRST_LARGE_SEED
+}
+
 /// Returns the lease terms of the run with this seed.
 pub(super) fn lease_terms(seed: u64) -> LeaseTerms {
     let number = usize::try_from(seed / 2 % LEASES_MS.len() as u64).expect("a small number");

@@ -3,8 +3,10 @@
 //! It replays and moves messages that it has received, publishes and queries in the name of others,
 //! lies about epochs, terms and versions, refuses and answers queries of others (or refuses all of
 //! them), makes requests with its own and with captured signatures, sends texts of great length (as a
-//! robot, in its refusals to bid), and floods. Signed messages are attempted with its own key, and without one.
+//! robot, in its refusals to bid), and floods. In a fleet with the settings of a large one it also states the motion of other
+//! robots. Signed messages are attempted with its own key, and without one.
 
+use super::generate::is_large;
 use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
 use consort_bus::{BusError, Delivery, Encoding, Query, Sample, ServiceSelection, SharedBus, Stream};
@@ -14,6 +16,7 @@ use consort_protocol::auction::{BidRefusal, BidResponse, CallForBids, RefusalRea
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId};
 use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
+use consort_protocol::knowledge::{Motion, MotionUpdate, RobotKnowledge};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionEntry};
 use consort_protocol::message::{Beacon, ClusterEnvelope, SignalHistory};
@@ -109,7 +112,10 @@ impl HostileNode {
             }
         }
         let base = fleet.nodes.values().next().map(|node| node.knowledge.clone());
-        attacks.spawn(Arc::clone(&attacker).lie_about_members(base, seed, date_ms));
+        attacks.spawn(Arc::clone(&attacker).lie_about_members(base.clone(), seed, date_ms));
+        if is_large(fleet.seed) {
+            attacks.spawn(Arc::clone(&attacker).forge_motion(base, seed));
+        }
         let replicas = fleet.nodes.values().filter_map(|node| node.replica.clone()).collect();
         attacks.spawn(attacker.attack(replicas));
         Some(HostileNode { _attacks: attacks })
@@ -209,6 +215,31 @@ impl Attacker {
                 let about = if is_restarted { (about.0, about.1 + 1) } else { about };
                 let key = self.keys.write(&Key::Swim(to.0.clone()));
                 self.publish(&self.signing, &key, packet_about(from, about, is_restarted, to), Bytes::new()).await;
+            }
+            let pause = Duration::from_millis(chance.random_range(50..500));
+            tokio::time::sleep(pause).await; // virtual time
+        }
+    }
+
+    /// States the motion of robots, in their names, under the current version of their records and under later ones: at
+    /// a place with its own name. It draws random numbers of its own.
+    async fn forge_motion(self: Arc<Self>, known: Option<SharedKnowledge>, seed: u64) {
+        let (Some(known), mut chance) = (known, ChaCha8Rng::seed_from_u64(seed ^ 0x0710)) else { return };
+        loop {
+            let node = self.victims.choose(&mut chance).expect("a fleet has nodes").clone();
+            let stored = known.read(|base| {
+                let stored = base.get(&node)?;
+                Some((stored.record.stamp, stored.knowledge().robot.clone()?))
+            });
+            if let Some((mut stamp, robot)) = stored {
+                stamp.version += chance.random_range(0..3);
+                let motion = Motion::of(&RobotKnowledge { place: slug(HOSTILE), ..robot });
+                let number = if chance.random_bool(0.5) { u64::MAX } else { chance.random_range(1..100) };
+                let update = wire(&MotionUpdate { stamp, number, motion: Some(motion) });
+                let key = self.keys.write(&Key::Motion(node));
+                for bus in [&self.signing, &self.in_cluster, &self.plain] {
+                    self.publish(bus, &key, update.clone(), Bytes::new()).await;
+                }
             }
             let pause = Duration::from_millis(chance.random_range(50..500));
             tokio::time::sleep(pause).await; // virtual time

@@ -49,7 +49,7 @@ pub use alarms::FIRST_SEED as FIRST_SEED_WITH_ALARMS;
 pub use chaos_fleet::{ChaosFleet, SHIFT_ARMS, SHIFT_CARRIERS, UserParticipants, user_missions};
 pub use chargers::FIRST_SEED_WITH_STOPS;
 pub use fault_kind::{FaultKind, UnknownFaultKind};
-pub use generate::generate;
+pub use generate::{FIRST_LARGE_SEED, generate};
 pub use person_action::{CancelSelection, ClosureAction, MissionAction, OrderAction, SpeedLimitAction};
 pub use run::{FaultyShift, RunConfig, RunOutcome, Violation, run, run_shift};
 pub use schedule::{ChaosAction, Schedule, ScheduledAction};

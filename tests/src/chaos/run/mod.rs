@@ -13,7 +13,7 @@ use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::chargers;
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
-use super::generate::{LIFTED, lease_terms};
+use super::generate::{LIFTED, is_large, lease_terms};
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
 use super::people::person;
@@ -54,9 +54,6 @@ const MISSION_SHARE: Duration = Duration::from_secs(45);
 
 /// Longest time without a leader in a transfer of leadership, in milliseconds.
 const TRANSFER_MAX_MS: u64 = 120;
-
-/// First seed with fleets that ask candidates: every second fleet from it on.
-const CANDIDATES_SINCE: u64 = 5001;
 
 /// Limit for the news of a restart to reach a node without a link to the restarted node.
 const RELAY_LIMIT: Duration = Duration::from_secs(30);
@@ -160,9 +157,10 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     RunOutcome { seed: config.seed, violation, counters: checker.counters, digest }
 }
 
-/// Returns the number of robots that auctions ask first. These fleets are small: with the default they ask all.
+/// Returns the number of robots that auctions ask first: two in every second fleet with the settings of a large one. With
+/// the default these fleets ask all.
 fn candidates(seed: u64) -> usize {
-    if seed >= CANDIDATES_SINCE && seed.is_multiple_of(2) { 2 } else { CandidateSettings::DEFAULT_COUNT }
+    if is_large(seed) && seed.is_multiple_of(2) { 2 } else { CandidateSettings::DEFAULT_COUNT }
 }
 
 /// Returns the options that inject the faults, and the bug if there is one.
