@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Figures of a fleet. Rates are per second of virtual time, percentages of a core are of virtual time.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ScaleFigures {
     /// Number of robots.
     pub robots: usize,

@@ -26,7 +26,7 @@ use std::time::Instant;
 Examples:
   consort-lab bench scale                                     # 50, 100 and 200 robots that stand still
   consort-lab bench scale --robots 500 --moving --json | jq .robot_received_bytes_per_s
-  consort-lab bench scale --robots 7,25,50,100,200 --plot scale.svg
+  consort-lab bench scale --robots 7,25,50,100,200,500,1000 --plot scale.svg
 
 With --json: an object for each size. Rates are per second of virtual time; percentages are of a core. auction_ms is the
 time from the commit of a request to the commit of the award, commit_ms from a client's request to the acknowledgement;
