@@ -16,7 +16,7 @@ fn files(folder: &str) -> Vec<PathBuf> {
 
 #[test]
 fn the_configurations_of_every_topology_are_valid() {
-    for topology in ["lan", "site", "sites"] {
+    for topology in ["lan", "site", "sites", "campus"] {
         let files = files(&format!("../deploy/topologies/{topology}"));
         let paths: Vec<String> = files.iter().map(|path| path.display().to_string()).collect();
         let mut args = vec!["check"];

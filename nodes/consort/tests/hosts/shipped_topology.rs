@@ -52,6 +52,18 @@ impl ShippedTopology {
         }
     }
 
+    /// Runs commands of the documentation in a copy of the topology's folder. Machines get the files of the copy.
+    pub(crate) fn prepare(&mut self, commands: &str) {
+        let copy = self.path("topology");
+        std::fs::create_dir_all(&copy).expect("the folder can be written to");
+        for file in std::fs::read_dir(&self.topology).expect("a topology that is shipped") {
+            let file = file.expect("an entry");
+            std::fs::copy(file.path(), copy.join(file.file_name())).expect("a file that is shipped");
+        }
+        run("sh", &["-ec", &format!("cd '{}'\n{commands}", copy.display())]);
+        self.topology = copy;
+    }
+
     /// Creates a machine with a cable and an address in each of these networks. Copies the fleet
     /// file, its own file and its certificate, if there is one, to the places that its unit
     /// expects.

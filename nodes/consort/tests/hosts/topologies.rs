@@ -2,7 +2,7 @@
 
 use crate::lab::inside;
 use crate::shipped_topology::ShippedTopology;
-use crate::support::LONG;
+use crate::support::{LONG, until};
 use consort_tests::host_network::within;
 use serde_json::Value;
 use std::cell::RefCell;
@@ -13,6 +13,9 @@ const QUICK: [&str; 1] = ["CONSORT_SPEED=10"];
 
 /// Requests a sample and waits for the end of the mission.
 const SUBMIT: [&str; 7] = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--timeout", "60"];
+
+/// The page with the commands that the tests run.
+const DEPLOYMENT: &str = include_str!("../../../../docs/deployment.md");
 
 /// Counts the nodes that a node sees alive.
 fn alive(fleet: &Value) -> usize {
@@ -67,6 +70,76 @@ fn a_network_survives_the_loss_of_its_coordinator() {
         shipped.plug(&first, "lan");
         assert_eq!(settled(&mut shipped, 6, &first, &[]), settled(&mut shipped, 6, "ada", &[]));
     });
+}
+
+/// Number of carts of the campus in a test: fewer than it is for, since each is a process.
+const CARTS: usize = 6;
+
+/// Variable with another number of carts: up to 200.
+const CARTS_VARIABLE: &str = "CONSORT_CAMPUS_CARTS";
+
+/// Waits until one of these robots has begun a task, and returns it.
+fn first_to_begin<'a>(shipped: &ShippedTopology, robots: &'a [String], task: &str) -> &'a str {
+    let task = format!("task=\"{task}\"");
+    until(&format!("a robot begins {task}"), LONG, || {
+        let begins = |robot: &&String| {
+            shipped.log(robot).lines().any(|line| line.contains("task_began") && line.contains(&task))
+        };
+        robots.iter().find(begins).map(String::as_str)
+    })
+}
+
+#[test]
+fn a_campus_survives_the_loss_of_the_station_that_coordinates() {
+    inside("topologies::a_campus_survives_the_loss_of_the_station_that_coordinates", &[], || {
+        let stations = ["station-1", "station-2", "station-3"];
+        let mut shipped = ShippedTopology::new(
+            "campus",
+            &[
+                ("10.0.0.1", "station-1.ward.example"),
+                ("10.0.0.2", "station-2.ward.example"),
+                ("10.0.0.3", "station-3.ward.example"),
+            ],
+        );
+        let number = std::env::var(CARTS_VARIABLE).ok().and_then(|text| text.parse().ok()).unwrap_or(CARTS);
+        shipped.prepare(&commands_for_carts(number));
+        let carts: Vec<String> = (1..=number).map(|number| format!("cart-{number}")).collect();
+        let names = stations.into_iter().chain(["world", "lab-arm"]).chain(carts.iter().map(String::as_str));
+        for (number, name) in names.enumerate() {
+            shipped.machine(name, &[("campus", &format!("10.0.0.{}", number + 1))]);
+        }
+        for station in stations {
+            shipped.start("station", station, &[]);
+        }
+        shipped.start("world", "world", &QUICK);
+        shipped.start("robot", "lab-arm", &[]);
+        for cart in &carts {
+            shipped.start("robot", cart, &[]);
+        }
+        shipped.await_started();
+        let all = stations.len() + 2 + carts.len();
+        let first = settled(&mut shipped, all, "station-1", &[]);
+        let asked = stations.into_iter().find(|station| *station != first).expect("there are three");
+        let mission = shipped.begin(&SUBMIT, asked);
+        let carrier = first_to_begin(&shipped, &carts, "navto_room");
+        shipped.unplug(&first, "campus");
+        let ended = mission.end(LONG).expect(0);
+        assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
+        let second = settled(&mut shipped, all - 1, asked, &[]);
+        assert!(second != first && stations.contains(&second.as_str()), "{second} coordinates after {first}");
+        // The carrier kept its role, also if the lost station was its relay.
+        assert!(!shipped.log(carrier).contains("suspend"), "{}", shipped.log(carrier));
+        shipped.plug(&first, "campus");
+        assert_eq!(settled(&mut shipped, all, &first, &[]), settled(&mut shipped, all, asked, &[]));
+    });
+}
+
+/// Returns the documented commands that write the files of the carts, for this number of carts.
+fn commands_for_carts(number: usize) -> String {
+    let lines = DEPLOYMENT.lines().filter(|line| line.contains("$(seq 2 100)"));
+    let lines: Vec<String> = lines.map(|line| line.replace("$(seq 2 100)", &format!("$(seq 2 {number})"))).collect();
+    assert_eq!(lines.len(), 2, "{lines:?}");
+    lines.join("\n")
 }
 
 /// Kills and restarts the router of a site with `count` nodes while a mission runs.
@@ -151,8 +224,7 @@ fn certify(shipped: &mut ShippedTopology) {
 
 /// Returns the arguments of documented command lines that begin with `command`.
 fn documented(command: &str) -> Vec<Vec<String>> {
-    let text = include_str!("../../../../docs/deployment.md");
-    let lines: Vec<_> = text.lines().filter_map(|line| line.strip_prefix(command)).collect();
+    let lines: Vec<_> = DEPLOYMENT.lines().filter_map(|line| line.strip_prefix(command)).collect();
     assert!(lines.len() > 5, "the documentation has too few certificate commands: {lines:?}");
     lines.iter().map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
 }
