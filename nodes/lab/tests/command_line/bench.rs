@@ -37,4 +37,6 @@ fn bench_prints_the_published_columns_and_rejects_invalid_sizes() {
     }
     let ran = run(&["bench", "takeover", "--kills", "0"]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "no takeovers: {}", ran.err);
+    let ran = run(&["bench", "regions", "--sites", "1"]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "a single site: {}", ran.err);
 }

@@ -1,6 +1,7 @@
 //! `consort-lab bench`: measures the simulator and fleets on this machine.
 
 mod commit;
+mod regions;
 mod relays;
 mod scale;
 mod scale_plot;
@@ -20,6 +21,7 @@ Examples:
   consort-lab bench scale --robots 50,200 --json
   consort-lab bench commit --missions 100,1000
   consort-lab bench relays --robots 100
+  consort-lab bench regions --sites 4
   consort-lab bench takeover --kills 100")]
 pub(crate) struct Args {
     /// The benchmark
@@ -33,6 +35,7 @@ enum Benchmark {
     Scale(scale::Args),
     Commit(commit::Args),
     Relays(relays::Args),
+    Regions(regions::Args),
     Takeover(takeover::Args),
     #[command(hide = true)]
     RelayHost(relays::HostArgs),
@@ -48,6 +51,7 @@ pub(crate) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
         Benchmark::Scale(args) => scale::run(args, extensions),
         Benchmark::Commit(args) => commit::run(args),
         Benchmark::Relays(args) => relays::run(&args),
+        Benchmark::Regions(args) => regions::run(&args),
         Benchmark::Takeover(args) => takeover::run(&args),
         Benchmark::RelayHost(args) => relays::run_host(args),
     }
