@@ -46,11 +46,15 @@
 //!   evaluated on these records. At nodes that do not subscribe, ages count from the latest change.
 //! - A suspicion goes to all members at once, or to ten of them in a large fleet. There greetings
 //!   are delayed at random.
+//! - In a large fleet nodes that receive heartbeats detect failures, and all others only answer their probes. Heartbeats
+//!   keep the lease of a node with each of them. When it has missed heartbeats for three intervals, it queries the node,
+//!   directly and through three others, and without an answer it suspects the node. So a dead node whose token does not
+//!   vanish is declared down within 20 s at any size; five nodes are queried each second.
 //! - The age of a record counts from the last message of the owner, or from the first copy of this
 //!   version received from another node. The owner renews the version every few seconds, so both
 //!   show whether the owner still publishes.
 //! - A dead node is declared down within 2 s if its token vanished, and within 6 s otherwise
-//!   (fleets of 3 and of 10). The bus of a node that does not relay reports a vanished token 1.5 s
+//!   (fleets of 3 and of 10; large fleets as above). The bus of a node that does not relay reports a vanished token 1.5 s
 //!   later: its own relay may have failed. From then on it receives no calls for bids, and its record is not
 //!   forwarded. It leaves the ensemble once its record is stale, and its record is removed after
 //!   `forget_after`, 30 s.

@@ -116,6 +116,11 @@ impl<'a> Context<'a> {
         self.set_timer_jittered(interval, ScheduledTimer::Heartbeat);
     }
 
+    /// Checks whether this node probes no others: in a large fleet nodes that receive heartbeats detect failures.
+    pub(super) fn leaves_detection_to_others(&self) -> bool {
+        self.core.settings.scoped && !self.state.receives_motion
+    }
+
     /// Returns the heartbeat interval. It is longer in a large fleet, to limit the messages that
     /// each node receives.
     pub(super) fn heartbeat_interval(&self) -> Duration {

@@ -160,6 +160,7 @@ fn fire_timer(
             let forget_after = context.core.settings.forget_after;
             context.core.changed |= context.core.records.remove_absent(forget_after, context.state, context.now);
             membership.announce_to_absent(context);
+            membership.check_leases(context);
             anti_entropy.begin_round(membership.tokens(), context);
             context.set_timer_jittered(context.core.settings.round, ScheduledTimer::Round);
         }

@@ -6,7 +6,7 @@ use consort_protocol::knowledge::{
 use consort_protocol::message::RecordUpdate;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, SharePerSecond};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 fn node(name: &str) -> NodeId {
@@ -276,4 +276,141 @@ fn a_newcomer_to_a_large_fleet_is_greeted_later_unless_it_is_known_by_then() {
             (100..=5_200).step_by(100).any(|ms| greets(ada.handle(Event::TimerFired, &mut state, at(ms)).unwrap()));
         assert_eq!(greeted, !becomes_known);
     }
+}
+
+/// A station, which receives heartbeats, and two robots of a large fleet, which do not. They exchange messages at once.
+struct LargeFleet {
+    nodes: BTreeMap<NodeId, (Gossiper, GossipState)>,
+    /// Pairs of nodes that receive nothing of each other.
+    cut: BTreeSet<(NodeId, NodeId)>,
+    /// Packets that passed, by sender and receiver.
+    packets: Vec<(NodeId, NodeId)>,
+}
+
+const LARGE_FLEET: [&str; 3] = ["ada", "bob", "station"];
+
+impl LargeFleet {
+    /// Starts the nodes, which know each other after some seconds. The station probes a member in each period.
+    fn start(probe_period: Duration) -> LargeFleet {
+        let mut fleet = LargeFleet { nodes: BTreeMap::new(), cut: BTreeSet::new(), packets: vec![] };
+        let mut first = vec![];
+        for (seed, name) in (1..).zip(LARGE_FLEET) {
+            let own = Settings::new(FleetId::new("ward").unwrap(), node(name), 1);
+            let own = Settings { scoped: true, ..own };
+            let is_station = name == "station";
+            let settings = if is_station { Settings { probe_period, ..own } } else { own };
+            let mut state = GossipState { receives_motion: is_station, ..GossipState::default() };
+            let rng = ChaCha8Rng::seed_from_u64(seed);
+            let start = GossiperStart { settings, knowledge: knowledge(None), signer: None, rng };
+            let (gossiper, actions) = Gossiper::new(start, &mut state, NodeTime::ZERO);
+            fleet.nodes.insert(node(name), (gossiper, state));
+            first.push((name, actions));
+        }
+        for (name, actions) in first {
+            fleet.deliver(name, actions, 0);
+        }
+        for (name, other) in LARGE_FLEET.iter().flat_map(|name| LARGE_FLEET.map(|other| (*name, other))) {
+            fleet.handle(name, Event::Token(node(other), true), 0);
+        }
+        fleet.run(0..10_000);
+        assert!(LARGE_FLEET.iter().all(|other| *other == "station" || fleet.status_at_station(other).is_alive()));
+        fleet
+    }
+
+    fn status_at_station(&self, other: &str) -> MemberStatus {
+        self.nodes[&node("station")].1.status[&node(other)]
+    }
+
+    fn cut(&mut self, one: &str, other: &str) {
+        self.cut.extend([(node(one), node(other)), (node(other), node(one))]);
+    }
+
+    fn handle(&mut self, name: &str, event: Event, ms: u64) {
+        let (gossiper, state) = self.nodes.get_mut(&node(name)).unwrap();
+        // A packet may be invalid by now.
+        let actions = gossiper.handle(event, state, at(ms)).unwrap_or_default();
+        self.deliver(name, actions, ms);
+    }
+
+    fn deliver(&mut self, from: &str, actions: Vec<Action>, ms: u64) {
+        for action in actions {
+            let from = node(from);
+            let others = LARGE_FLEET.into_iter().filter(|other| *other != from.as_str());
+            let events: Vec<(&str, Event)> = match action {
+                Action::Send(to, bytes) => {
+                    let is_receiver = |other: &&str| *other == to.as_str();
+                    let events = others.filter(is_receiver).map(|other| (other, Event::Packet(bytes.clone())));
+                    events.collect()
+                }
+                Action::Publish(update) => {
+                    others.map(|other| (other, Event::Published(from.clone(), update.clone()))).collect()
+                }
+                Action::PublishMotion(update) => {
+                    let others = others.filter(|other| *other == "station");
+                    others.map(|other| (other, Event::MotionPublished(from.clone(), update.clone()))).collect()
+                }
+                Action::SendRequest(..) | Action::SendReply(_) => vec![],
+            };
+            for (to, event) in events {
+                if self.cut.contains(&(from.clone(), node(to))) {
+                    continue;
+                }
+                if matches!(event, Event::Packet(_)) {
+                    self.packets.push((from.clone(), node(to)));
+                }
+                self.handle(to, event, ms);
+            }
+        }
+    }
+
+    fn run(&mut self, span: std::ops::Range<u64>) {
+        for ms in span.step_by(50) {
+            for name in LARGE_FLEET {
+                self.handle(name, Event::TimerFired, ms);
+            }
+        }
+    }
+}
+
+/// Longer than any test.
+const NEVER: Duration = Duration::from_secs(3600);
+
+#[test]
+fn robots_of_a_large_fleet_probe_no_others() {
+    let mut fleet = LargeFleet::start(Duration::from_millis(500));
+    fleet.packets.clear();
+    fleet.run(10_000..20_000);
+    let passed = |from: &str, to: &str| fleet.packets.iter().filter(|pair| **pair == (node(from), node(to))).count();
+    for robot in ["ada", "bob"] {
+        assert!(passed("station", robot) >= 5 && passed(robot, "station") >= 5, "{:?}", fleet.packets);
+    }
+    // A probe each half a second would be ten packets. They announce themselves now and then.
+    assert!(passed("ada", "bob") + passed("bob", "ada") <= 6, "{:?}", fleet.packets);
+}
+
+#[test]
+fn a_robot_with_an_ended_lease_is_declared_down() {
+    let mut fleet = LargeFleet::start(NEVER);
+    fleet.cut("ada", "station");
+    fleet.cut("ada", "bob");
+    fleet.run(10_000..12_000);
+    assert!(matches!(fleet.status_at_station("ada"), MemberStatus::Alive { .. }));
+    fleet.run(12_000..20_000);
+    assert!(matches!(fleet.status_at_station("ada"), MemberStatus::Down { .. }));
+    assert!(matches!(fleet.status_at_station("bob"), MemberStatus::Alive { .. }));
+    // The other robot hears of it, and has missed an answer, too.
+    let at_bob = &fleet.nodes[&node("bob")].1.status[&node("ada")];
+    assert!(matches!(at_bob, MemberStatus::Down { .. }), "{at_bob:?}");
+}
+
+#[test]
+fn a_robot_that_answers_through_another_keeps_its_lease() {
+    let mut fleet = LargeFleet::start(NEVER);
+    fleet.cut("ada", "station");
+    for second in 10..40 {
+        fleet.run(second * 1000..(second + 1) * 1000);
+        let status = fleet.status_at_station("ada");
+        assert!(matches!(status, MemberStatus::Alive { .. }), "{status:?} after {second} s");
+    }
+    assert!(fleet.packets.iter().filter(|pair| **pair == (node("station"), node("bob"))).count() > 5);
 }

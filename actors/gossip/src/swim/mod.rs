@@ -86,6 +86,11 @@ pub(super) fn timeout_factor(returns: u32) -> u32 {
     1u32.checked_shl(returns).map_or(TIMEOUT_FACTOR_MAX, |times| times.clamp(1, TIMEOUT_FACTOR_MAX))
 }
 
+/// Checks whether a timer begins the probe of a member.
+pub(super) fn begins_probe(timer: &Timer) -> bool {
+    matches!(timer, foca::Timer::ProbeRandomMember(_))
+}
+
 fn extended(after: Duration, timer: &Timer) -> Duration {
     match timer {
         foca::Timer::ChangeSuspectToDown { member_id, .. } => after * timeout_factor(member_id.rejoins),
@@ -159,6 +164,8 @@ pub(super) struct Swim {
     members_queried: BTreeSet<NodeId>,
     probe_period: Duration,
     deferral_max: Duration,
+    /// Members that were asked to query a node, by this node.
+    helpers: BTreeMap<NodeId, BTreeSet<NodeId>>,
     /// Maximum number of members that are notified or asked about a suspect.
     confidants_max: usize,
     /// Chooses them.
@@ -168,6 +175,9 @@ pub(super) struct Swim {
 /// Probe number of a query that is not foca's: foca counts up and reaches this number once in 256
 /// probes.
 const QUERY_PROBE: u8 = 0;
+
+/// Number of members through which a node is queried, as with the probes of foca.
+const HELPERS: usize = 3;
 
 /// Number of recent probes that are evaluated.
 const PROBES_MAX: u32 = 6;
@@ -198,12 +208,13 @@ impl Swim {
             members_queried: BTreeSet::new(),
             probe_period,
             deferral_max,
+            helpers: BTreeMap::new(),
             confidants_max,
             rng,
         }
     }
 
-    /// Handles a packet. Returns its sender.
+    /// Handles a packet. Returns its sender, or the node that has answered a [query](Self::ask) through the sender.
     ///
     /// What the sender says about another node counts only in part, since a stolen key may sign the packet:
     ///
@@ -251,8 +262,30 @@ impl Swim {
             Message::ForwardedAck { .. } => true,
             _ => false,
         };
+        let answered = match &header.message {
+            Message::ForwardedAck { origin, probe_number: QUERY_PROBE } => {
+                // Any other sender may lie about the node.
+                let was_asked = self.helpers.get(&origin.node).is_some_and(|helpers| helpers.contains(&from));
+                was_asked.then(|| origin.node.clone())
+            }
+            _ => None,
+        };
         self.collect(&mut actions, |foca, runtime| foca.handle_data(&packet, runtime))?;
-        Ok((from, actions))
+        Ok((answered.unwrap_or(from), actions))
+    }
+
+    /// Queries a member, directly and through some others.
+    pub(super) fn ask(&mut self, node: &NodeId) -> Result<Vec<SwimAction>, SwimError> {
+        let Some(target) = self.foca.iter_members().map(Member::id).find(|id| id.node == *node).cloned() else {
+            return Ok(vec![]);
+        };
+        let helpers = self.other_members(Some(&target), HELPERS);
+        self.helpers.insert(node.clone(), helpers.iter().map(|helper| helper.node.clone()).collect());
+        let through = |helper: &SwimId| {
+            self.message_to(helper, Message::PingReq { target: target.clone(), probe_number: QUERY_PROBE }, &[])
+        };
+        let direct = self.message_to(&target, Message::Ping(QUERY_PROBE), &[]);
+        std::iter::once(direct).chain(helpers.iter().map(through)).collect()
     }
 
     /// Handles the arrival of a node's record with this incarnation: what others have said about the node may
@@ -387,25 +420,37 @@ impl Swim {
 
     /// Sends these updates to all members, under the identity of this node.
     fn tell_members(&self, updates: &[Member<SwimId>]) -> Result<Vec<SwimAction>, SwimError> {
-        let tell = |member: &Member<SwimId>| {
-            let (src, dst) = (self.foca.identity().clone(), member.id().clone());
-            let to = dst.node.clone();
-            let header = Header { src, src_incarnation: 0, dst, message: Message::Gossip };
-            Ok(SwimAction::Send(to, with_version(encode(&header, updates)?)))
-        };
+        let tell = |member: &Member<SwimId>| self.message_to(member.id(), Message::Gossip, updates);
         self.foca.iter_members().map(tell).collect()
+    }
+
+    /// Encodes a message to a member with these updates.
+    fn message_to(
+        &self,
+        to: &SwimId,
+        message: Message<SwimId>,
+        updates: &[Member<SwimId>],
+    ) -> Result<SwimAction, SwimError> {
+        // The incarnation has no effect on the members' view of this node.
+        let header = Header { src: self.foca.identity().clone(), src_incarnation: 0, dst: to.clone(), message };
+        Ok(SwimAction::Send(to.node.clone(), with_version(encode(&header, updates)?)))
     }
 
     /// Returns the members to notify or to ask about a suspect: random members in a large fleet, else all.
     fn confidants(&mut self, suspect: Option<&SwimId>) -> Vec<SwimId> {
-        let others = self.foca.iter_members().map(Member::id).filter(|id| Some(*id) != suspect);
+        self.other_members(suspect, self.confidants_max)
+    }
+
+    /// Returns random members other than `member`, at most `count`.
+    fn other_members(&mut self, member: Option<&SwimId>, count: usize) -> Vec<SwimId> {
+        let others = self.foca.iter_members().map(Member::id).filter(|id| Some(*id) != member);
         let mut others: Vec<SwimId> = others.cloned().collect();
-        if others.len() > self.confidants_max {
-            for place in 0..self.confidants_max {
+        if others.len() > count {
+            for place in 0..count {
                 let chosen = self.rng.random_range(place..others.len());
                 others.swap(place, chosen);
             }
-            others.truncate(self.confidants_max);
+            others.truncate(count);
         }
         others
     }
@@ -448,7 +493,10 @@ impl Swim {
         while let Some(notification) = runtime.to_notify() {
             match notification {
                 OwnedNotification::MemberUp(id) => actions.push(SwimAction::Up(id.node)),
-                OwnedNotification::MemberDown(id) => actions.push(SwimAction::Down(id.node)),
+                OwnedNotification::MemberDown(id) => {
+                    self.helpers.remove(&id.node);
+                    actions.push(SwimAction::Down(id.node));
+                }
                 OwnedNotification::Rejoin(_) => actions.push(SwimAction::Rejoined),
                 // A restart faster than the verdict; changes in the presence of any member; the own
                 // leave.
@@ -490,16 +538,8 @@ impl Swim {
     /// Queries a member and sends it a suspicion.
     fn send_suspicion(&self, to: &SwimId, suspect: &SwimId) -> Option<SwimAction> {
         let suspect = self.foca.iter_members().find(|member| member.id() == suspect)?;
-        let header = Header {
-            src: self.foca.identity().clone(),
-            // This value has no effect on the members' view of this node.
-            src_incarnation: 0,
-            dst: to.clone(),
-            // Not a probe of foca, so a missing answer has no effect. Only the sender matters.
-            message: Message::Ping(QUERY_PROBE),
-        };
-        let packet = encode(&header, std::slice::from_ref(suspect)).ok()?;
-        Some(SwimAction::Send(to.node.clone(), with_version(packet)))
+        // Not a probe of foca, so a missing answer has no effect. Only the sender matters.
+        self.message_to(to, Message::Ping(QUERY_PROBE), std::slice::from_ref(suspect)).ok()
     }
 
     /// foca does not report suspicions, so the current suspects are compared with the previous
