@@ -147,7 +147,8 @@ pub enum DriverMessage {
     Charge {
         /// Charge as a share of a full battery, from 0 to 1.
         share: BatteryShare,
-        /// False if the charge is too low to move. Default true.
+        /// False if the robot cannot move: the charge is too low, or the driver has no connection to it. Default
+        /// true.
         #[serde(default = "yes", skip_serializing_if = "Clone::clone")]
         able: bool,
     },

@@ -26,7 +26,8 @@ pub struct Telemetry {
     pub place: PlaceId,
     /// State of charge.
     pub battery: BatteryShare,
-    /// False once the battery has fallen below the stopping share and the robot can no longer move.
+    /// False if the robot cannot move: the battery has fallen below the stopping share, or its driver has no
+    /// connection to it.
     pub able: bool,
     /// Lanes that the robot has found closed, or that were reported to it as closed: each once, by
     /// its two ends. The list is incomplete, and old entries expire, since a lane may be open

@@ -70,7 +70,7 @@ impl DriverLink {
 
     fn driver_problem(&self) -> Option<String> {
         match self.telemetry() {
-            Some(report) if !report.able => Some("its battery is too low to move".to_owned()),
+            Some(report) if !report.able => Some("its driver reports that it cannot move".to_owned()),
             Some(_) if self.silent_for() < self.report_timeout => None,
             Some(_) | None => Some("its driver does not reply".to_owned()),
         }

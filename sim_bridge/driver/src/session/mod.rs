@@ -124,7 +124,7 @@ pub(crate) struct ReportedRobot {
     pub(crate) place: Option<PlaceId>,
     /// Charge.
     pub(crate) charge: BatteryShare,
-    /// False if the charge is too low to move.
+    /// False if the robot cannot move: the charge is too low, or the driver has no connection to it.
     pub(crate) able: bool,
     /// Latest value of each declared reading, by name.
     pub(crate) readings: BTreeMap<String, Scalar>,

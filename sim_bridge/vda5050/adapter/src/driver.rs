@@ -5,7 +5,7 @@ use crate::file::VehicleSettings;
 use crate::lines::{Input, NodeLine, Output, permission, read_input};
 use crate::mqtt::{BrokerEvent, Publisher, connect};
 use consort_vda5050_core::{
-    Command, Event, GoalStatus, Malformed, OrderMachine, Position, Topic, VehicleError, instant_actions,
+    Command, Event, GoalStatus, Malformed, OrderMachine, Position, Topic, VehicleError, VehicleState, instant_actions,
     read_connection, read_factsheet, read_state, read_visualization,
 };
 use serde_json::{Map, Value, json};
@@ -92,12 +92,14 @@ struct Driver<'a> {
     /// Why there is no connection to the broker, as logged.
     broker_problem: String,
     /// Numbers of messages, by topic.
-    sent: BTreeMap<Topic, u64>,
+    sent: BTreeMap<Topic, u32>,
     /// Numbers of refused messages, by topic.
     refused: BTreeMap<&'static str, u64>,
     /// The actions of the goals without a result, by goal.
     actions: BTreeMap<u64, String>,
     position: Option<Position>,
+    /// Why the robot is out of service, as logged.
+    problem: Option<String>,
     reported_at: Option<Instant>,
     has_news: bool,
 }
@@ -118,6 +120,7 @@ impl<'a> Driver<'a> {
             refused: BTreeMap::new(),
             actions: BTreeMap::new(),
             position: None,
+            problem: None,
             reported_at: None,
             has_news: false,
         }
@@ -286,7 +289,7 @@ impl<'a> Driver<'a> {
         }
         let header_id = self.sent.entry(topic).or_default();
         let message = self.settings.vehicle.message(*header_id, &timestamp(), body);
-        *header_id += 1;
+        *header_id = header_id.wrapping_add(1);
         if let Err(problem) = publisher.publish(topic, &message) {
             warn!(vehicle = %self.settings.vehicle, topic = topic.level(), %problem, "not published");
         }
@@ -316,14 +319,27 @@ impl<'a> Driver<'a> {
         self.output.send("result", result);
     }
 
-    /// Reports pose and charge to the node, at most twice a second, and at least once a second while
-    /// the vehicle is known.
+    /// Reports pose and charge to the node, at most twice a second, and at least once a second. A change of the
+    /// service is reported at once.
     fn report(&mut self) {
+        let problem = self.machine.unavailable(self.started.elapsed());
+        if self.problem != problem {
+            let vehicle = &self.settings.vehicle;
+            match &problem {
+                Some(reason) => info!(%vehicle, reason, "the vehicle is out of service"),
+                None => info!(%vehicle, "the vehicle is in service"),
+            }
+            self.problem = problem;
+            self.reported_at = None;
+        }
         let since = self.reported_at.map(|at| at.elapsed());
         let is_due =
             since.is_none_or(|since| since >= REPORT_INTERVAL && (self.has_news || since >= 2 * REPORT_INTERVAL));
-        let Some(state) = self.machine.state().filter(|_| is_due) else { return };
-        if let Some(position) = &self.position {
+        if !is_due {
+            return;
+        }
+        let state = self.machine.state();
+        if let (Some(position), Some(state)) = (&self.position, state) {
             let mut pose = json!({ "x_m": position.x_m, "y_m": position.y_m, "yaw_rad": position.yaw_rad });
             let place = self.settings.catalog.place_of(&state.last_node).filter(|_| !state.is_driving);
             if let Some(place) = place {
@@ -331,11 +347,18 @@ impl<'a> Driver<'a> {
             }
             self.output.send("pose", pose);
         }
-        let is_low =
-            |error: &VehicleError| error.level.ends_orders() && error.kind.to_ascii_lowercase().contains("battery");
-        self.output.send("charge", json!({ "share": state.charge, "able": !state.errors.iter().any(is_low) }));
+        self.output.send("charge", charge(state, self.problem.is_none()));
         (self.reported_at, self.has_news) = (Some(Instant::now()), false);
     }
+}
+
+/// Returns the report of the charge. A robot whose vehicle is unavailable does not bid for roles.
+fn charge(state: Option<&VehicleState>, is_available: bool) -> Value {
+    // The charge of a vehicle that has not reported its state is unknown, and the robot is not able.
+    let Some(state) = state else { return json!({ "share": 1.0, "able": false }) };
+    let is_low =
+        |error: &VehicleError| error.level.ends_orders() && error.kind.to_ascii_lowercase().contains("battery");
+    json!({ "share": state.charge, "able": is_available && !state.errors.iter().any(is_low) })
 }
 
 /// Returns the results of a goal. The text is shortened: a node aborts a goal with longer results.
@@ -363,6 +386,7 @@ pub(crate) fn timestamp() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_vda5050_core::{Vehicle, Version};
 
     #[test]
     fn a_long_result_is_shortened() {
@@ -370,6 +394,25 @@ mod tests {
         let long = results("load", &"\u{1}ä".repeat(300));
         assert!((RESULTS_BYTES_MAX - 6..=RESULTS_BYTES_MAX).contains(&long.to_string().len()), "{long}");
         assert!(long["load"].as_str().unwrap().starts_with("\u{1}ä"));
+    }
+
+    #[test]
+    fn a_robot_without_its_vehicle_is_not_able() {
+        let vehicle = Vehicle::new("uagv", Version::V2_0, "ACME", "7").unwrap();
+        let read = |errors: Value| {
+            let message = json!({
+                "headerId": 4, "timestamp": "t", "version": "2.0.0", "manufacturer": "ACME", "serialNumber": "7",
+                "orderId": "", "orderUpdateId": 0, "lastNodeId": "a", "lastNodeSequenceId": 0, "nodeStates": [],
+                "edgeStates": [], "driving": false, "operatingMode": "AUTOMATIC", "actionStates": [], "errors": errors,
+                "batteryState": { "batteryCharge": 80.0, "charging": false },
+                "safetyState": { "eStop": "NONE", "fieldViolation": false },
+            });
+            read_state(&vehicle, message.to_string().as_bytes()).unwrap()
+        };
+        let able = |state: Option<&VehicleState>, is_available| charge(state, is_available)["able"] == true;
+        let (good, low) = (read(json!([])), read(json!([{ "errorType": "batteryLow", "errorLevel": "FATAL" }])));
+        let ables = [able(None, false), able(Some(&good), false), able(Some(&good), true), able(Some(&low), true)];
+        assert_eq!(ables, [false, false, true, false]);
     }
 
     #[test]

@@ -100,8 +100,12 @@ pub fn class_of(code: &str) -> Option<CauseClass> {
 }
 
 /// Words in the types of errors, in small letters, and the codes of the causes. The first match counts.
-const WORDS: [(&str, &str); 9] = [
+const WORDS: [(&str, &str); 13] = [
     ("noroute", "no_route"),
+    ("unreachable", "no_route"),
+    ("startnode", "no_route"),
+    ("otherorder", "busy"),
+    ("robotnotavailable", "busy"),
     ("battery", "battery_low"),
     ("obstacle", "blocked"),
     ("blocked", "blocked"),
@@ -149,7 +153,8 @@ mod tests {
         assert_eq!((cause.code.as_str(), cause.class), ("no_route", Some(CauseClass::Robot)));
         assert_eq!(cause.message, "noRouteError (Fatal): x");
         assert_eq!(table.cause(&error("batteryLowError")).code, "battery_low");
-        assert_eq!(table.cause(&error("NO_ROUTE")).code, "no_route");
+        let predefined = ["NO_ROUTE_TO_TARGET", "NODE_UNREACHABLE", "START_NODE_OUT_OF_RANGE", "OTHER_ORDER_ACTIVE"];
+        assert_eq!(predefined.map(|kind| table.cause(&error(kind)).code), ["no_route", "no_route", "no_route", "busy"]);
         assert_eq!(table.cause(&error("gripper")).code, "failed");
         // The domain declares the class of its own codes.
         let own = table.cause(&error("liftJam"));

@@ -146,7 +146,7 @@ impl Vehicle {
     }
 
     /// Returns a complete message: the header and the body, which is an object.
-    pub fn message(&self, header_id: u64, timestamp: &str, body: Map<String, Value>) -> Value {
+    pub fn message(&self, header_id: u32, timestamp: &str, body: Map<String, Value>) -> Value {
         let mut message = Map::new();
         message.insert("headerId".to_owned(), json!(header_id));
         message.insert("timestamp".to_owned(), json!(timestamp));

@@ -101,11 +101,11 @@ pub struct VehicleState {
     pub position: Option<Position>,
     /// Charge as a share of a full battery.
     pub charge: f64,
-    /// Actions of the order, and instant actions.
+    /// Actions of the order; before version 3.0 also the instant actions.
     pub actions: Vec<ActionReport>,
-    /// Number of instant actions that stay in the state until the vehicle is asked to remove them; 0
-    /// before version 3.0.
-    pub instants: usize,
+    /// Instant actions, which stay in the state until the vehicle is asked to remove them; none before
+    /// version 3.0.
+    pub instant_actions: Vec<ActionReport>,
     /// Errors.
     pub errors: Vec<VehicleError>,
     /// Operating mode, for example `AUTOMATIC`.
@@ -117,12 +117,30 @@ pub struct VehicleState {
 impl VehicleState {
     /// Returns the report about an action.
     pub fn action(&self, id: &str) -> Option<&ActionReport> {
-        self.actions.iter().find(|action| action.id == id)
+        self.actions.iter().chain(&self.instant_actions).find(|action| action.id == id)
     }
 
-    /// Checks whether the latest order has ended: nothing is left to drive, and all actions have ended.
+    /// Checks whether the latest order has ended: nothing is left to drive, and all its actions have ended.
+    /// An instant action of version 3.0 may go on.
     pub fn is_idle(&self) -> bool {
         self.nodes.is_empty() && self.edges_left == 0 && self.actions.iter().all(|action| action.status.is_final())
+    }
+
+    /// Returns the number of the last node of the order that the vehicle has passed; `None` before its first
+    /// node. A vehicle that has not reached the first node may still report the last node of the order
+    /// before.
+    pub fn reached(&self) -> Option<u64> {
+        // Some vehicles keep the node where they are among the nodes to drive to.
+        let is_ahead = |node: &&RemainingNode| node.sequence != self.last_sequence || node.id != self.last_node;
+        match self.nodes.iter().filter(is_ahead).map(|node| node.sequence).min() {
+            Some(next) if next <= self.last_sequence => next.checked_sub(1),
+            _ => Some(self.last_sequence),
+        }
+    }
+
+    /// Checks whether the operating mode lets the vehicle execute orders.
+    pub fn takes_orders(&self) -> bool {
+        ["AUTOMATIC", "SEMIAUTOMATIC"].contains(&self.mode.as_str())
     }
 }
 
@@ -205,7 +223,6 @@ pub fn read_state(vehicle: &Vehicle, bytes: &[u8]) -> Result<VehicleState, Malfo
         sequence: whole(&node["sequenceId"]),
         released: node["released"] == true,
     };
-    let actions = list(&message["actionStates"]).chain(list(&message["instantActionStates"]));
     Ok(VehicleState {
         header_id: whole(&message["headerId"]),
         timestamp: text(&message["timestamp"]),
@@ -218,8 +235,8 @@ pub fn read_state(vehicle: &Vehicle, bytes: &[u8]) -> Result<VehicleState, Malfo
         is_driving: message["driving"] == true,
         position: position(vehicle.version(), &message),
         charge: (message[power][charge].as_f64().unwrap_or_default() / 100.0).clamp(0.0, 1.0),
-        actions: actions.map(action_report).collect(),
-        instants: list(&message["instantActionStates"]).count(),
+        actions: list(&message["actionStates"]).map(action_report).collect(),
+        instant_actions: list(&message["instantActionStates"]).map(action_report).collect(),
         errors: list(&message["errors"]).map(error).collect(),
         mode: text(&message["operatingMode"]),
         is_stopped: message["safetyState"][stop].as_str().is_some_and(|stop| stop != "NONE"),
@@ -335,6 +352,20 @@ mod tests {
         // A message of another version is refused with the place.
         let error = read_state(&vehicle(Version::V3_0), old.as_bytes()).unwrap_err();
         assert_eq!(error.to_string(), "/: `powerSupply` is missing (schema: /required)");
+    }
+
+    #[test]
+    fn an_instant_action_of_3_0_does_not_keep_the_order_busy() {
+        let message = json!({
+            "headerId": 4, "timestamp": "t", "version": "3.0.0", "manufacturer": "ACME", "serialNumber": "7",
+            "orderId": "", "orderUpdateId": 0, "lastNodeId": "a", "lastNodeSequenceId": 0, "nodeStates": [],
+            "edgeStates": [], "driving": false, "operatingMode": "AUTOMATIC", "actionStates": [], "errors": [],
+            "instantActionStates": [{ "actionId": "i", "actionStatus": "RUNNING" }],
+            "powerSupply": { "stateOfCharge": 80.0, "charging": false },
+            "safetyState": { "activeEmergencyStop": "NONE", "fieldViolation": false },
+        });
+        let state = read_state(&vehicle(Version::V3_0), message.to_string().as_bytes()).unwrap();
+        assert!(state.is_idle() && state.action("i").is_some());
     }
 
     #[test]

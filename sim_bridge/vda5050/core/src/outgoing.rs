@@ -137,8 +137,11 @@ impl Order {
         let edge = |edge: &OrderEdge| {
             let mut json = json!({
                 "edgeId": format!("{}_{}", edge.from, edge.to), "sequenceId": edge.sequence, "released": edge.released,
-                "startNodeId": edge.from, "endNodeId": edge.to, "actions": [],
+                "actions": [],
             });
+            if version < Version::V3_0 {
+                (json["startNodeId"], json["endNodeId"]) = (json!(edge.from), json!(edge.to));
+            }
             if let Some(speed_mps) = edge.speed_max_mps {
                 let key = if version == Version::V3_0 { "maximumSpeed" } else { "maxSpeed" };
                 json[key] = json!(speed_mps);
@@ -168,5 +171,21 @@ mod tests {
         assert_eq!(sent(Version::V2_1), old);
         assert_eq!(sent(Version::V3_0)["blockingType"], "NONE");
         assert_eq!(sent(Version::V3_0)["actionParameters"], json!([{ "key": "orderId", "value": "o" }]));
+    }
+
+    #[test]
+    fn an_edge_names_its_nodes_before_version_3() {
+        let (from, to) = ("a".to_owned(), "b".to_owned());
+        let edge = OrderEdge { sequence: 1, released: true, from, to, speed_max_mps: Some(0.5) };
+        let order = Order { id: "o".to_owned(), update: 0, map: "m".to_owned(), nodes: vec![], edges: vec![edge] };
+        let common = json!({ "edgeId": "a_b", "sequenceId": 1, "released": true, "actions": [] });
+        let with = |extra: Value| {
+            let mut edge = common.clone();
+            edge.as_object_mut().unwrap().extend(extra.as_object().unwrap().clone());
+            json!([edge])
+        };
+        let old = with(json!({ "startNodeId": "a", "endNodeId": "b", "maxSpeed": 0.5 }));
+        assert_eq!(order.to_json(Version::V2_1)["edges"], old);
+        assert_eq!(order.to_json(Version::V3_0)["edges"], with(json!({ "maximumSpeed": 0.5 })));
     }
 }

@@ -159,7 +159,9 @@ impl OrderRun {
     ) -> OrderRun {
         let action = id.action(0);
         let stop = |id: &str, sequence: u64| RouteStop { sequence, ..RouteStop::new(id, 0, layout.node(id)) };
-        let last = (!state.last_node.is_empty()).then(|| stop(&state.last_node, state.last_sequence));
+        let reached = state.reached();
+        let is_on_order = !state.last_node.is_empty() && reached == Some(state.last_sequence);
+        let last = is_on_order.then(|| stop(&state.last_node, state.last_sequence));
         let ahead = state.nodes.iter().filter(|node| last.is_none() || node.sequence > state.last_sequence);
         let released = ahead.clone().filter(|node| node.released).count() + usize::from(last.is_some());
         OrderRun {
@@ -255,7 +257,8 @@ impl OrderRun {
     pub(super) fn distance_remaining_m(&self, state: &VehicleState) -> Option<f64> {
         let mut at_m = state.position.as_ref().map(|position| (position.x_m, position.y_m))?;
         let is_of_order = state.order == self.id.to_string();
-        let ahead = self.stops.iter().filter(|stop| !is_of_order || stop.sequence > state.last_sequence);
+        let reached = state.reached().filter(|_| is_of_order);
+        let ahead = self.stops.iter().filter(|stop| reached.is_none_or(|reached| stop.sequence > reached));
         Some(ahead.filter_map(|stop| stop.at_m).fold(0.0, |sum, next_m| {
             let leg_m = (next_m.0 - at_m.0).hypot(next_m.1 - at_m.1);
             at_m = next_m;
@@ -314,10 +317,24 @@ impl OrderRun {
     }
 }
 
+/// Words in the types of errors by which a vehicle rejects an order, in small letters: those of 2.x, then
+/// those of 3.0.
+const REJECTIONS: [&str; 9] = [
+    "order",
+    "route",
+    "validation",
+    "unsupportedparameter",
+    "startnode",
+    "unreachable",
+    "unknownmap",
+    "insufficientmemory",
+    "robotnotavailable",
+];
+
 /// Checks whether the type of an error is about orders.
 fn is_of_orders(error: &VehicleError) -> bool {
     let kind = error.kind_letters();
-    kind != "noordertocancel" && ["order", "route", "validation"].iter().any(|word| kind.contains(word))
+    kind != "noordertocancel" && REJECTIONS.iter().any(|word| kind.contains(word))
 }
 
 /// Returns the errors of a state that refer to none of some ids: those that an adopted order or action

@@ -113,6 +113,12 @@ impl ActiveGoal {
     }
 }
 
+/// Returns why the operating mode prevents orders.
+fn mode_problem(state: &VehicleState) -> Option<String> {
+    let problem = || format!("is in the mode {}; allowed: AUTOMATIC, SEMIAUTOMATIC", state.mode);
+    (!state.takes_orders()).then(problem)
+}
+
 fn aborted(code: &str, message: String) -> Option<GoalStatus> {
     Some(GoalStatus::Aborted(Cause::new(code, message)))
 }
@@ -140,6 +146,15 @@ impl OrderMachine {
     /// Checks whether no goal is in progress and no order of Consort is under way, as far as known.
     pub fn is_at_rest(&self) -> bool {
         self.goal.is_none() && self.stray.is_none()
+    }
+
+    /// Returns why the vehicle cannot execute goals; `None` if it can. Whether it is busy does not matter.
+    pub fn unavailable(&self, now: Duration) -> Option<String> {
+        let Some(state) = self.view.ready_state() else { return Some(self.view.problem().to_owned()) };
+        if self.is_silent(Duration::ZERO, now) {
+            return Some(format!("it has not reported its state for {} s", self.settings.silence_max.as_secs()));
+        }
+        mode_problem(state).map(|problem| format!("it {problem}"))
     }
 
     /// Handles an event.
@@ -248,7 +263,7 @@ impl OrderMachine {
     /// until this process has ended a goal.
     fn clear_instants(&mut self, now: Duration, commands: &mut Vec<Command>) {
         let is_needed = self.goal.is_some() || self.ended.is_none();
-        let is_full = self.view.ready_state().is_some_and(|state| state.instants >= INSTANTS_MAX);
+        let is_full = self.view.ready_state().is_some_and(|state| state.instant_actions.len() >= INSTANTS_MAX);
         let is_due = self.cleared_at.is_none_or(|at| now.saturating_sub(at) >= CLEAR_INTERVAL);
         if is_full && is_due && !is_needed {
             self.cleared_at = Some(now);
@@ -321,9 +336,8 @@ impl OrderMachine {
             };
             return waits_too_long.then(|| aborted(code, format!("the vehicle is not ready: {reason}")))?;
         }
-        if !["AUTOMATIC", "SEMIAUTOMATIC"].contains(&state.mode.as_str()) {
-            let text = format!("the vehicle is in the mode {}; allowed: AUTOMATIC, SEMIAUTOMATIC", state.mode);
-            return aborted("failed", text);
+        if let Some(problem) = mode_problem(&state) {
+            return aborted("failed", format!("the vehicle {problem}"));
         }
         // An error of an earlier order may stay until the next order. A critical error allows another order.
         let of_orders = |text: &str| text.starts_with("consort-");
@@ -487,7 +501,7 @@ impl OrderMachine {
         if let Some(stop) = &mut goal.stop {
             stop.sent_at = self.cancel_order(run.id(), stop.sent_at, now, commands);
         } else {
-            let reached = self.view.state_after(run.sent_at()).map(|state| state.last_sequence);
+            let reached = self.view.state_after(run.sent_at()).and_then(VehicleState::reached);
             if run.is_seen() && reached.is_some_and(|reached| run.release(reached, self.settings.release_ahead, now)) {
                 commands.push(Command::SendOrder(run.message(&self.settings.map)));
             } else if !run.is_seen() && now.saturating_sub(run.sent_at()) >= self.settings.retry_after {

@@ -120,12 +120,16 @@ impl FakeVehicle {
             position,
             charge: 0.5,
             actions: self.actions.clone(),
-            instants: self.instants,
+            instant_actions: vec![ended_action(); self.instants],
             errors: self.errors.clone(),
             mode: "AUTOMATIC".to_owned(),
             is_stopped: false,
         }
     }
+}
+
+fn ended_action() -> ActionReport {
+    ActionReport { id: "ended".to_owned(), status: ActionStatus::Finished, result: String::new() }
 }
 
 fn layout() -> Layout {
@@ -611,6 +615,62 @@ fn errors_count_for_the_order_that_they_concern() {
     assert_eq!(cancels(&commands), 1);
     let status = result(&exchange(&mut next, &mut vehicle, 4));
     assert!(matches!(status, Some(GoalStatus::Aborted(cause)) if cause.code == "blocked"));
+}
+
+#[test]
+fn a_rejection_of_3_0_without_references_ends_the_goal() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    machine.step(goal(7, drive("d")), seconds(2));
+    let references = vec![("parameter".to_owned(), "order.nodes.nodePosition.theta".to_owned())];
+    let (kind, level) = ("UNSUPPORTED_PARAMETER".to_owned(), ErrorLevel::Critical);
+    vehicle.errors = vec![VehicleError { kind, level, description: String::new(), references }];
+    let status = result(&exchange(&mut machine, &mut vehicle, 3));
+    assert!(matches!(status, Some(GoalStatus::Aborted(cause)) if cause.message.contains("UNSUPPORTED_PARAMETER")));
+}
+
+#[test]
+fn the_last_node_of_the_order_before_releases_nothing() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    exchange(&mut machine, &mut vehicle, 1);
+    let sent = machine.step(goal(7, drive("d")), seconds(2));
+    vehicle.receive(&sent[0]);
+    // The vehicle has accepted the order, and has not passed its first node.
+    let first = RemainingNode { id: "a".to_owned(), sequence: 0, released: true };
+    let accepted = vehicle.state();
+    let nodes = Vec::from_iter([first].into_iter().chain(accepted.nodes.clone()));
+    let stale = VehicleState { nodes, last_node: "z".to_owned(), last_sequence: 6, ..accepted };
+    assert_eq!(stale.reached(), None);
+    assert_eq!(orders(&machine.step(Event::State(stale), seconds(3))), []);
+    vehicle.step();
+    assert_eq!(orders(&exchange(&mut machine, &mut vehicle, 4))[0].update, 1);
+    // A vehicle on a node may keep it among the nodes to drive to.
+    let here = RemainingNode { id: "b".to_owned(), sequence: 2, released: true };
+    let state = vehicle.state();
+    let nodes = Vec::from_iter([here].into_iter().chain(state.nodes.clone()));
+    assert_eq!(VehicleState { nodes, ..state }.reached(), Some(2));
+}
+
+#[test]
+fn a_vehicle_that_is_offline_silent_or_in_manual_mode_is_unavailable() {
+    let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+    assert_eq!(machine.unavailable(seconds(1)).as_deref(), Some("it has not reported its state"));
+    exchange(&mut machine, &mut vehicle, 1);
+    assert_eq!(machine.unavailable(seconds(2)), None);
+    for connection in [ConnectionState::Offline, ConnectionState::Broken, ConnectionState::Hibernating] {
+        machine.step(Event::Connection(connection), seconds(2));
+        assert!(machine.unavailable(seconds(2)).is_some(), "{connection:?}");
+        machine.step(Event::Connection(ConnectionState::Online), seconds(2));
+        assert_eq!(machine.unavailable(seconds(2)), None, "{connection:?}");
+    }
+    let manual = VehicleState { mode: "MANUAL".to_owned(), ..vehicle.state() };
+    machine.step(Event::State(manual), seconds(3));
+    assert!(machine.unavailable(seconds(3)).is_some_and(|problem| problem.contains("MANUAL")));
+    exchange(&mut machine, &mut vehicle, 4);
+    assert_eq!((machine.unavailable(seconds(4)), machine.unavailable(seconds(33))), (None, None));
+    assert!(machine.unavailable(seconds(34)).is_some(), "a vehicle reports its state every 30 s");
+    machine.step(Event::Broker { is_up: false }, seconds(5));
+    assert_eq!(machine.unavailable(seconds(5)).as_deref(), Some("no connection to the broker"));
 }
 
 #[test]
