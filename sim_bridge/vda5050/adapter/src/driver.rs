@@ -231,7 +231,7 @@ impl<'a> Driver<'a> {
                 let state = read_state(vehicle, bytes)?;
                 self.has_news = true;
                 self.position = state.position.clone();
-                Ok(Some(Event::State(state)))
+                Ok(Some(Event::State(Box::new(state))))
             }
             Topic::Visualization => {
                 if let Some(position) = read_visualization(vehicle, bytes)?.position {

@@ -177,22 +177,22 @@ pub struct Factsheet {
     pub actions: Vec<String>,
 }
 
-fn read(vehicle: &Vehicle, topic: Topic, bytes: &[u8]) -> Result<Value, Malformed> {
+pub(crate) fn read(vehicle: &Vehicle, topic: Topic, bytes: &[u8]) -> Result<Value, Malformed> {
     let message: Value = serde_json::from_slice(bytes).map_err(|problem| Malformed::Json(problem.to_string()))?;
     check(&schema(topic, vehicle.version()), &message)?;
     vehicle.foreign_field(&message).map_or(Ok(message), |field| Err(Malformed::Foreign(field)))
 }
 
-fn text(value: &Value) -> String {
+pub(crate) fn text(value: &Value) -> String {
     value.as_str().unwrap_or_default().to_owned()
 }
 
-fn list(value: &Value) -> impl Iterator<Item = &Value> {
+pub(crate) fn list(value: &Value) -> impl Iterator<Item = &Value> {
     value.as_array().into_iter().flatten()
 }
 
 /// Returns a whole number, also if it is written as 1.0.
-fn whole(value: &Value) -> u64 {
+pub(crate) fn whole(value: &Value) -> u64 {
     value.as_u64().or_else(|| value.as_f64().map(|number| number as u64)).unwrap_or_default()
 }
 

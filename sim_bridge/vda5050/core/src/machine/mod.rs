@@ -192,7 +192,7 @@ impl OrderMachine {
                     goal.stop(None);
                 }
             }
-            Event::State(state) => self.view.take_state(state, now),
+            Event::State(state) => self.view.take_state(*state, now),
             Event::Connection(connection) => self.view.take_connection(connection),
             Event::Broker { is_up } => {
                 self.view.take_broker(is_up);

@@ -207,7 +207,7 @@ fn result(commands: &[Command]) -> Option<GoalStatus> {
 
 /// Passes a state to the machine, and its commands to the vehicle.
 fn exchange(machine: &mut OrderMachine, vehicle: &mut FakeVehicle, time: u64) -> Vec<Command> {
-    let commands = machine.step(Event::State(vehicle.state()), seconds(time));
+    let commands = machine.step(Event::State(Box::new(vehicle.state())), seconds(time));
     commands.iter().for_each(|command| vehicle.receive(command));
     commands
 }
@@ -281,9 +281,9 @@ fn late_and_repeated_states_change_nothing() {
     };
     vehicle.receive(&sent[0]);
     let state = vehicle.state();
-    machine.step(Event::State(state.clone()), seconds(3));
+    machine.step(Event::State(Box::new(state.clone())), seconds(3));
     for stale in [late, state] {
-        let commands = machine.step(Event::State(stale), seconds(9));
+        let commands = machine.step(Event::State(Box::new(stale)), seconds(9));
         assert_eq!((orders(&commands), cancels(&commands)), (vec![], 0), "the order goes on");
     }
     vehicle.step();
@@ -409,7 +409,7 @@ fn a_vehicle_that_restarts_before_an_update_drives_again() {
     let sent = machine.step(goal(7, drive("d")), seconds(2));
     vehicle.receive(&sent[0]);
     vehicle.step();
-    let update = orders(&machine.step(Event::State(vehicle.state()), seconds(3)));
+    let update = orders(&machine.step(Event::State(Box::new(vehicle.state())), seconds(3)));
     assert_eq!(update[0].update, 1, "the vehicle does not receive it");
     vehicle.restart();
     machine.step(Event::Connection(ConnectionState::Online), seconds(4));
@@ -500,7 +500,7 @@ fn a_cancel_waits_for_a_state_that_is_younger_than_the_action() {
         let sent = machine.step(goal(7, pick(true)), seconds(2));
         machine.step(Event::Cancel { id: 7 }, seconds(2));
         // The vehicle has written this state before it received the action.
-        let commands = machine.step(Event::State(vehicle.state()), Duration::from_millis(2_100));
+        let commands = machine.step(Event::State(Box::new(vehicle.state())), Duration::from_millis(2_100));
         assert_eq!(result(&commands), None);
         if is_lost {
             assert_eq!(result(&exchange(&mut machine, &mut vehicle, 4)), Some(GoalStatus::Canceled));
@@ -541,7 +541,7 @@ fn an_order_or_action_that_the_vehicle_ignores_fails_the_goal() {
         let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
         exchange(&mut machine, &mut vehicle, 1);
         machine.step(goal(7, work), seconds(2));
-        let steps = (3..40).map(|time| machine.step(Event::State(vehicle.state()), seconds(time)));
+        let steps = (3..40).map(|time| machine.step(Event::State(Box::new(vehicle.state())), seconds(time)));
         let commands: Vec<Command> = steps.flatten().collect();
         let Some(GoalStatus::Aborted(cause)) = result(&commands) else { panic!("{commands:?}") };
         assert_eq!(cause.code, "timed_out");
@@ -572,7 +572,7 @@ fn a_drive_ends_when_the_vehicle_stands_still() {
     vehicle.receive(&sent[0]);
     vehicle.step();
     let rolling = VehicleState { is_driving: true, ..vehicle.state() };
-    assert_eq!(result(&machine.step(Event::State(rolling), seconds(3))), None);
+    assert_eq!(result(&machine.step(Event::State(Box::new(rolling)), seconds(3))), None);
     assert!(matches!(result(&exchange(&mut machine, &mut vehicle, 4)), Some(GoalStatus::Succeeded(_))));
 }
 
@@ -641,7 +641,7 @@ fn the_last_node_of_the_order_before_releases_nothing() {
     let nodes = Vec::from_iter([first].into_iter().chain(accepted.nodes.clone()));
     let stale = VehicleState { nodes, last_node: "z".to_owned(), last_sequence: 6, ..accepted };
     assert_eq!(stale.reached(), None);
-    assert_eq!(orders(&machine.step(Event::State(stale), seconds(3))), []);
+    assert_eq!(orders(&machine.step(Event::State(Box::new(stale)), seconds(3))), []);
     vehicle.step();
     assert_eq!(orders(&exchange(&mut machine, &mut vehicle, 4))[0].update, 1);
     // A vehicle on a node may keep it among the nodes to drive to.
@@ -664,7 +664,7 @@ fn a_vehicle_that_is_offline_silent_or_in_manual_mode_is_unavailable() {
         assert_eq!(machine.unavailable(seconds(2)), None, "{connection:?}");
     }
     let manual = VehicleState { mode: "MANUAL".to_owned(), ..vehicle.state() };
-    machine.step(Event::State(manual), seconds(3));
+    machine.step(Event::State(Box::new(manual)), seconds(3));
     assert!(machine.unavailable(seconds(3)).is_some_and(|problem| problem.contains("MANUAL")));
     exchange(&mut machine, &mut vehicle, 4);
     assert_eq!((machine.unavailable(seconds(4)), machine.unavailable(seconds(33))), (None, None));

@@ -73,7 +73,7 @@ pub enum Event {
     /// The program ends: the vehicle has to stop.
     Shutdown,
     /// A state of the vehicle.
-    State(VehicleState),
+    State(Box<VehicleState>),
     /// The connection of the vehicle to the broker.
     Connection(ConnectionState),
     /// The connection of this program to the broker.
