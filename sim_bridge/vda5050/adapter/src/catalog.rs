@@ -201,7 +201,7 @@ impl Catalog {
 
 /// Returns a parameter of the vehicle: `{NAME}` alone is the value of a parameter of the goal, and
 /// inside a text its text. A value whose parameter the goal does not have is left out.
-fn fill(form: &Value, parameters: &Map<String, Value>) -> Option<Value> {
+pub(crate) fn fill(form: &Value, parameters: &Map<String, Value>) -> Option<Value> {
     let Some(text) = form.as_str() else { return Some(form.clone()) };
     if let Some(name) = text.strip_prefix('{').and_then(|text| text.strip_suffix('}')) {
         return parameters.get(name).cloned();

@@ -3,7 +3,7 @@
 use crate::catalog::ScopeForm;
 use crate::driver::timestamp;
 use crate::file::VehicleSettings;
-use crate::mqtt::{BrokerEvent, connect};
+use crate::mqtt::{BrokerEvent, Side, connect};
 use consort_vda5050_core::{
     Command, Event, Factsheet, Malformed, OrderMachine, Topic, VehicleState, instant_actions, read_factsheet,
     read_state,
@@ -45,7 +45,8 @@ pub struct VehicleReport {
 pub async fn ask(settings: &VehicleSettings, limit: Duration) -> VehicleReport {
     let vehicle = &settings.vehicle;
     let session = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default().as_millis();
-    let (publisher, mut events) = connect(&settings.broker, vehicle, &format!("consort-check-{session:x}"));
+    let (publisher, mut events) =
+        connect(&settings.broker, vehicle, &format!("consort-check-{session:x}"), Side::FleetControl);
     let mut machine = OrderMachine::new(settings.machine(u64::try_from(session).unwrap_or_default()));
     let (mut report, until) = (VehicleReport::default(), Instant::now() + limit);
     let refused = |topic: Topic, problem: Malformed| format!("refused a message of {}: {problem}", topic.level());

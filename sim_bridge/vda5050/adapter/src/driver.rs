@@ -3,7 +3,7 @@
 use crate::catalog::{ActionForm, GoalError};
 use crate::file::VehicleSettings;
 use crate::lines::{Input, NodeLine, Output, permission, read_input};
-use crate::mqtt::{BrokerEvent, Publisher, connect};
+use crate::mqtt::{BrokerEvent, Publisher, Side, connect};
 use consort_vda5050_core::{
     Command, Event, GoalStatus, Malformed, OrderMachine, Position, Topic, VehicleError, VehicleState, instant_actions,
     read_connection, read_factsheet, read_state, read_visualization,
@@ -35,7 +35,7 @@ const REFUSALS_LOGGED: u64 = 5;
 pub async fn run(settings: VehicleSettings) {
     let mut driver = Driver::new(&settings);
     let mut input = read_input();
-    let (publisher, mut broker) = connect(&settings.broker, &settings.vehicle, &driver.client_id());
+    let (publisher, mut broker) = connect(&settings.broker, &settings.vehicle, &driver.client_id(), Side::FleetControl);
     driver.output.send(
         "hello",
         json!({

@@ -83,7 +83,7 @@ pub struct NodeForm {
     pub y_m: f64,
 }
 
-fn interface() -> String {
+pub(crate) fn interface() -> String {
     "uagv".to_owned()
 }
 
@@ -279,7 +279,7 @@ impl VehicleFile {
 }
 
 impl BrokerForm {
-    fn access(&self, path: &Path) -> Result<BrokerAccess, FileError> {
+    pub(crate) fn access(&self, path: &Path) -> Result<BrokerAccess, FileError> {
         let wrong = |place: &str, problem: String| FileError::Value {
             path: path.to_owned(),
             place: format!("broker.{place}"),

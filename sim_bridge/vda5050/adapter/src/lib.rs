@@ -6,7 +6,8 @@
 //!               ◀── result, pose, charge ──       ◀── (core)      ◀──        ◀── state, connection ──────
 //! ```
 //!
-//! The crate knows the driver protocol and the broker, and nothing else of Consort: it decides nothing.
+//! The driver knows the driver protocol and the broker, and nothing else of Consort: it decides nothing.
+//! [`vehicles`] is the other side: simulated robots as vehicles.
 
 pub mod catalog;
 pub mod check;
@@ -14,3 +15,4 @@ pub mod driver;
 pub mod file;
 mod lines;
 mod mqtt;
+pub mod vehicles;

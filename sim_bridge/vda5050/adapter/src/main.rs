@@ -2,6 +2,7 @@
 
 use clap::{Parser, Subcommand, ValueEnum};
 use consort_vda5050::file::VehicleSettings;
+use consort_vda5050::vehicles::{self, VehiclesSettings};
 use consort_vda5050::{check, driver};
 use consort_vda5050_core::{Topic, Version, schema};
 use std::io::Write as _;
@@ -9,6 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 use std::{fmt, io};
+use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 /// Vehicles of VDA 5050 (2.0, 2.1, 3.0) as robots of a fleet
@@ -62,6 +64,11 @@ enum Command {
         /// Also connect, and request state and factsheet of the vehicle; it does not move
         #[arg(long, value_name = "SECONDS")]
         connect: Option<u64>,
+    },
+    /// Simulate the vehicles of a file for a foreign fleet control
+    Vehicles {
+        /// File of the vehicles, in YAML
+        file: PathBuf,
     },
     /// Print the JSON Schema by which messages are checked
     Schema {
@@ -131,12 +138,30 @@ async fn run(command: Command) -> ExitCode {
                 }
             }
         }
+        Command::Vehicles { file } => match VehiclesSettings::read(&file) {
+            Ok(settings) => vehicles::run(settings, stopped()).await,
+            Err(problem) => return fail(problem),
+        },
         Command::Schema { topic, vda } => {
             let schema = schema::schema(topic.into(), vda);
             print(&[serde_json::to_string_pretty(&schema).unwrap_or_default()]);
         }
     }
     ExitCode::SUCCESS
+}
+
+/// Waits for SIGTERM or the interrupt of the terminal.
+async fn stopped() {
+    let interrupted = async { drop(tokio::signal::ctrl_c().await) };
+    match signal(SignalKind::terminate()) {
+        Ok(mut terminated) => {
+            tokio::select! {
+                () = interrupted => {}
+                _ = terminated.recv() => {}
+            }
+        }
+        Err(_) => interrupted.await,
+    }
 }
 
 fn print(lines: &[String]) {

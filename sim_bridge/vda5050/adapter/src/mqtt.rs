@@ -2,7 +2,7 @@
 
 use crate::file::{BrokerAccess, TlsAccess};
 use consort_vda5050_core::{Topic, Vehicle};
-use rumqttc::{AsyncClient, Event, MqttOptions, Packet, QoS, SubscribeReasonCode, Transport};
+use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, Packet, QoS, SubscribeReasonCode, Transport};
 use rustls::crypto::ring;
 use serde_json::Value;
 use std::time::Duration;
@@ -26,11 +26,11 @@ pub(crate) enum BrokerEvent {
     Up,
     /// The connection is down, with the cause; it is opened again.
     Down(String),
-    /// A message of the vehicle.
+    /// A message on a subscribed topic.
     Message(Topic, Vec<u8>),
 }
 
-/// Publishes to the vehicle.
+/// Publishes on the topics of the vehicle.
 #[derive(Debug)]
 pub(crate) struct Publisher {
     client: AsyncClient,
@@ -41,7 +41,8 @@ impl Publisher {
     /// Publishes a message with the quality of service that the standard prescribes. A lost message is
     /// sent again by the state machine.
     pub(crate) fn publish(&self, topic: Topic, message: &Value) -> Result<(), rumqttc::ClientError> {
-        self.client.try_publish(self.vehicle.topic(topic), QoS::AtMostOnce, false, message.to_string())
+        let is_retained = topic == Topic::Connection;
+        self.client.try_publish(self.vehicle.topic(topic), qos(topic), is_retained, message.to_string())
     }
 
     pub(crate) fn close(&self) {
@@ -50,9 +51,35 @@ impl Publisher {
     }
 }
 
+fn qos(topic: Topic) -> QoS {
+    if topic == Topic::Connection { QoS::AtLeastOnce } else { QoS::AtMostOnce }
+}
+
+/// What a client does on the topics of a vehicle.
+pub(crate) enum Side<'a> {
+    /// Fleet control: it subscribes to the topics that the vehicle publishes.
+    FleetControl,
+    /// The vehicle: it subscribes to the other topics. The broker publishes the message on the topic
+    /// `connection` when it loses the connection.
+    Vehicle { last_will: &'a Value },
+}
+
 /// Connects to the broker, and again after each loss. Only the topics of the vehicle are subscribed.
-pub(crate) fn connect(access: &BrokerAccess, vehicle: &Vehicle, client_id: &str) -> (Publisher, Receiver<BrokerEvent>) {
+pub(crate) fn connect(
+    access: &BrokerAccess,
+    vehicle: &Vehicle,
+    client_id: &str,
+    side: Side<'_>,
+) -> (Publisher, Receiver<BrokerEvent>) {
     let mut options = MqttOptions::new(client_id, &access.host, access.port);
+    let subscribed: &'static [Topic] = match side {
+        Side::FleetControl => &Topic::OF_VEHICLES,
+        Side::Vehicle { last_will } => {
+            let topic = vehicle.topic(Topic::Connection);
+            options.set_last_will(LastWill::new(topic, last_will.to_string(), QoS::AtLeastOnce, true));
+            &Topic::OF_FLEET_CONTROL
+        }
+    };
     options.set_keep_alive(KEEP_ALIVE).set_max_packet_size(MESSAGE_BYTES_MAX, MESSAGE_BYTES_MAX);
     if let Some((user, password)) = &access.login {
         options.set_credentials(user, password);
@@ -72,11 +99,9 @@ pub(crate) fn connect(access: &BrokerAccess, vehicle: &Vehicle, client_id: &str)
         loop {
             let event = match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(_))) => {
-                    let topics = Topic::OF_VEHICLES.map(|topic| (topic, of_vehicle.topic(topic)));
-                    for (topic, text) in topics {
-                        let qos = if topic == Topic::Connection { QoS::AtLeastOnce } else { QoS::AtMostOnce };
+                    for topic in subscribed {
                         // The queue is empty after a connection.
-                        let _ = subscriber.try_subscribe(text, qos);
+                        let _ = subscriber.try_subscribe(of_vehicle.topic(*topic), qos(*topic));
                     }
                     BrokerEvent::Up
                 }

@@ -82,6 +82,9 @@ impl Topic {
     /// The topics that a vehicle publishes.
     pub const OF_VEHICLES: [Topic; 4] = [Topic::State, Topic::Visualization, Topic::Connection, Topic::Factsheet];
 
+    /// The topics that fleet control publishes.
+    pub const OF_FLEET_CONTROL: [Topic; 2] = [Topic::Order, Topic::InstantActions];
+
     /// Returns the last level of the topic.
     pub fn level(self) -> &'static str {
         match self {
