@@ -176,6 +176,37 @@ class Case:
     def sdk_vehicle(self, broker):
         return self.started([sys.executable, HERE / "sdk_vehicle.py", broker.url], "sdk")
 
+    # Places of the simulated vehicles: a node has the name of its place.
+    PLACES = {"Dock": {"node": "Dock", "x_m": 0, "y_m": 0}, "Shelf": {"node": "Shelf", "x_m": 4, "y_m": 0},
+              "Ward": {"node": "Ward", "x_m": 8, "y_m": 0}}
+
+    def vehicles(self, broker, version="2.0"):
+        """Simulated vehicles of the program under test."""
+        places = [{"name": name, "kind": "other", "x_m": place["x_m"], "y_m": place["y_m"]} for name, place in self.PLACES.items()]
+        lanes = [{"between": ["Dock", "Shelf"]}, {"between": ["Shelf", "Ward"]}]
+        (self.folder / "hall.json").write_text(json.dumps({"name": "hall", "places": places, "lanes": lanes}))
+        content = {"broker": {"url": broker.url}, "version": version, "manufacturer": "Consort", "map": "hall.json",
+                   "robots": [{"id": "ada", "place": "Dock", "speed_mps": 2.0, "battery": 1.0, "discharge_share_per_s": 0.0001}],
+                   "actions": {"pick": {"action": "wait", "parameters": {"time": 1}}}}
+        file = self.folder / "vehicles.yaml"
+        file.write_text(json.dumps(content))  # JSON is YAML
+        return self.keep(Process([self.program, "vehicles", file], self.folder / "vehicles.log", stdout=subprocess.DEVNULL))
+
+    def official_schemas(self, tag):
+        """The folder of the official schemas of a release; None if it cannot be had."""
+        if folder := os.environ.get("CONSORT_VDA5050_SCHEMAS"):
+            return Path(folder)
+        clone = self.kit / f"VDA5050-{tag}"
+        if not clone.exists():
+            command = ["git", "clone", "--quiet", "--depth", "1", "--branch", tag, "https://github.com/VDA5050/VDA5050", clone]
+            try:
+                result = subprocess.run(command, capture_output=True, timeout=60, env={**os.environ, "GIT_TERMINAL_PROMPT": "0"})
+            except (OSError, subprocess.TimeoutExpired):
+                return None
+            if result.returncode != 0:
+                return None
+        return clone / "json_schemas"
+
     def file(self, broker, serial="agv-1", version="2.0", name=None, **more):
         url = getattr(broker, "url", broker)
         content = {
