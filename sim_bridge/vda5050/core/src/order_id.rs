@@ -8,6 +8,10 @@ use std::str::FromStr;
 ///
 /// Ids of goals grow: a restarted node continues above all earlier ids, so the goal is a fencing token
 /// between two adapters for one vehicle.
+///
+/// A goal keeps its id when the coordinator or the adapter is replaced. It contains the incarnation of the
+/// node and a number, and not the mission, role and epoch of the award: a restarted node asks for the same
+/// action with another id. An order that has ended then counts as another request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct OrderId {
     /// The goal of the node.
