@@ -274,7 +274,7 @@ impl RefusalReason {
 
     /// Checks whether the refusal is permanent for this mission: nothing that the robot does
     /// meanwhile changes it.
-    pub(super) fn is_permanent(&self) -> bool {
+    pub fn is_permanent(&self) -> bool {
         match self {
             RefusalReason::MissingSkills { .. }
             | RefusalReason::NotFeasible { .. }

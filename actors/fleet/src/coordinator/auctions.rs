@@ -30,7 +30,7 @@ use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Pr
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
-use std::mem::discriminant;
+use std::mem::{Discriminant, discriminant};
 use std::time::Duration;
 use tracing::debug;
 
@@ -443,11 +443,21 @@ fn are_together(one: NodeTime, other: NodeTime) -> bool {
 
 /// Checks whether the record of an auction without a result replaces the record in the ledger: it differs in more than times,
 /// counters and details. A mission that holds no robots is in no circle of [`circular_waits`](super::circular_waits), and waits
-/// for its next record, unless people have changed the orders of its roles.
+/// for its next record, unless people have changed the orders of its roles or other robots refuse permanently.
 fn is_news(known: &AuctionRecord, record: &AuctionRecord, holds_robots: bool, has_orders: bool) -> bool {
     let is_old = known.at_ms.abs_diff(record.at_ms) >= RECORD_INTERVAL_MS;
-    let may_replace = holds_robots || has_orders || known.failure.is_none() || is_old;
+    let refuses = permanent_refusals(known) != permanent_refusals(record);
+    let may_replace = holds_robots || has_orders || known.failure.is_none() || is_old || refuses;
     may_replace && differs(known, record, holds_robots)
+}
+
+/// Returns the robots that refuse a role whatever they do meanwhile, with the kind of the reason.
+fn permanent_refusals(record: &AuctionRecord) -> Vec<(&RoleId, &RobotId, Discriminant<RefusalReason>)> {
+    let refusals = record.entries.iter().filter_map(|entry| match &entry.verdict {
+        BidVerdict::Refused { reason } if reason.is_permanent() => Some((entry, discriminant(reason))),
+        _ => None,
+    });
+    refusals.flat_map(|(entry, reason)| entry.robots().map(move |robot| (&entry.role, robot, reason))).collect()
 }
 
 /// Checks whether a record differs from the previous record in more than times, counters and details.
@@ -508,6 +518,16 @@ mod tests {
             failure: Some("no viable bid for r1".to_owned()),
             ..AuctionRecord::empty(AuctionId { mission, term: 1, round: 1 })
         }
+    }
+
+    #[test]
+    fn a_permanent_refusal_is_recorded_at_once() {
+        let known = failed(0, false);
+        let mut lacks = failed(1, false);
+        lacks.entries[0].verdict = BidVerdict::Refused { reason: RefusalReason::MissingSkills { skills: vec![] } };
+        assert!(is_news(&known, &lacks, false, false), "the robot has replied since");
+        assert!(is_news(&lacks, &known, false, false), "and offers the skill now");
+        assert!(!is_news(&lacks, &lacks.clone(), false, false));
     }
 
     #[test]
