@@ -20,11 +20,11 @@ use consort_vda5050_core::{
     RobotCondition, Topic, connection, read_instant_actions, read_order,
 };
 use serde_json::{Map, Value};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::future::Future;
 use std::time::{Duration, SystemTime};
 use tokio::sync::mpsc::{Receiver, channel};
-use tokio::time::{Instant, MissedTickBehavior, interval};
+use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 use tracing::{info, warn};
 
 pub use file::{SimulatedForm, SimulatedVehicle, VehiclesFile, VehiclesSettings};
@@ -37,6 +37,10 @@ const STATE_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Interval of visualizations.
 const VISUALIZATION_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Time for the broker to close the connections at the end. Shorter than the pause before another attempt
+/// to connect.
+const CLOSE_LIMIT: Duration = Duration::from_millis(400);
 
 /// Distance from a place within which a node is at the place, in metres.
 const AT_PLACE_M: f64 = 0.25;
@@ -58,8 +62,23 @@ pub async fn run(settings: VehiclesSettings, stop: impl Future<Output = ()>) {
         served.publish(Topic::Connection, connection(ConnectionState::Offline, served.settings.executor.version));
         served.publisher.close();
     }
-    // Gives the connections the time to end.
-    tokio::time::sleep(Duration::from_millis(200)).await;
+    // The broker closes a connection after it has received the messages before.
+    let is_open = |index: &usize| site.served[*index].is_up;
+    let mut open: BTreeSet<usize> = (0..site.served.len()).filter(is_open).collect();
+    let all_closed = async {
+        while !open.is_empty() {
+            match broker.recv().await {
+                Some((index, BrokerEvent::Down(_))) => {
+                    open.remove(&index);
+                }
+                Some(_) => {}
+                None => return,
+            }
+        }
+    };
+    if timeout(CLOSE_LIMIT, all_closed).await.is_err() {
+        warn!("the broker has not closed all connections");
+    }
 }
 
 /// The world and its vehicles.
@@ -237,10 +256,13 @@ impl Site {
         while let Some(event) = events.pop_front() {
             for command in self.served[index].executor.step(event) {
                 match command {
-                    ExecutorCommand::Drive(node, speed_max_mps) => {
-                        let goal = self.drive(&node, speed_max_mps);
-                        self.start(index, goal);
-                    }
+                    ExecutorCommand::Drive(node, speed_max_mps) => match drive(&self.places, &node, speed_max_mps) {
+                        Some(goal) => self.start(index, goal),
+                        None => {
+                            let problem = format!("the node {:?} has no position, and no place has its name", node.id);
+                            events.push_back(ExecutorEvent::Ended(ActivityEnd::Failed(problem)));
+                        }
+                    },
                     ExecutorCommand::Act(action) => match self.settings.goal(&action) {
                         Some(goal) => self.start(index, goal),
                         None => {
@@ -269,25 +291,28 @@ impl Site {
         // The world reports a rejection as the end of the goal.
         self.settings.world.start(&served.settings.robot.id, id, goal);
     }
-
-    /// Returns the drive to a node: to the place with its name, to the place at its position, or else to the
-    /// position itself.
-    fn drive(&self, node: &ReceivedNode, speed_max_mps: Option<f64>) -> Goal {
-        let named = self.places.iter().find(|(place, _)| place.as_str() == node.id);
-        let at_node = || {
-            let (x_m, y_m) = node.at_m?;
-            self.places.iter().find(|(_, pose)| (pose.x - x_m).hypot(pose.y - y_m) <= AT_PLACE_M)
-        };
-        let place = named.or_else(at_node);
-        let (x_m, y_m) = node.at_m.unwrap_or_default();
-        let pose = place.map_or(Pose::new(x_m, y_m, 0.0), |(_, pose)| *pose);
-        let pose = Pose { yaw: node.yaw_rad.unwrap_or(pose.yaw), ..pose };
-        let speed_max_mps = speed_max_mps.and_then(|speed_mps| MetresPerSecond::new(speed_mps).ok());
-        Goal::from(NavigateToPose { speed_max_mps, ..NavigateToPose::to(pose, place.map(|(place, _)| place.clone())) })
-    }
 }
 
-/// Returns position and charge of a robot. A robot charges if its charge has grown.
+/// Returns the drive to a node: to the place with its name, to the place at its position, or else to the
+/// position itself. `None` without a place and a position.
+fn drive(places: &[(PlaceId, Pose)], node: &ReceivedNode, speed_max_mps: Option<f64>) -> Option<Goal> {
+    let named = places.iter().find(|(place, _)| place.as_str() == node.id);
+    let at_node = || {
+        let (x_m, y_m) = node.at_m?;
+        places.iter().find(|(_, pose)| (pose.x - x_m).hypot(pose.y - y_m) <= AT_PLACE_M)
+    };
+    let place = named.or_else(at_node);
+    let pose = match place {
+        Some((_, pose)) => *pose,
+        None => node.at_m.map(|(x_m, y_m)| Pose::new(x_m, y_m, 0.0))?,
+    };
+    let pose = Pose { yaw: node.yaw_rad.unwrap_or(pose.yaw), ..pose };
+    let speed_max_mps = speed_max_mps.and_then(|speed_mps| MetresPerSecond::new(speed_mps).ok());
+    let place = place.map(|(place, _)| place.clone());
+    Some(Goal::from(NavigateToPose { speed_max_mps, ..NavigateToPose::to(pose, place) }))
+}
+
+/// Returns position and charge of a robot.
 fn condition(
     settings: &VehiclesSettings,
     simulated: &SimulatedVehicle,
@@ -301,6 +326,45 @@ fn condition(
     };
     let charge = telemetry.battery.get();
     let Pose { x: x_m, y: y_m, yaw: yaw_rad } = telemetry.pose;
-    let is_charging = before.is_some_and(|before| charge > before.charge);
+    let is_charging = before.is_some_and(|before| is_charging(before, charge));
     RobotCondition { position: Position { x_m, y_m, yaw_rad, map }, charge, is_charging }
+}
+
+/// Checks whether a robot charges: its charge has grown, or is the same at the same instant.
+fn is_charging(before: &RobotCondition, charge: f64) -> bool {
+    charge > before.charge || before.is_charging && charge >= before.charge
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drive_goes_to_a_place_or_to_a_position() {
+        let (dock, pose): (PlaceId, Pose) = ("Dock".parse().unwrap(), Pose::new(1.0, 2.0, 0.5));
+        let places = [(dock.clone(), pose)];
+        let to = |id: &str, at_m| {
+            let (id, map, actions) = (id.to_owned(), None, vec![]);
+            let node =
+                ReceivedNode { id, sequence: 0, released: true, at_m, map, yaw_rad: None, deviation_m: 0.0, actions };
+            drive(&places, &node, None)
+        };
+        let at_dock = Some(Goal::from(NavigateToPose::to(pose, Some(dock))));
+        assert_eq!([to("Dock", None), to("n7", Some((1.1, 2.0)))], [at_dock.clone(), at_dock]);
+        let elsewhere = Pose::new(5.0, 5.0, 0.0);
+        assert_eq!(to("n7", Some((5.0, 5.0))), Some(Goal::from(NavigateToPose::to(elsewhere, None))));
+        assert_eq!(to("n7", None), None, "and not to the origin of the map");
+    }
+
+    #[test]
+    fn a_robot_charges_until_its_charge_falls() {
+        let before = |charge, is_charging| {
+            let position = Position { x_m: 0.0, y_m: 0.0, yaw_rad: 0.0, map: String::new() };
+            RobotCondition { position, charge, is_charging }
+        };
+        let cases = [((0.5, false), 0.5), ((0.5, false), 0.6), ((0.6, true), 0.6), ((0.6, true), 0.5)];
+        let found = cases.map(|((charge, charging), now)| is_charging(&before(charge, charging), now));
+        // The condition is read twice at the instant at which a goal ends.
+        assert_eq!(found, [false, true, true, false]);
+    }
 }
