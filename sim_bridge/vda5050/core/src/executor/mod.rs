@@ -47,8 +47,8 @@ pub struct OrderExecutor {
     instants: Vec<ExecutedAction>,
     errors: Vec<VehicleError>,
     activity: Option<Activity>,
-    /// Id of a `cancelOrder` that waits for the robot to stop.
-    cancel: Option<String>,
+    /// True after a `cancelOrder` until the robot has stopped.
+    is_cancelling: bool,
     /// Id of a `startPause` that waits for the robot to stop.
     pause: Option<String>,
     is_paused: bool,
@@ -184,7 +184,7 @@ impl OrderExecutor {
             instants: vec![],
             errors: vec![],
             activity: None,
-            cancel: None,
+            is_cancelling: false,
             pause: None,
             is_paused: false,
             is_stuck: false,
@@ -247,7 +247,7 @@ impl OrderExecutor {
             if order.update == progress.update {
                 return Ok(Acceptance::Repeated);
             }
-            if progress.is_cancelled || self.cancel.is_some() {
+            if progress.is_cancelled || self.is_cancelling {
                 return Err((Rejection::UpdateAfterCancel, "the order was cancelled".to_owned()));
             }
             let (node, sequence) = progress.decision_point();
@@ -364,16 +364,17 @@ impl OrderExecutor {
     fn cancel_order(&mut self, action: &VehicleAction, commands: &mut Vec<ExecutorCommand>) -> ActionStatus {
         let named = action.parameters.get("orderId").and_then(Value::as_str);
         let is_other = named.is_some_and(|order| order != self.progress.id);
-        if is_other || self.progress.is_idle() || self.cancel.is_some() {
-            let problem = "no order is under way, or another one, or it is being cancelled".to_owned();
+        if is_other || self.progress.is_idle() {
+            let problem = "no order is under way, or another one".to_owned();
             self.reject(Rejection::NothingToCancel, problem, &[("actionId", action.id.clone())]);
             return ActionStatus::Failed;
         }
-        self.cancel = Some(action.id.clone());
-        self.progress.give_up_actions();
-        if matches!(self.activity, Some(Activity::Drive | Activity::Action { is_instant: false, .. })) {
+        let acts = matches!(self.activity, Some(Activity::Drive | Activity::Action { is_instant: false, .. }));
+        if acts && !self.is_cancelling {
             commands.push(ExecutorCommand::Stop);
         }
+        self.is_cancelling = true;
+        self.progress.give_up_actions();
         ActionStatus::Running
     }
 
@@ -390,13 +391,13 @@ impl OrderExecutor {
         match end {
             ActivityEnd::Done(_) => {
                 self.progress.pass_node();
-                if self.cancel.is_some() {
+                if self.is_cancelling {
                     self.progress.give_up_actions();
                 }
             }
             // The robot drives on after the pause.
             ActivityEnd::Stopped => {}
-            ActivityEnd::Failed(_) if self.cancel.is_some() => {}
+            ActivityEnd::Failed(_) if self.is_cancelling => {}
             ActivityEnd::Failed(cause) => {
                 let kind = if self.settings.version == Version::V3_0 { "NODE_UNREACHABLE" } else { "driveError" };
                 let node = self.progress.nodes.front().map(|node| node.id.clone()).unwrap_or_default();
@@ -415,7 +416,7 @@ impl OrderExecutor {
         };
         self.set_action(id, status, result);
         let Some(cause) = failure else { return };
-        if is_instant || self.cancel.is_some() {
+        if is_instant || self.is_cancelling {
             self.report("actionError", ErrorLevel::Warning, cause, &[("actionId", id.to_owned())]);
             return;
         }
@@ -435,11 +436,17 @@ impl OrderExecutor {
     /// Ends a cancel and a pause for which the robot had to stop, and begins the next activity.
     fn proceed(&mut self, commands: &mut Vec<ExecutorCommand>) {
         let has_stopped = matches!(self.activity, None | Some(Activity::Action { is_instant: true, .. }));
-        if has_stopped && let Some(cancel) = self.cancel.take() {
+        if has_stopped && self.is_cancelling {
             self.progress.clear();
             self.is_stuck = false;
             self.errors.retain(|error| !error.level.ends_orders());
-            self.set_action(&cancel, ActionStatus::Finished, String::new());
+            // Fleet control may have repeated the action.
+            let is_cancel =
+                |action: &&mut ExecutedAction| action.kind == "cancelOrder" && action.status == ActionStatus::Running;
+            for cancel in self.instants.iter_mut().filter(is_cancel) {
+                cancel.status = ActionStatus::Finished;
+            }
+            (self.is_cancelling, self.has_changed) = (false, true);
         }
         if !matches!(self.activity, Some(Activity::Drive))
             && let Some(pause) = self.pause.take()

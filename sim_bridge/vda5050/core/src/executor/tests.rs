@@ -177,6 +177,19 @@ fn a_cancel_stops_the_robot_and_ends_the_order() {
 }
 
 #[test]
+fn a_repeated_cancel_ends_with_the_first() {
+    let mut executor = executor(Version::V2_0);
+    executor.step(order("o", 0, 0, &[("a", true), ("b", true)]));
+    executor.step(instant("first", "cancelOrder"));
+    let again = executor.step(instant("again", "cancelOrder"));
+    assert_eq!(again, [ExecutorCommand::PublishState], "the robot is stopping");
+    let both = |executor: &OrderExecutor| ["first", "again"].map(|id| status(executor, id));
+    assert_eq!(both(&executor), [Some(ActionStatus::Running); 2]);
+    executor.step(ExecutorEvent::Ended(ActivityEnd::Stopped));
+    assert_eq!((both(&executor), kinds(&executor)), ([Some(ActionStatus::Finished); 2], vec![]));
+}
+
+#[test]
 fn actions_of_a_node_are_executed_one_by_one_and_a_failure_stops_the_order() {
     let mut executor = executor(Version::V2_0);
     let with_actions =
