@@ -2,6 +2,7 @@
 import json
 import os
 import queue
+import shutil
 import signal
 import socket
 import subprocess
@@ -200,10 +201,9 @@ class Case:
         if not clone.exists():
             command = ["git", "clone", "--quiet", "--depth", "1", "--branch", tag, "https://github.com/VDA5050/VDA5050", clone]
             try:
-                result = subprocess.run(command, capture_output=True, timeout=60, env={**os.environ, "GIT_TERMINAL_PROMPT": "0"})
-            except (OSError, subprocess.TimeoutExpired):
-                return None
-            if result.returncode != 0:
+                subprocess.run(command, check=True, capture_output=True, timeout=60, env={**os.environ, "GIT_TERMINAL_PROMPT": "0"})
+            except (OSError, subprocess.SubprocessError):
+                shutil.rmtree(clone, ignore_errors=True)  # a part of a clone is none
                 return None
         return clone / "json_schemas"
 
