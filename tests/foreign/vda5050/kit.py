@@ -203,7 +203,7 @@ class Case:
             try:
                 subprocess.run(command, check=True, capture_output=True, timeout=60, env={**os.environ, "GIT_TERMINAL_PROMPT": "0"})
             except (OSError, subprocess.SubprocessError):
-                shutil.rmtree(clone, ignore_errors=True)  # a part of a clone is none
+                shutil.rmtree(clone, ignore_errors=True)  # git may leave an incomplete folder
                 return None
         return clone / "json_schemas"
 
