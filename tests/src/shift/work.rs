@@ -83,7 +83,7 @@ pub(crate) fn draw_requests(setup: &ShiftSetup, rooms: &[PlaceId], chance: &mut 
 
 /// Returns the chargers; `None` for none.
 pub(crate) fn charging(chargers: usize) -> Option<ChargingSetup> {
-    (chargers > 0).then(|| ChargingSetup::new(&CHARGERS[..chargers], BELOW, POWER_W))
+    (chargers > 0).then(|| ChargingSetup::new(&CHARGERS[..chargers], BELOW, POWER_W).with_known_power())
 }
 
 /// Estimates of the carriers' work.
