@@ -17,6 +17,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// Version of the table format. It is increased by a change that older programs cannot read.
 const FORMAT: u64 = 1;
 
+/// Format while the snapshot is in pieces. A program that reads format 1 only would find no snapshot, and report damage.
+const FORMAT_OF_PIECES: u64 = 2;
+
 /// Single values by name. The table name `values` is part of the stored format.
 const VALUES: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("ones");
 
@@ -65,7 +68,7 @@ pub(super) enum LedgerWrite {
     Snapshot(Vec<u8>),
     /// A piece of the next snapshot, with its position among the pieces. The present snapshot remains.
     SnapshotPiece(u64, Vec<u8>),
-    /// Replaces the snapshot by the first pieces written since.
+    /// Replaces the snapshot by this number of the pieces written since.
     SnapshotOfPieces(u64),
     Checkpoint(Option<Vec<u8>>),
     Incarnation(u64),
@@ -185,7 +188,7 @@ impl LedgerFile {
             value.map(|value| value.value().to_vec()).ok_or_else(|| malformed(name))
         };
         let format = number(FORMAT_KEY, &value_of(FORMAT_KEY)?)?;
-        if format != FORMAT {
+        if !(FORMAT..=FORMAT_OF_PIECES).contains(&format) {
             return Err(LedgerFileError::Format(format));
         }
         let text = |name: &str| value_of(name).and_then(|bytes| String::from_utf8(bytes).map_err(|_| malformed(name)));
@@ -361,6 +364,7 @@ fn apply(change: &LedgerWrite, tables: &mut Tables<'_>) -> io::Result<()> {
             let numbers = first..first + count;
             pieces.retain(|number, _| numbers.contains(&number)).map_err(io_error)?;
             put(values, SNAPSHOT_KEY, None)?;
+            put(values, FORMAT_KEY, Some(&FORMAT_OF_PIECES.to_be_bytes()))?;
             let numbers = [numbers.start.to_be_bytes(), numbers.end.to_be_bytes()].concat();
             put(values, SNAPSHOT_PIECES_KEY, Some(&numbers))
         }
@@ -383,6 +387,7 @@ fn remove_pieces(
     values: &mut Table<'_, &'static str, &'static [u8]>,
     pieces: &mut Table<'_, u64, &'static [u8]>,
 ) -> io::Result<()> {
+    put(values, FORMAT_KEY, Some(&FORMAT.to_be_bytes()))?;
     put(values, SNAPSHOT_PIECES_KEY, None)?;
     pieces.retain(|_, _| false).map_err(io_error)
 }
@@ -399,4 +404,29 @@ fn append<'a>(log: &mut Table<'_, u64, &[u8]>, entries: impl Iterator<Item = (u6
         log.insert(index, entry).map_err(io_error)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use redb::backends::InMemoryBackend;
+
+    #[test]
+    fn earlier_releases_refuse_a_file_only_while_its_snapshot_is_in_pieces() {
+        let owner = StoreOwner { fleet: FleetId::new("ward").unwrap(), node: NodeId::new("ada").unwrap() };
+        let mut ledger = LedgerFile::create(InMemoryBackend::new(), &owner, StoreIdentity(7), None).unwrap();
+        let pieces = [LedgerWrite::SnapshotPiece(0, vec![1, 2]), LedgerWrite::SnapshotPiece(1, vec![3])];
+        let replaced = PersistentState { snapshot: Some(vec![4]), ..PersistentState::default() };
+        let singles = [LedgerWrite::Snapshot(vec![4]), LedgerWrite::Replace(Box::new(replaced))];
+        for single in singles {
+            ledger.write(&pieces).unwrap();
+            assert_eq!(ledger.value_of(FORMAT_KEY).unwrap(), Some(FORMAT.to_be_bytes().to_vec()));
+            ledger.write(&[LedgerWrite::SnapshotOfPieces(2)]).unwrap();
+            assert_eq!(ledger.value_of(FORMAT_KEY).unwrap(), Some(FORMAT_OF_PIECES.to_be_bytes().to_vec()));
+            assert_eq!(ledger.persistent_state().unwrap().snapshot, Some(vec![1, 2, 3]));
+            ledger.write(&[single]).unwrap();
+            assert_eq!(ledger.value_of(FORMAT_KEY).unwrap(), Some(FORMAT.to_be_bytes().to_vec()));
+            assert_eq!(ledger.persistent_state().unwrap().snapshot, Some(vec![4]));
+        }
+    }
 }
