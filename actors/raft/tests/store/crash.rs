@@ -28,6 +28,8 @@ struct Simulation {
     rng: Option<ChaCha8Rng>,
     /// Size limit of a file, in bytes.
     size_max: Option<u64>,
+    /// Size of the largest write, in bytes.
+    largest_write: usize,
 }
 
 /// Content of the files after a failure.
@@ -106,6 +108,7 @@ impl StorageBackend for File {
     fn write(&self, offset: u64, data: &[u8]) -> io::Result<()> {
         let mut simulation = self.machine.simulation();
         simulation.files[self.index].write(offset, data)?;
+        simulation.largest_write = simulation.largest_write.max(data.len());
         simulation.count_call();
         Ok(())
     }
@@ -136,7 +139,9 @@ async fn write_all(
                 store.truncate(next).await
             }
             3 => {
-                let snapshot = bytes(rng, 30_000);
+                // Every other snapshot may be written in pieces.
+                let size_max = [30_000, 300_000][rng.random_range(0..2)];
+                let snapshot = bytes(rng, size_max);
                 now.snapshot = Some(snapshot.clone());
                 store.save_snapshot(snapshot).await
             }
@@ -189,6 +194,16 @@ fn acknowledged_writes_survive_a_power_cut_at_any_moment() {
             assert!(possible.contains(&found), "{case}: unexpected content");
         }
     }
+}
+
+#[test]
+fn a_piece_of_a_snapshot_fills_a_page() {
+    let machine = Machine::default();
+    let store = machine.open().expect("a store");
+    machine.simulation().largest_write = 0;
+    super::block_on(store.save_snapshot(vec![7; 1_000_000])).expect("a write");
+    let largest = machine.simulation().largest_write;
+    assert!((60 * 1024..=64 * 1024).contains(&largest), "{largest} bytes");
 }
 
 #[test]

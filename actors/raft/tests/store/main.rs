@@ -122,7 +122,7 @@ fn written_data_is_read_back_after_a_restart() {
 fn a_snapshot_of_any_size_replaces_the_former() {
     let folder = TempDir::new();
     let mut rng = ChaCha8Rng::seed_from_u64(4);
-    for size in [300_000, 64 * 1024, 64 * 1024 + 1, 1_000_000, 128 * 1024, 300_000, 10] {
+    for size in [300_000, 60 * 1024, 60 * 1024 + 1, 1_000_000, 120 * 1024, 300_000, 10] {
         let mut snapshot = vec![0; size];
         rng.fill_bytes(&mut snapshot);
         let store = open(&folder).expect("a store");

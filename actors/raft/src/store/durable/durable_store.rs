@@ -24,8 +24,8 @@ const SETTLE_DELAY: Duration = Duration::from_millis(50);
 
 /// Size of the pieces of a snapshot, in bytes. Entries of the log are written between two pieces, so that a commit does not wait
 /// for a large snapshot. Raised: a snapshot is written faster, and commits wait longer meanwhile. A guess: a few milliseconds on
-/// a memory card.
-const SNAPSHOT_PIECE: usize = 64 * 1024;
+/// a memory card. `redb` stores a piece with its key in a page, whose size is a power of two: a piece of 64 KiB would need 128.
+const SNAPSHOT_PIECE: usize = 60 * 1024;
 
 /// Log store and checkpoint store on disk. Clones share the same store; the directory is unlocked
 /// with the last of them.
