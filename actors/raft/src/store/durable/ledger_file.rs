@@ -411,10 +411,29 @@ mod tests {
     use super::*;
     use redb::backends::InMemoryBackend;
 
+    fn new_file() -> LedgerFile {
+        let owner = StoreOwner { fleet: FleetId::new("ward").unwrap(), node: NodeId::new("ada").unwrap() };
+        LedgerFile::create(InMemoryBackend::new(), &owner, StoreIdentity(7), None).unwrap()
+    }
+
+    #[test]
+    fn pieces_of_an_interrupted_snapshot_are_replaced() {
+        let mut ledger = new_file();
+        let piece = |position, byte| LedgerWrite::SnapshotPiece(position, vec![byte]);
+        for round in 0..3 {
+            ledger.write(&[piece(0, 7), piece(1, 7), piece(2, 7)]).unwrap();
+            let former = (round > 0).then(|| vec![round - 1, 9]);
+            assert_eq!(ledger.persistent_state().unwrap().snapshot, former);
+            ledger.write(&[piece(0, round), piece(1, 9), LedgerWrite::SnapshotOfPieces(2)]).unwrap();
+            assert_eq!(ledger.persistent_state().unwrap().snapshot, Some(vec![round, 9]));
+            let pieces = ledger.database.begin_read().unwrap().open_table(PIECES).unwrap();
+            assert_eq!(pieces.iter().unwrap().count(), 2, "no piece is left behind");
+        }
+    }
+
     #[test]
     fn earlier_releases_refuse_a_file_only_while_its_snapshot_is_in_pieces() {
-        let owner = StoreOwner { fleet: FleetId::new("ward").unwrap(), node: NodeId::new("ada").unwrap() };
-        let mut ledger = LedgerFile::create(InMemoryBackend::new(), &owner, StoreIdentity(7), None).unwrap();
+        let mut ledger = new_file();
         let pieces = [LedgerWrite::SnapshotPiece(0, vec![1, 2]), LedgerWrite::SnapshotPiece(1, vec![3])];
         let replaced = PersistentState { snapshot: Some(vec![4]), ..PersistentState::default() };
         let singles = [LedgerWrite::Snapshot(vec![4]), LedgerWrite::Replace(Box::new(replaced))];
