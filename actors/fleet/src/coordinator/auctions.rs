@@ -30,7 +30,7 @@ use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Pr
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
-use std::mem::{Discriminant, discriminant};
+use std::mem::discriminant;
 use std::time::Duration;
 use tracing::debug;
 
@@ -443,21 +443,46 @@ fn are_together(one: NodeTime, other: NodeTime) -> bool {
 
 /// Checks whether the record of an auction without a result replaces the record in the ledger: it differs in more than times,
 /// counters and details. A mission that holds no robots is in no circle of [`circular_waits`](super::circular_waits), and waits
-/// for its next record, unless people have changed the orders of its roles or other robots refuse permanently.
+/// for its next record, unless people have changed the orders of its roles or a permanent refusal has changed.
 fn is_news(known: &AuctionRecord, record: &AuctionRecord, holds_robots: bool, has_orders: bool) -> bool {
     let is_old = known.at_ms.abs_diff(record.at_ms) >= RECORD_INTERVAL_MS;
-    let refuses = permanent_refusals(known) != permanent_refusals(record);
+    let refuses = refusals_changed(known, record);
     let may_replace = holds_robots || has_orders || known.failure.is_none() || is_old || refuses;
     may_replace && differs(known, record, holds_robots)
 }
 
-/// Returns the robots that refuse a role whatever they do meanwhile, with the kind of the reason.
-fn permanent_refusals(record: &AuctionRecord) -> Vec<(&RoleId, &RobotId, Discriminant<RefusalReason>)> {
-    let refusals = record.entries.iter().filter_map(|entry| match &entry.verdict {
-        BidVerdict::Refused { reason } if reason.is_permanent() => Some((entry, discriminant(reason))),
-        _ => None,
-    });
-    refusals.flat_map(|(entry, reason)| entry.robots().map(move |robot| (&entry.role, robot, reason))).collect()
+/// Checks whether a robot of both records refuses a role permanently for another reason, or in one of them only. A robot that is
+/// busy or silent in one of them may refuse as before: with a backlog each auction meets other busy robots.
+fn refusals_changed(known: &AuctionRecord, record: &AuctionRecord) -> bool {
+    record.entries.iter().any(|entry| {
+        let is_same = |other: &&AuctionEntry| other.role == entry.role && other.robots().any(|it| *it == entry.robot);
+        match known.entries.iter().find(is_same) {
+            Some(before) => refusal_changed(&before.verdict, &entry.verdict),
+            // The robot is new, unless the ledger has omitted its reply.
+            None => known.omitted == 0 && is_permanent_refusal(&entry.verdict),
+        }
+    })
+}
+
+fn is_permanent_refusal(verdict: &BidVerdict) -> bool {
+    matches!(verdict, BidVerdict::Refused { reason } if reason.is_permanent())
+}
+
+fn refusal_changed(before: &BidVerdict, now: &BidVerdict) -> bool {
+    match (before, now) {
+        (BidVerdict::Refused { reason: before }, BidVerdict::Refused { reason: now }) => {
+            let is_busy = matches!(before, RefusalReason::Busy { .. } | RefusalReason::CarriesItem { .. });
+            now.is_permanent() && !is_busy && discriminant(before) != discriminant(now)
+        }
+        (BidVerdict::NotAsked { reason: before, .. }, BidVerdict::Refused { reason: now }) => {
+            *before == NotAskedReason::OutOfService && now.is_permanent()
+        }
+        (BidVerdict::Refused { reason }, BidVerdict::Viable { .. } | BidVerdict::Unviable { .. })
+        | (BidVerdict::Viable { .. } | BidVerdict::Unviable { .. }, BidVerdict::Refused { reason }) => {
+            reason.is_permanent()
+        }
+        _ => false,
+    }
 }
 
 /// Checks whether a record differs from the previous record in more than times, counters and details.
@@ -503,6 +528,7 @@ fn no_robot_left(hopeless: &BTreeSet<RoleId>, entries: &[AuctionEntry]) -> Strin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::units::Seconds;
 
     /// Returns the record of an auction without a result, whose only robot is busy or does not reply.
     fn failed(at_ms: u64, is_busy: bool) -> AuctionRecord {
@@ -526,8 +552,29 @@ mod tests {
         let mut lacks = failed(1, false);
         lacks.entries[0].verdict = BidVerdict::Refused { reason: RefusalReason::MissingSkills { skills: vec![] } };
         assert!(is_news(&known, &lacks, false, false), "the robot has replied since");
-        assert!(is_news(&lacks, &known, false, false), "and offers the skill now");
         assert!(!is_news(&lacks, &lacks.clone(), false, false));
+        let mut bids = failed(2, false);
+        let (time, energy, remaining) = (Seconds::ZERO, 0.0, 1.0);
+        bids.entries[0].verdict = BidVerdict::Viable { time, energy, remaining };
+        assert!(is_news(&lacks, &bids, false, false), "and offers the skill now");
+        assert!(is_news(&bids, &lacks, false, false), "and no longer");
+    }
+
+    #[test]
+    fn a_robot_that_is_busy_or_silent_meanwhile_refuses_as_before() {
+        let mut lacks = failed(0, false);
+        lacks.entries[0].verdict = BidVerdict::Refused { reason: RefusalReason::MissingSkills { skills: vec![] } };
+        let mut not_asked = failed(0, false);
+        let (reason, cost_min, others) = (NotAskedReason::Busy, 0.0, BTreeSet::new());
+        not_asked.entries[0].verdict = BidVerdict::NotAsked { reason, cost_min, others };
+        for busy in [failed(0, true), not_asked] {
+            assert!(!is_news(&lacks, &busy, false, false), "the robot is busy");
+            assert!(!is_news(&busy, &lacks, false, false), "the robot is free again");
+        }
+        assert!(!is_news(&lacks, &failed(0, false), false, false), "a reply is lost");
+        let none = |omitted| AuctionRecord { entries: vec![], omitted, ..lacks.clone() };
+        assert!(!is_news(&none(1), &lacks, false, false), "its refusal was omitted");
+        assert!(is_news(&none(0), &lacks, false, false), "the robot is new");
     }
 
     #[test]
