@@ -7,9 +7,14 @@ use crate::described::reports::Reports;
 use crate::dynamic::graph::{Endpoint, EndpointKind, Graph};
 use crate::dynamic::types::TypeRegistry;
 use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::time::sleep;
 
 /// Prefix of the names of bridges of simulated robots, before the fleet.
 pub const SERVE_NODE: &str = "consort_serve_";
+
+/// Time to wait for further nodes once the graph has what a description needs.
+const OTHERS_WITHIN: Duration = Duration::from_millis(500);
 
 /// A finding about the graph.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,8 +74,26 @@ pub fn needed(robot: &RobotDescription, resolve: impl Fn(&str) -> String) -> Vec
             Some(Via::Topic(name)) => all.push(need(place, EndpointKind::Subscription, resolve(name), type_name)),
             None => {}
         }
+        let until = mapping.until.iter().map(|until| ("until", &until.topic, &until.type_name));
+        let hold = mapping.hold.iter().map(|hold| ("hold", &hold.topic, &hold.type_name));
+        for (key, topic, type_name) in until.chain(hold) {
+            all.push(need(format!("actions.{action}.{key}"), EndpointKind::Publisher, resolve(topic), type_name));
+        }
     }
     all
+}
+
+/// Waits until the graph has what a description needs, for `limit` at most, and then for further nodes
+/// with the same names.
+pub async fn wait_for_needed(graph: &Graph, robot: &RobotDescription, limit: Duration) {
+    let needed = needed(robot, |name| graph.resolve(name));
+    let is_complete = |graph: &Graph| {
+        let endpoints = graph.endpoints();
+        needed.iter().all(|needed| compare(needed, &endpoints).is_ok())
+    };
+    if graph.wait_for(limit, is_complete).await {
+        sleep(limit.min(OTHERS_WITHIN)).await;
+    }
 }
 
 /// Compares a needed endpoint with the graph.

@@ -7,7 +7,7 @@ use consort_protocol::keys::Keys;
 use consort_ros2::described::check::problems;
 use consort_ros2::described::description::{self, RobotDescription};
 use consort_ros2::described::run;
-use consort_ros2::doctor::{SERVE_NODE, examine};
+use consort_ros2::doctor::{SERVE_NODE, examine, wait_for_needed};
 use consort_ros2::drive::{DriveSettings, drive};
 use consort_ros2::dynamic::graph::{Graph, GraphSettings};
 use consort_ros2::dynamic::types::TypeRegistry;
@@ -80,16 +80,16 @@ enum Command {
         #[arg(long, default_value = "/navigate_to_pose", value_name = "NAME")]
         action: String,
     },
-    /// Be the driver of a robot that a file describes: JSON lines on the standard streams
+    /// Be the driver of a robot or a device that a file describes: JSON lines on the standard streams
     Driver {
-        /// Description: a file, or the name of a shipped one (nav2, nav2_moves, turtlebot)
+        /// Description: a file, or the name of a shipped one (nav2, nav2_moves, turtlebot, rmf_door, rmf_lift)
         file: String,
         #[command(flatten)]
         graph: GraphArgs,
     },
-    /// Check the description of a robot without a robot
+    /// Check the description of a robot or a device without it
     Check {
-        /// Description: a file, or the name of a shipped one (nav2, nav2_moves, turtlebot)
+        /// Description: a file, or the name of a shipped one (nav2, nav2_moves, turtlebot, rmf_door, rmf_lift)
         file: String,
     },
     /// Print the JSON Schema of descriptions
@@ -98,7 +98,7 @@ enum Command {
     Doctor {
         /// Description: a file, or the name of a shipped one; without it, everything is listed
         file: Option<String>,
-        /// Time to wait for nodes, in seconds
+        /// Time to wait for nodes, in seconds; less if the graph has what the description needs
         #[arg(long, default_value_t = 3.0, value_name = "SECONDS")]
         wait: f64,
         #[command(flatten)]
@@ -222,7 +222,11 @@ async fn run_command(command: Command, stop: impl Future<Output = ()>) -> Result
             let types = robot.as_ref().map_or_else(|| Ok(TypeRegistry::shipped()), RobotDescription::definitions)?;
             let namespace = robot.as_ref().map(RobotDescription::namespace).unwrap_or_default();
             let graph = graph.join("consort_doctor", namespace, types.clone()).await?;
-            tokio::time::sleep(Duration::try_from_secs_f64(wait)?).await;
+            let wait = Duration::try_from_secs_f64(wait)?;
+            match &robot {
+                Some(robot) => wait_for_needed(&graph, robot, wait).await,
+                None => tokio::time::sleep(wait).await,
+            }
             let findings = examine(&graph, robot.as_ref(), &types).await;
             for finding in &findings {
                 print(&format!("{}  {}", if finding.ok { "ok     " } else { "PROBLEM" }, finding.text))?;

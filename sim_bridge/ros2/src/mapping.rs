@@ -83,6 +83,12 @@ pub fn now() -> Time {
     time(std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default())
 }
 
+/// Returns the time of this machine as seconds since 1970 and nanoseconds.
+pub fn seconds_now() -> (i64, u32) {
+    let now = now();
+    (i64::from(now.sec), now.nanosec)
+}
+
 /// Converts the error of a failed drive to a Nav2 result.
 pub fn to_nav2_result(error: &ActionError) -> NavigateResult {
     let drive = Goal::from(NavigateToPose::to(Pose::default(), None));

@@ -1,15 +1,14 @@
-"""Writes the definitions of nav2_msgs and tf2_msgs as files of rosidl: definitions.py SHIPPED FOLDER."""
+"""Writes the definitions of the packages that are no wheels as files of rosidl: definitions.py SHIPPED FOLDER PACKAGE…"""
 import pathlib, sys
 
-# The further actions of Nav2 are as long to compile, and no case needs them.
-UNUSED = {"NavigateThroughPoses", "BackUp", "UndockRobot"}
+shipped, folder, packages = sys.argv[1], sys.argv[2], sys.argv[3:]
 target = None
-for line in open(sys.argv[1], encoding="utf-8"):
+for line in open(shipped, encoding="utf-8"):
     if line.startswith("= "):
         package, kind, name = line[2:].strip().split("/")
         target = None
-        if package in ("nav2_msgs", "tf2_msgs") and name not in UNUSED:
-            path = pathlib.Path(sys.argv[2], package, kind, f"{name}.{kind}")
+        if package in packages:
+            path = pathlib.Path(folder, package, kind, f"{name}.{kind}")
             path.parent.mkdir(parents=True, exist_ok=True)
             target = open(path, "w", encoding="utf-8")
     elif target and not line.startswith("#"):

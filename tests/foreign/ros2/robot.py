@@ -1,7 +1,7 @@
 """Genuine rclpy nodes that play a robot under ROS 2: Nav2, docking, drawer, gripper, battery, odometry, diagnostics.
 
 Writes an event as a JSON line for each request that arrives. Options: --namespace NS, --lifecycle (the navigator is a
-lifecycle node), --slow (a drive takes 60 s), --clock (publishes /clock), --servers-only NAME,… (only these servers).
+lifecycle node), --slow (a drive takes 60 s), --clock (publishes /clock), --x and --y (the position at the start).
 """
 import argparse, json, math, os, sys, threading, time
 import rclpy
@@ -13,7 +13,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
-from nav2_msgs.action import DockRobot, FollowWaypoints, NavigateToPose, Spin, Wait
+from nav2_msgs.action import (
+    BackUp, DockRobot, FollowWaypoints, NavigateThroughPoses, NavigateToPose, Spin, UndockRobot, Wait)
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Bool, String
@@ -45,6 +46,8 @@ class Robot:
         self.state = "unconfigured" if options.lifecycle else "active"
         for name, kind, run in [("navigate_to_pose", NavigateToPose, self.navigate), ("spin", Spin, self.spin),
                                 ("wait", Wait, self.wait), ("dock_robot", DockRobot, self.dock),
+                                ("undock_robot", UndockRobot, self.undock), ("backup", BackUp, self.back_up),
+                                ("navigate_through_poses", NavigateThroughPoses, self.through),
                                 ("follow_waypoints", FollowWaypoints, self.follow)]:
             ActionServer(node, kind, name, self.recorded(name, run), callback_group=self.group,
                          cancel_callback=lambda goal, name=name: (event("cancel", action=name), CancelResponse.ACCEPT)[1])
@@ -128,6 +131,24 @@ class Robot:
         if self.work(goal, 0.5):
             goal.succeed()
         return DockRobot.Result(success=True)
+
+    def undock(self, goal):
+        if self.work(goal, 0.5):
+            goal.succeed()
+        return UndockRobot.Result(success=True)
+
+    def back_up(self, goal):
+        event("backup", x=goal.request.target.x)
+        if self.work(goal, 0.5):
+            goal.succeed()
+        return BackUp.Result()
+
+    def through(self, goal):
+        event("through", count=len(goal.request.poses))
+        step = lambda share: goal.publish_feedback(NavigateThroughPoses.Feedback(distance_remaining=2.0 - share))
+        if self.work(goal, 0.5, step):
+            goal.succeed()
+        return NavigateThroughPoses.Result()
 
     def follow(self, goal):
         event("waypoints", count=len(goal.request.poses))

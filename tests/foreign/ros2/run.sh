@@ -1,6 +1,6 @@
 #!/bin/bash
 # Tries consort-ros2 against genuine ROS 2: rclpy on rmw_zenoh. Prints `pass NAME`, `fail NAME: why` or `skip NAME: why`
-# for each case; ends with 1 if a case failed. Settings, all optional:
+# for each case; ends with 1 if a case failed. Arguments select cases by name. Settings, all optional:
 #   ROS2_KIT      folder with make-venv.sh, env.sh and overlay.tar.xz (default: foreign/ros2 beside the repository's folder)
 #   ROS2_VENV     virtual environment; made if missing (default: target/foreign/ros2/venv)
 #   CONSORT, CONSORT_ROS2   the programs (default: those of target/debug and sim_bridge/ros2/target/debug)
@@ -16,17 +16,19 @@ command -v gcc >/dev/null && command -v g++ >/dev/null || skip_all "gcc and g++ 
 [ -x "$CONSORT_ROS2" ] || skip_all "consort-ros2 is not built (cargo build --manifest-path sim_bridge/ros2/Cargo.toml)"
 [ -x "$CONSORT" ] || skip_all "consort is not built (cargo build)"
 work=$(dirname "$V"); mkdir -p "$work"
-if [ ! -e "$V/.consort-messages" ]; then
+# Packages that are no wheels; the last one has its definitions here. The mark changes with what is installed.
+packages="nav2_msgs tf2_msgs rmf_door_msgs rmf_lift_msgs consort_test_msgs"
+mark=$V/.consort-messages-$(cat "$here/run.sh" "$here/make_messages.py" "$root/sim_bridge/ros2/types/jazzy.txt" | sha256sum | cut -c 1-16)
+if [ ! -e "$mark" ]; then
     {
         [ -x "$V/bin/python" ] || "$kit/make-venv.sh" "$V"
         "$V/bin/pip" install -q ros-jazzy-sensor-msgs==5.3.6 ros-jazzy-nav-msgs==5.3.6 ros-jazzy-diagnostic-msgs==5.3.6 catkin_pkg
         . "$kit/env.sh"
         rm -rf "$work/messages"; cp -r "$here/messages" "$work/messages"
-        # Nav2's definitions and those of tf2, from the shipped ones.
-        python3 "$here/definitions.py" "$root/sim_bridge/ros2/types/jazzy.txt" "$work/messages"
-        "$V/bin/python" "$here/make_messages.py" "$V" "$work/messages" nav2_msgs tf2_msgs consort_test_msgs && touch "$V/.consort-messages"
+        python3 "$here/definitions.py" "$root/sim_bridge/ros2/types/jazzy.txt" "$work/messages" $packages
+        "$V/bin/python" "$here/make_messages.py" "$V" "$work/messages" $packages && touch "$mark"
     } > "$work/make.log" 2>&1 || true
-    [ -e "$V/.consort-messages" ] || skip_all "the environment of ROS 2 cannot be made ($work/make.log)"
+    [ -e "$mark" ] || { echo "fail ros2_environment: it cannot be made ($work/make.log)"; exit 1; }
 fi
 . "$kit/env.sh"
 export ROS_PRELOAD

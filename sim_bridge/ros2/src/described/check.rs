@@ -1,6 +1,6 @@
 //! Checks of a description without a robot: names, types, templates and paths.
 
-use super::description::{ActionMapping, RobotDescription, Via};
+use super::description::{ActionMapping, Hold, RobotDescription, Tables, Via};
 use super::path::FieldPath;
 use super::template;
 use crate::dynamic::types::TypeRegistry;
@@ -12,7 +12,7 @@ pub(super) const STANDARD_FEEDBACK: [&str; 3] = ["distance_remaining_m", "time_r
 
 /// Returns the problems of a description, each with its place.
 pub fn problems(robot: &RobotDescription, types: &TypeRegistry) -> Vec<String> {
-    let mut check = Check { types, problems: vec![] };
+    let mut check = Check { types, tables: &robot.tables, problems: vec![] };
     check.namespace(robot);
     check.pose(robot);
     if let Some(charge) = &robot.charge {
@@ -31,7 +31,8 @@ pub fn problems(robot: &RobotDescription, types: &TypeRegistry) -> Vec<String> {
 pub fn unknown_types(robot: &RobotDescription, types: &TypeRegistry) -> Vec<String> {
     let actions = robot.actions.values().flat_map(|action| {
         let until = action.until.as_ref().map(|until| until.type_name.clone());
-        [Some(action.type_name.clone()), until].into_iter().flatten()
+        let hold = action.hold.as_ref().map(|hold| hold.type_name.clone());
+        [Some(action.type_name.clone()), until, hold].into_iter().flatten()
     });
     let readings = robot.readings.values().map(|reading| reading.type_name.clone());
     let charge = robot.charge.iter().map(|charge| charge.type_name.clone());
@@ -45,6 +46,7 @@ pub fn unknown_types(robot: &RobotDescription, types: &TypeRegistry) -> Vec<Stri
 
 struct Check<'a> {
     types: &'a TypeRegistry,
+    tables: &'a Tables,
     problems: Vec<String>,
 }
 
@@ -104,9 +106,7 @@ impl Check<'_> {
             Via::Topic(_) => "msg",
         };
         self.type_name(&place, &action.type_name, kind);
-        if let Err(problem) = template::check(self.types, &action.sent_type(), &action.send, &format!("{place}.send")) {
-            self.problems.push(problem.to_string());
-        }
+        self.template(&action.sent_type(), &action.send, &format!("{place}.send"));
         match action.result_type() {
             Some(result) => {
                 let entries = action.results.iter().map(|(name, path)| (format!("results.{name}"), path));
@@ -135,15 +135,43 @@ impl Check<'_> {
         }
         if let Some(until) = &action.until {
             self.field(&format!("{place}.until"), &until.type_name, &until.field);
-            if let Err(problem) = template::check(self.types, "", &until.equals, &format!("{place}.until.equals")) {
-                self.problems.push(problem.to_string());
-            }
+            self.template("", &until.equals, &format!("{place}.until.equals"));
+        }
+        if let Some(hold) = &action.hold {
+            self.hold(&place, action, hold);
         }
         if action.within_s.is_some_and(|seconds| !(seconds > 0.0 && seconds <= 3600.0)) {
             self.add(&format!("{place}.within_s"), "allowed is a number of seconds from 0 to 3600");
         }
         if matches!(action.send, Value::Array(_) | Value::Bool(_) | Value::Number(_)) {
             self.add(&format!("{place}.send"), "allowed is the message by its fields");
+        }
+    }
+
+    fn hold(&mut self, place: &str, action: &ActionMapping, hold: &Hold) {
+        let place = format!("{place}.hold");
+        if !matches!(action.via(), Some(Via::Topic(_))) || action.until.is_some() {
+            self.add(&place, "only the goal of a `topic` without `until` can last until its cancel");
+        }
+        self.type_name(&place, &hold.type_name, "msg");
+        self.template(&action.sent_type(), &hold.release, &format!("{place}.release"));
+        for (key, values) in [("of", &hold.of), ("ready", &hold.ready), ("released", &hold.released)] {
+            for (path, value) in values {
+                let place = format!("{place}.{key}.{path}");
+                self.path(&place, path, &hold.type_name);
+                self.template("", value, &place);
+            }
+        }
+        for (key, seconds) in [("repeat_s", hold.repeat_s), ("stale_s", hold.stale_s)] {
+            if !(0.1..=3600.0).contains(&seconds) {
+                self.add(&format!("{place}.{key}"), "allowed is a number of seconds from 0.1 to 3600");
+            }
+        }
+    }
+
+    fn template(&mut self, message: &str, template: &Value, place: &str) {
+        if let Err(problem) = template::check(self.types, self.tables, message, template, place) {
+            self.problems.push(problem.to_string());
         }
     }
 
@@ -181,6 +209,8 @@ actions:
   spin: { action: spin, type: nav2_msgs/action/Spin, send: { yaw: '${angle_rad}' }, results: { turned: angle } }
   blink: { topic: light, service: light, type: std_msgs/msg/Bool }
   'two words': { topic: light, type: std_msgs/msg/Bool, within_s: 0 }
+  open: { service: open, type: std_srvs/srv/Trigger, hold: { release: { data: 1 }, topic: state, type: std_msgs/msg/Bool, ready: { open: true }, stale_s: 0 } }
+  close: { topic: light, type: std_msgs/msg/Bool, send: { data: '${value[position]}' } }
 ";
         let robot: RobotDescription = serde_saphyr::from_str(text).unwrap();
         let problems = problems(&robot, &TypeRegistry::shipped());
@@ -193,6 +223,11 @@ actions:
             "actions.spin.send.yaw: nav2_msgs/action/Spin_Goal has no such field; allowed: target_yaw, time_allowance",
             "actions.spin.results.turned: nav2_msgs/action/Spin_Result has no field \"angle\"",
             "actions.two words.within_s: allowed is a number of seconds",
+            "actions.open.hold: only the goal of a `topic`",
+            "actions.open.hold.release.data: std_srvs/srv/Trigger_Request has no such field",
+            "actions.open.hold.ready.open: std_msgs/msg/Bool has no field \"open\"",
+            "actions.open.hold.stale_s: allowed is a number of seconds from 0.1",
+            "actions.close.send.data: there is no table \"value\"",
         ] {
             assert!(problems.iter().any(|problem| problem.starts_with(part)), "{part}: {problems:#?}");
         }

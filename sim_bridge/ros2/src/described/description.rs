@@ -9,21 +9,23 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Shipped descriptions, by name.
-pub const SHIPPED: [(&str, &str); 3] = [
+pub const SHIPPED: [(&str, &str); 5] = [
     ("nav2", include_str!("../../robots/nav2.yaml")),
     ("nav2_moves", include_str!("../../robots/nav2_moves.yaml")),
     ("turtlebot", include_str!("../../robots/turtlebot.yaml")),
+    ("rmf_door", include_str!("../../robots/rmf_door.yaml")),
+    ("rmf_lift", include_str!("../../robots/rmf_lift.yaml")),
 ];
 
 /// Greatest number of descriptions that extend each other.
 const EXTENDS_DEPTH: usize = 8;
 
-/// A robot under ROS 2.
+/// A robot, or a device of a building, under ROS 2.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RobotDescription {
-    /// Descriptions that this one extends: `nav2`, `nav2_moves`, `turtlebot`, or files relative to this one. A later one
-    /// replaces the actions and readings of an earlier one by name, and this file those of all.
+    /// Descriptions that this one extends: `nav2`, `nav2_moves`, `turtlebot`, `rmf_door`, `rmf_lift`, or files relative to this one. A later one
+    /// replaces the actions, readings and tables of an earlier one by name, and this file those of all.
     pub extends: Vec<String>,
     /// Description for people.
     pub description: String,
@@ -50,7 +52,12 @@ pub struct RobotDescription {
     pub readings: BTreeMap<String, FieldSource>,
     /// Mappings of actions, by the name that a domain file declares.
     pub actions: BTreeMap<String, ActionMapping>,
+    /// Tables for `${table[parameter]}`: the value for each value of the parameter.
+    pub tables: Tables,
 }
+
+/// Values by the value of a parameter, by the name of the table.
+pub type Tables = BTreeMap<String, BTreeMap<String, Value>>;
 
 /// Lifecycle nodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -178,6 +185,9 @@ pub struct ActionMapping {
     /// Value of a topic that ends the goal, after a message or a service has been sent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub until: Option<Until>,
+    /// The goal of a topic lasts until its cancel, as that of a door: the message is repeated meanwhile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hold: Option<Hold>,
     /// Parameters with which `consort driver check` tries the action: a goal of about 2 s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub example: Option<JsonObject>,
@@ -198,6 +208,34 @@ pub struct Until {
     pub equals: Value,
 }
 
+/// A goal that lasts until its cancel. Its feedback is the value `ready`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Hold {
+    /// Template of the message at the end of the goal. It is repeated until `released` holds, for `within_s`
+    /// at most.
+    pub release: Value,
+    /// Interval at which the messages are repeated, in seconds. Default 1.
+    #[serde(default = "one")]
+    pub repeat_s: f64,
+    /// Topic with the state.
+    pub topic: String,
+    /// Type of its messages.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// Values of the messages about this device, by the path of their field. Other messages are ignored.
+    #[serde(default)]
+    pub of: BTreeMap<String, Value>,
+    /// Values with which the device is ready, by the path of their field.
+    pub ready: BTreeMap<String, Value>,
+    /// Values with which the device is released, by the path of their field. Without them, it is at once.
+    #[serde(default)]
+    pub released: BTreeMap<String, Value>,
+    /// Age of the latest state from which the device is not ready, in seconds. Default 5.
+    #[serde(default = "five")]
+    pub stale_s: f64,
+}
+
 fn battery_state() -> String {
     "sensor_msgs/msg/BatteryState".to_owned()
 }
@@ -208,6 +246,10 @@ fn percentage() -> String {
 
 fn one() -> f64 {
     1.0
+}
+
+fn five() -> f64 {
+    5.0
 }
 
 fn able_above() -> f64 {
@@ -376,7 +418,7 @@ fn merged(name: &str, folder: &Path, depth: usize) -> Result<Map<String, Value>,
     Ok(result)
 }
 
-/// Adds the entries of another description. Actions and readings are replaced by name.
+/// Adds the entries of another description. Actions, readings and tables are replaced by name.
 fn merge(into: &mut Map<String, Value>, other: Map<String, Value>) {
     for (key, value) in other {
         let Some(old) = into.get_mut(&key) else {
@@ -384,7 +426,9 @@ fn merge(into: &mut Map<String, Value>, other: Map<String, Value>) {
             continue;
         };
         match (old, value) {
-            (Value::Object(entries), Value::Object(more)) if key == "actions" || key == "readings" => {
+            (Value::Object(entries), Value::Object(more))
+                if matches!(key.as_str(), "actions" | "readings" | "tables") =>
+            {
                 entries.extend(more);
             }
             (Value::Array(folders), Value::Array(more)) if key == "types" => folders.extend(more),

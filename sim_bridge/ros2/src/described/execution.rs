@@ -4,12 +4,12 @@ use super::description::{ActionMapping, RobotDescription, Until, Via};
 use super::path::FieldPath;
 use super::reports::to_pose;
 use super::session::End;
-use super::template::{Scope, fill};
+use super::template::{self, Scope, fill};
 use crate::dynamic::action::{ActionEnd, RosAction, goal_uuid};
 use crate::dynamic::graph::{CallError, EndpointKind, Graph};
 use crate::dynamic::types::TypeRegistry;
 use crate::goals::{GoalUuid, Status};
-use consort_driver::DriverMessage;
+use consort_driver::{DriverMessage, ResultStatus};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{Metres, Seconds};
@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc::unbounded_channel;
+use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 use tracing::warn;
@@ -50,6 +50,8 @@ pub struct RobotGoal {
     pub now: (i64, u32),
     /// Goals of previous processes that must end before it starts.
     pub leftovers: Vec<(RosAction, GoalUuid)>,
+    /// Receives the feedback of a goal that lasts until its cancel.
+    pub feedback: UnboundedSender<(GoalId, DriverMessage)>,
 }
 
 /// Executes goals of a robot.
@@ -87,13 +89,17 @@ impl Execution {
         if *stop.borrow() {
             return End::canceled();
         }
-        match (self.action(&goal.mapping), goal.mapping.via()) {
-            (Some(action), _) => self.by_action(&action, &goal, stop).await,
-            (None, Some(via)) => tokio::select! {
+        match (goal.mapping.via(), self.action(&goal.mapping), &goal.mapping.hold) {
+            (_, Some(action), _) => self.by_action(&action, &goal, stop).await,
+            (Some(Via::Topic(topic)), _, Some(hold)) => self.hold(hold, topic, &goal, stop).await,
+            (Some(_), ..) if goal.resumed => {
+                End::aborted("failed", "the previous process has ended, and the robot does not tell what it has done")
+            }
+            (Some(via), ..) => tokio::select! {
                 end = self.by_message(via, &goal) => end,
-                _ = stop.wait_for(|stop| *stop) => End::canceled(),
+                () = requested(&mut stop) => End::canceled(),
             },
-            (None, None) => End::aborted("unknown", "its description maps the action to nothing"),
+            (None, ..) => End::aborted("unknown", "its description maps the action to nothing"),
         }
     }
 
@@ -136,8 +142,14 @@ impl Execution {
         }
     }
 
-    fn scope<'a>(&'a self, goal: &'a RobotGoal) -> Scope<'a> {
-        Scope { parameters: &goal.parameters, robot: &self.robot, frame: self.description.frame(), now: goal.now }
+    pub(super) fn scope<'a>(&'a self, goal: &'a RobotGoal) -> Scope<'a> {
+        Scope {
+            parameters: &goal.parameters,
+            tables: &self.description.tables,
+            robot: &self.robot,
+            frame: self.description.frame(),
+            now: goal.now,
+        }
     }
 
     fn end(&self, mapping: &ActionMapping, end: ActionEnd) -> End {
@@ -151,59 +163,70 @@ impl Execution {
         }
     }
 
+    /// Calls a service or publishes a message, and waits for the value of `until`.
     async fn by_message(&self, via: Via<'_>, goal: &RobotGoal) -> End {
         let mapping = &goal.mapping;
-        let limit = mapping.within_s.map_or(WITHIN, Duration::from_secs_f64);
+        let limit = within(mapping);
         let message = match fill(&self.types, &mapping.sent_type(), &mapping.send, &self.scope(goal)) {
             Ok(message) => message,
             Err(problem) => return End::aborted("unknown", problem.to_string()),
         };
         // The subscription exists before the message can have an effect.
-        let reached = self.until(mapping.until.as_ref(), goal);
-        let send = async {
-            match via {
-                Via::Service(name) => {
-                    let name = self.graph.resolve(name);
-                    self.graph
-                        .wait_for(SERVER_TIMEOUT, |graph| graph.find(EndpointKind::Server, &name).is_some())
-                        .await;
-                    let reply = self.graph.call(&name, &mapping.type_name, &message, limit).await?;
-                    Ok(end_of(mapping, &reply, true))
-                }
-                Via::Topic(name) | Via::Action(name) => {
-                    self.graph.publish(&self.graph.resolve(name), &mapping.type_name, &message).await?;
-                    Ok::<End, CallError>(End::succeeded(JsonObject::new()))
-                }
+        let reached = async {
+            match timeout(limit, self.until(mapping.until.as_ref(), goal)).await {
+                Ok(reached) => reached.map_err(|problem| End::aborted("failed", problem)),
+                Err(_) => Err(End::aborted("timed_out", "the value of `until` was not reached in time")),
             }
         };
-        let both = async {
-            let (reached, sent) = tokio::join!(timeout(limit, reached), send);
-            match (sent, reached) {
-                (Err(CallError::Message(problem)), _) => End::aborted("unknown", problem.to_string()),
-                (Err(problem), _) => End::aborted("failed", problem.to_string()),
-                (Ok(end), Ok(Ok(()))) => end,
-                (Ok(_), Ok(Err(problem))) => End::aborted("failed", problem),
-                (Ok(_), Err(_)) => End::aborted("timed_out", "the value of `until` was not reached in time"),
-            }
+        let sent = async {
+            let end = self.send(via, mapping, &message, limit).await.unwrap_or_else(|problem| end_of_call(&problem));
+            if end.status == ResultStatus::Succeeded { Ok(end) } else { Err(end) }
         };
-        both.await
+        match tokio::try_join!(reached, sent) {
+            Ok(((), end)) | Err(end) => end,
+        }
+    }
+
+    async fn send(
+        &self,
+        via: Via<'_>,
+        mapping: &ActionMapping,
+        message: &Value,
+        limit: Duration,
+    ) -> Result<End, CallError> {
+        match via {
+            Via::Service(name) => {
+                let name = self.graph.resolve(name);
+                let is_served = |graph: &Graph| graph.find(EndpointKind::Server, &name).is_some();
+                self.graph.wait_for(SERVER_TIMEOUT, is_served).await;
+                let reply = self.graph.call(&name, &mapping.type_name, message, limit).await?;
+                Ok(end_of(mapping, &reply, true))
+            }
+            Via::Topic(name) | Via::Action(name) => {
+                let name = self.graph.resolve(name);
+                let is_heard = |graph: &Graph| graph.find(EndpointKind::Subscription, &name).is_some();
+                if !self.graph.wait_for(SERVER_TIMEOUT, is_heard).await {
+                    return Ok(End::aborted("failed", format!("no node subscribes to {name}")));
+                }
+                self.graph.publish(&name, &mapping.type_name, message).await?;
+                Ok(End::succeeded(JsonObject::new()))
+            }
+        }
     }
 
     /// Waits until a topic has a value.
     async fn until(&self, until: Option<&Until>, goal: &RobotGoal) -> Result<(), String> {
         let Some(until) = until else { return Ok(()) };
         let path = FieldPath::parse(&until.field).map_err(|problem| problem.to_string())?;
-        let message = fill(&self.types, "", &json!({"equals": until.equals}), &self.scope(goal));
-        let expected = message.map_err(|problem| problem.to_string())?["equals"].clone();
+        let expected = template::value(&until.equals, &self.scope(goal)).map_err(|problem| problem.to_string())?;
+        let expected = expected.unwrap_or_default();
         let (sender, mut messages) = unbounded_channel();
         let topic = self.graph.resolve(&until.topic);
         let subscribed = self.graph.subscribe(&topic, &until.type_name, 0, sender).await;
         let _subscription = subscribed.map_err(|problem| problem.to_string())?;
         while let Some(received) = messages.recv().await {
             let message = received.message?;
-            if path.get(&message).is_some_and(|value| {
-                *value == expected || value.as_f64().is_some_and(|number| expected.as_f64() == Some(number))
-            }) {
+            if path.get(&message).is_some_and(|value| is_same(value, &expected)) {
                 return Ok(());
             }
         }
@@ -244,6 +267,22 @@ impl Execution {
     }
 }
 
+/// Checks whether two values are the same; numbers are compared as numbers.
+pub(super) fn is_same(value: &Value, expected: &Value) -> bool {
+    value == expected || value.as_f64().is_some_and(|number| expected.as_f64() == Some(number))
+}
+
+/// Returns the time limit of a service, of `until` and of `release`.
+pub(super) fn within(mapping: &ActionMapping) -> Duration {
+    mapping.within_s.map_or(WITHIN, Duration::from_secs_f64)
+}
+
+/// Returns the end of a goal whose message could not be sent.
+pub(super) fn end_of_call(problem: &CallError) -> End {
+    let code = if matches!(problem, CallError::Message(_)) { "unknown" } else { "failed" };
+    End::aborted(code, problem.to_string())
+}
+
 /// Returns the state of a lifecycle node: `active`, `inactive`, `unconfigured`.
 ///
 /// # Errors
@@ -255,11 +294,14 @@ pub async fn lifecycle_state(graph: &Graph, node: &str) -> Result<String, String
     Ok(state["current_state"]["label"].as_str().unwrap_or_default().to_owned())
 }
 
+/// Waits until the end of a goal is requested, or its driver is gone.
+pub(super) async fn requested(stop: &mut watch::Receiver<bool>) {
+    let _ = stop.wait_for(|stop| *stop).await;
+}
+
 /// Sends cancel requests, repeatedly, once requested.
 async fn cancel_when_requested(action: &RosAction, id: GoalUuid, mut stop: watch::Receiver<bool>) -> Infallible {
-    if stop.wait_for(|requested| *requested).await.is_err() {
-        std::future::pending::<()>().await;
-    }
+    requested(&mut stop).await;
     loop {
         if !action.cancel(id).await {
             warn!("no reply to a cancel request; it is repeated");

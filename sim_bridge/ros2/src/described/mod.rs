@@ -10,6 +10,7 @@
 pub mod check;
 pub mod description;
 pub mod execution;
+mod hold;
 pub mod path;
 pub mod reports;
 pub mod run;

@@ -10,6 +10,7 @@ use crate::dynamic::action::{RosAction, goal_uuid, goals_in_progress};
 use crate::dynamic::graph::{Graph, Received, Subscription};
 use crate::dynamic::types::TypeRegistry;
 use crate::goals::GoalUuid;
+use crate::mapping::seconds_now;
 use crate::ros::RosError;
 use consort_driver::{DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION};
 use consort_skills::actions::{GoalId, JsonObject};
@@ -17,7 +18,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
@@ -177,8 +178,12 @@ struct Driver {
     subscriptions: Vec<Subscription>,
     messages: (UnboundedSender<Received>, UnboundedReceiver<Received>),
     ends: (UnboundedSender<(GoalId, End)>, UnboundedReceiver<(GoalId, End)>),
+    /// Feedback of goals that last until their cancel.
+    feedback: (UnboundedSender<(GoalId, DriverMessage)>, UnboundedReceiver<(GoalId, DriverMessage)>),
     /// Goals of previous processes that are in progress.
     leftovers: BTreeMap<GoalUuid, RosAction>,
+    /// Time until which the node may resume one of them; `None` once it has passed.
+    resume_until: Option<Instant>,
     clock: Option<(i64, u32)>,
     unreadable: Vec<usize>,
 }
@@ -197,7 +202,9 @@ impl Driver {
             subscriptions: vec![],
             messages: unbounded_channel(),
             ends: unbounded_channel(),
+            feedback: unbounded_channel(),
             leftovers: BTreeMap::new(),
+            resume_until: Some(Instant::now() + RESUME_WITHIN),
             clock: None,
             unreadable: vec![],
         })
@@ -258,7 +265,6 @@ impl Driver {
         tokio::pin!(stop);
         let mut reports = interval(REPORT_INTERVAL);
         reports.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut resume_limit = Some(Instant::now() + RESUME_WITHIN);
         loop {
             let deadline = self.session.deadline().map(|deadline| self.since + deadline);
             let ended = tokio::select! {
@@ -277,6 +283,12 @@ impl Driver {
                     self.ended(id, end).await?;
                     false
                 }
+                Some((id, feedback)) = self.feedback.1.recv() => {
+                    if self.session.active() == Some(id) {
+                        self.send(&feedback).await?;
+                    }
+                    false
+                }
                 Some(received) = self.messages.1.recv() => {
                     self.receive(received).await?;
                     false
@@ -285,9 +297,10 @@ impl Driver {
                     let effects = self.session.tick(self.since.elapsed());
                     self.perform(effects).await?
                 }
-                () = sleep_until(resume_limit.unwrap_or_else(Instant::now)), if resume_limit.is_some() => {
-                    resume_limit = None;
+                () = sleep_until(self.resume_until.unwrap_or_else(Instant::now)), if self.resume_until.is_some() => {
+                    self.resume_until = None;
                     self.cancel_leftovers();
+                    self.release_unused();
                     false
                 }
                 _ = reports.tick() => {
@@ -345,7 +358,8 @@ impl Driver {
         let (stop, stopped) = watch::channel(false);
         self.leftovers.remove(&uuid);
         let leftovers = std::mem::take(&mut self.leftovers).into_iter().map(|(id, action)| (action, id)).collect();
-        let goal = RobotGoal { id, mapping: mapping.clone(), parameters, resumed, now: self.now(), leftovers };
+        let (feedback, now) = (self.feedback.0.clone(), self.now());
+        let goal = RobotGoal { id, mapping: mapping.clone(), parameters, resumed, now, leftovers, feedback };
         let (ends, execution) = (self.ends.0.clone(), Arc::clone(&self.execution));
         tokio::spawn(async move {
             let end = execution.run(goal, stopped).await;
@@ -355,11 +369,9 @@ impl Driver {
     }
 
     fn now(&self) -> (i64, u32) {
-        let since_1970 = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
-        let system = (i64::try_from(since_1970.as_secs()).unwrap_or(i64::MAX), since_1970.subsec_nanos());
         match self.execution.description.use_sim_time {
             true => self.clock.unwrap_or_default(),
-            false => system,
+            false => seconds_now(),
         }
     }
 
@@ -454,12 +466,23 @@ impl Driver {
                 self.leftovers.insert(id, action.clone());
             }
         }
+        if self.resume_until.is_none() {
+            self.cancel_leftovers();
+        }
     }
 
     fn cancel_leftovers(&mut self) {
         for (id, action) in std::mem::take(&mut self.leftovers) {
             info!("canceling a goal of a previous process");
             tokio::spawn(async move { cancel_and_wait(&action, id).await });
+        }
+    }
+
+    /// Releases a device that a previous process may have held, unless a goal is in progress.
+    fn release_unused(&self) {
+        if self.session.is_unused() {
+            let execution = Arc::clone(&self.execution);
+            tokio::spawn(async move { execution.release_all().await });
         }
     }
 }

@@ -80,7 +80,12 @@ impl GoalSession {
         self.active.as_ref().map(|active| active.id)
     }
 
-    /// Checks whether the goal with a number is the last one that has ended.
+    /// Checks whether there has been no goal.
+    pub fn is_unused(&self) -> bool {
+        self.active.is_none() && self.last.is_none()
+    }
+
+    /// Checks whether the goal with a number has ended, or a later one.
     pub fn has_ended(&self, number: u64) -> bool {
         self.last.as_ref().is_some_and(|(last, _)| last.0 >= number)
     }

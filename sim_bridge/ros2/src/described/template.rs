@@ -4,6 +4,7 @@
 //! field: a pose of the fleet to `Pose`, `PoseStamped` or `Point`, seconds to `Duration`, an angle to
 //! `Quaternion`, waypoints to a list of poses. A field whose parameter the goal lacks has its default.
 
+use super::description::Tables;
 use crate::dynamic::types::{Base, Field, Shape, TypeRegistry};
 use serde_json::{Map, Value, json};
 
@@ -12,6 +13,8 @@ use serde_json::{Map, Value, json};
 pub struct Scope<'a> {
     /// Parameters of the goal.
     pub parameters: &'a Map<String, Value>,
+    /// Tables of the description.
+    pub tables: &'a Tables,
     /// The robot.
     pub robot: &'a str,
     /// Frame of poses.
@@ -35,22 +38,36 @@ pub struct TemplateError {
 /// # Errors
 /// [`TemplateError`] if an expression is invalid.
 pub fn fill(types: &TypeRegistry, message: &str, template: &Value, scope: &Scope<'_>) -> Result<Value, TemplateError> {
-    let filled = substitute(template, scope, "send")?.unwrap_or(Value::Null);
+    let filled = value(template, scope)?.unwrap_or(Value::Null);
     Ok(convert_message(types, message, filled, scope))
+}
+
+/// Returns the value of a template that is no message; `None` if the goal lacks its parameter.
+///
+/// # Errors
+/// [`TemplateError`] if an expression is invalid.
+pub fn value(template: &Value, scope: &Scope<'_>) -> Result<Option<Value>, TemplateError> {
+    substitute(template, scope, "send")
 }
 
 /// Checks the expressions of a template, and that the message has its fields.
 ///
 /// # Errors
 /// [`TemplateError`] with the place.
-pub fn check(types: &TypeRegistry, message: &str, template: &Value, path: &str) -> Result<(), TemplateError> {
+pub fn check(
+    types: &TypeRegistry,
+    tables: &Tables,
+    message: &str,
+    template: &Value,
+    path: &str,
+) -> Result<(), TemplateError> {
     match template {
         Value::Object(entries) => {
             let fields = types.fields(message).ok();
             for (name, value) in entries {
                 let path = format!("{path}.{name}");
                 let Some(fields) = fields else {
-                    check(types, "", value, &path)?;
+                    check(types, tables, "", value, &path)?;
                     continue;
                 };
                 let Some(field) = fields.iter().find(|field| field.name == *name) else {
@@ -64,15 +81,26 @@ pub fn check(types: &TypeRegistry, message: &str, template: &Value, path: &str) 
                     Base::Message(inner) => inner.as_str(),
                     Base::Primitive(..) => "",
                 };
-                check(types, inner, value, &path)?;
+                check(types, tables, inner, value, &path)?;
             }
             Ok(())
         }
-        Value::Array(items) => items.iter().try_for_each(|item| check(types, message, item, path)),
+        Value::Array(items) => items.iter().try_for_each(|item| check(types, tables, message, item, path)),
         Value::String(text) => pieces(text, path)?.into_iter().try_for_each(|piece| match piece {
             Piece::Text(_) => Ok(()),
-            Piece::Expression(expression) => Expression::parse(expression, path).map(drop),
+            Piece::Expression(expression) => check_table(&Expression::parse(expression, path)?, tables, path),
         }),
+        _ => Ok(()),
+    }
+}
+
+fn check_table(expression: &Expression<'_>, tables: &Tables, path: &str) -> Result<(), TemplateError> {
+    match expression.table {
+        Some(table) if !tables.contains_key(table) => {
+            let names: Vec<&str> = tables.keys().map(String::as_str).collect();
+            let problem = format!("there is no table {table:?}; the description has: {}", names.join(", "));
+            Err(TemplateError { path: path.to_owned(), problem })
+        }
         _ => Ok(()),
     }
 }
@@ -101,8 +129,9 @@ fn pieces<'a>(text: &'a str, path: &str) -> Result<Vec<Piece<'a>>, TemplateError
     Ok(pieces)
 }
 
-/// `a.b`, `a == text` or `a * number`.
+/// `a.b`, `table[a.b]`, `a == text` or `a * number`.
 struct Expression<'a> {
+    table: Option<&'a str>,
     name: Vec<&'a str>,
     operation: Operation<'a>,
 }
@@ -118,8 +147,8 @@ impl Expression<'_> {
         let wrong = || TemplateError {
             path: path.to_owned(),
             problem: format!(
-                "${{{text}}} is no expression; allowed is a parameter, as ${{pose}}, ${{action == open}} or \
-                 ${{distance_m * -1}}, and ${{now}} and ${{robot}}"
+                "${{{text}}} is no expression; allowed is a parameter, as ${{pose}}, ${{action == open}}, \
+                 ${{distance_m * -1}} or ${{table[place]}}, and ${{now}} and ${{robot}}"
             ),
         };
         let (name, operation) = if let Some((name, text)) = text.split_once("==") {
@@ -129,11 +158,21 @@ impl Expression<'_> {
         } else {
             (text.trim(), Operation::None)
         };
+        let (table, name) = match name.strip_suffix(']').map(|name| name.split_once('[').ok_or_else(wrong)) {
+            Some(parts) => {
+                let (table, name) = parts?;
+                (Some(table), name)
+            }
+            None => (None, name),
+        };
         let name: Vec<&str> = name.split('.').collect();
         let is_name = |part: &&str| {
             !part.is_empty() && part.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_')
         };
-        if name.iter().all(is_name) { Ok(Expression { name, operation }) } else { Err(wrong()) }
+        match name.iter().chain(&table).all(is_name) {
+            true => Ok(Expression { table, name, operation }),
+            false => Err(wrong()),
+        }
     }
 
     fn value(&self, scope: &Scope<'_>) -> Option<Value> {
@@ -145,6 +184,10 @@ impl Expression<'_> {
                 let value = self.name[1..].iter().try_fold(first, |value, part| value.get(part))?;
                 value.clone()
             }
+        };
+        let value = match self.table {
+            Some(table) => scope.tables.get(table)?.get(&plain(&value))?.clone(),
+            None => value,
         };
         match self.operation {
             Operation::None => Some(value).filter(|value| !value.is_null()),
@@ -258,8 +301,9 @@ mod tests {
     fn filled(message: &str, template: Value, parameters: Value) -> Value {
         let types = TypeRegistry::shipped();
         let parameters = parameters.as_object().unwrap();
-        let scope = Scope { parameters, robot: "ada", frame: "map", now: (5, 6) };
-        check(&types, message, &template, "send").unwrap();
+        let tables = [("floor".to_owned(), [("Hall".to_owned(), json!("L1"))].into())].into();
+        let scope = Scope { parameters, tables: &tables, robot: "ada", frame: "map", now: (5, 6) };
+        check(&types, &tables, message, &template, "send").unwrap();
         let message_value = fill(&types, message, &template, &scope).unwrap();
         cdr::decode(&types, message, &cdr::encode(&types, message, &message_value).unwrap()).unwrap()
     }
@@ -285,6 +329,10 @@ mod tests {
         assert_eq!(on["data"], true);
         let text = filled("std_msgs/msg/String", json!({"data": "${robot}: ${dose * 2} ml"}), json!({"dose": 1.5}));
         assert_eq!(text["data"], "ada: 3.0 ml");
+        let text = |place: &str| {
+            filled("std_msgs/msg/String", json!({"data": "${floor[place]}"}), json!({"place": place}))["data"].clone()
+        };
+        assert_eq!((text("Hall"), text("Roof")), (json!("L1"), json!("")), "a table");
     }
 
     #[test]
@@ -298,12 +346,15 @@ mod tests {
     fn wrong_templates_are_rejected_with_their_place() {
         let error = |template: Value| {
             let types = TypeRegistry::shipped();
-            check(&types, "nav2_msgs/action/DockRobot_Goal", &template, "actions.dock.send").unwrap_err().to_string()
+            let (message, path) = ("nav2_msgs/action/DockRobot_Goal", "actions.dock.send");
+            check(&types, &Tables::new(), message, &template, path).unwrap_err().to_string()
         };
         assert!(error(json!({"dock": "x"})).starts_with(
             "actions.dock.send.dock: nav2_msgs/action/DockRobot_Goal has no such field; allowed: use_dock_id"
         ));
         assert!(error(json!({"dock_id": "${charger"})).contains("lacks the end of an expression"));
         assert!(error(json!({"dock_pose": {"pose": "${a b}"}})).contains("is no expression"));
+        assert!(error(json!({"dock_id": "${a]}"})).contains("is no expression"));
+        assert!(error(json!({"dock_id": "${floor[place]}"})).contains("there is no table \"floor\""));
     }
 }

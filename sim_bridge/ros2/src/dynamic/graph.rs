@@ -173,7 +173,10 @@ pub struct Graph {
     changes: watch::Receiver<u64>,
     types: Arc<Mutex<BTreeMap<(String, String), Arc<TypeRegistry>>>>,
     known: TypeRegistry,
-    tokens: Mutex<BTreeMap<String, LivelinessToken>>,
+    /// Token of the own node.
+    node: Mutex<Option<LivelinessToken>>,
+    /// Tokens of the own publishers, by key.
+    publishers: Mutex<BTreeMap<String, LivelinessToken>>,
     _graph: Subscriber<()>,
 }
 
@@ -236,11 +239,12 @@ impl Graph {
             changes,
             types: Arc::default(),
             known: types,
-            tokens: Mutex::default(),
+            node: Mutex::default(),
+            publishers: Mutex::default(),
             _graph: graph,
         };
-        let node = graph.token_prefix("NN", 0);
-        graph.declare_token(node).await?;
+        let node = graph.declare_token(graph.token_prefix("NN", 0)).await?;
+        *locked(&graph.node) = Some(node);
         Ok(graph)
     }
 
@@ -251,18 +255,19 @@ impl Graph {
         format!("@ros2_lv/{domain}/{}/0/{id}/{kind}/%/{namespace}/{node}", self.session.zid())
     }
 
-    async fn declare_token(&self, token: String) -> Result<(), RosError> {
+    async fn declare_token(&self, token: String) -> Result<LivelinessToken, RosError> {
         let failed = |problem| RosError::of(format!("declare {token}"), problem);
-        let declared = self.session.liveliness().declare_token(token.clone()).await.map_err(failed)?;
-        locked(&self.tokens).insert(token, declared);
-        Ok(())
+        self.session.liveliness().declare_token(token.clone()).await.map_err(failed)
     }
 
-    /// Shows an own endpoint on the graph.
-    ///
-    /// # Errors
-    /// [`RosError`] if the session is closed.
-    pub async fn declare(&self, kind: EndpointKind, name: &str, type_name: &str, hash: &str) -> Result<(), RosError> {
+    /// Shows an own endpoint on the graph until its token is dropped.
+    async fn declare(
+        &self,
+        kind: EndpointKind,
+        name: &str,
+        type_name: &str,
+        hash: &str,
+    ) -> Result<LivelinessToken, RosError> {
         let id = self.next_id.fetch_add(1, Ordering::Relaxed);
         let prefix = self.token_prefix(kind.token(), id);
         let token = format!("{prefix}/{}/{}/{hash}/{QOS}", name.replace('/', "%"), dds_name(type_name));
@@ -401,13 +406,13 @@ impl Graph {
         };
         let types = self.types_of(type_name, &hash).await?;
         let bytes = cdr::encode(&types, type_name, message)?;
-        let declared = format!("/{}/{}/{hash}/", topic.replace('/', "%"), dds_name(type_name));
-        let is_declared = locked(&self.tokens).keys().any(|token| token.contains(&declared) && token.contains("/MP/"));
+        let key = self.key(topic, type_name, &hash);
+        let is_declared = locked(&self.publishers).contains_key(&key);
         if !is_declared {
-            self.declare(EndpointKind::Publisher, topic, type_name, &hash).await?;
+            let publisher = self.declare(EndpointKind::Publisher, topic, type_name, &hash).await?;
+            locked(&self.publishers).insert(key.clone(), publisher);
         }
-        let put =
-            self.session.put(self.key(topic, type_name, &hash), bytes).attachment(ZBytes::from(self.attachment()));
+        let put = self.session.put(key, bytes).attachment(ZBytes::from(self.attachment()));
         put.await.map_err(|problem| RosError::of(format!("publish on {topic}"), problem))?;
         Ok(())
     }
@@ -487,10 +492,11 @@ impl Graph {
             .await
             .map_err(failed)?;
         let hash = self.known.hash(type_name).unwrap_or_else(|_| "RIHS01_".to_owned() + &"0".repeat(64));
-        self.declare(EndpointKind::Subscription, topic, type_name, &hash).await?;
+        let token = self.declare(EndpointKind::Subscription, topic, type_name, &hash).await?;
         let reader = tokio::spawn(Arc::clone(self).read(type_name.to_owned(), subscription, received, messages));
         let history = tokio::spawn(Arc::clone(self).request_history(topic.to_owned(), key, samples));
-        Ok(Subscription { _subscriber: subscriber, tasks: [reader.abort_handle(), history.abort_handle()] })
+        let tasks = [reader.abort_handle(), history.abort_handle()];
+        Ok(Subscription { _subscriber: subscriber, _token: token, tasks })
     }
 
     async fn read(
@@ -542,7 +548,8 @@ impl Graph {
 
     /// Leaves the graph.
     pub async fn leave(&self) {
-        locked(&self.tokens).clear();
+        drop(locked(&self.node).take());
+        locked(&self.publishers).clear();
         if let Err(problem) = self.session.close().await {
             debug!(%problem, "the session was not closed");
         }
@@ -559,6 +566,7 @@ struct Target<'a> {
 /// A subscription, which ends when it is dropped.
 pub struct Subscription {
     _subscriber: Subscriber<()>,
+    _token: LivelinessToken,
     tasks: [tokio::task::AbortHandle; 2],
 }
 
