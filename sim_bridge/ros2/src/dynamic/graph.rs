@@ -196,21 +196,14 @@ impl Graph {
     /// # Errors
     /// [`RosError`] if the session cannot be opened.
     pub async fn join(settings: GraphSettings, types: TypeRegistry) -> Result<Graph, RosError> {
-        let mut config = zenoh::Config::default();
-        let own = |value: Value| value.to_string();
-        for (key, value) in [
-            ("mode", own(json!("peer"))),
-            ("connect/endpoints", own(json!(settings.routers))),
-            ("listen/endpoints", own(json!(["tcp/127.0.0.1:0"]))),
-            ("scouting/multicast/enabled", own(json!(false))),
-            ("timestamping/enabled", own(json!(true))),
-            // The router may start later.
-            ("connect/exit_on_failure", own(json!(false))),
-            ("connect/timeout_ms", own(json!(-1))),
-        ] {
-            config.insert_json5(key, &value).map_err(|problem| RosError::of(format!("set {key}"), problem))?;
-        }
         let failed = |problem| RosError::of("join the graph", problem);
+        // The settings of the nodes of `rmw_zenoh`: the router may start later.
+        let mut config = hiroz::config::session_config().map_err(failed)?;
+        for (key, value) in
+            [("connect/endpoints", json!(settings.routers)), ("listen/endpoints", json!(["tcp/127.0.0.1:0"]))]
+        {
+            config.insert_json5(key, &value.to_string()).map_err(failed)?;
+        }
         let session = zenoh::open(config).await.map_err(failed)?;
         let entities: Arc<Mutex<BTreeMap<String, Entity>>> = Arc::default();
         let (change, changes) = watch::channel(0);
