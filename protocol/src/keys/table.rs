@@ -136,7 +136,7 @@ table! {
     Key::Driver(_, DriverCall::State) => "wire/driver/{robot}/state", "the driver server" Publishes WIRE, "telemetry, and the state of goals";
     Key::People(PeopleCall::Ask) => "wire/people/ask", "the host of simulated people" Answers WIRE, "asks a person to do something, or dismisses one";
     Key::People(PeopleCall::Done) => "wire/people/done", "the host of simulated people" Publishes WIRE, "the tasks that people have completed";
-    Key::World => "wire/world", "the simulator" Answers JSON, "the state of its world; view/world passes it on";
+    Key::World => "wire/world", "the simulator" Answers JSON, "the state of its world; view/world passes it on. With the name of a robot as payload: the readings of its range sensors";
 }
 
 #[cfg(test)]

@@ -125,4 +125,8 @@ impl RobotBackend for SharedWorld {
     fn report(&self) -> serde_json::Value {
         self.lock().world.report()
     }
+
+    fn range_readings(&self, robot: &RobotId) -> serde_json::Value {
+        self.lock().world.range_readings(robot)
+    }
 }

@@ -156,4 +156,11 @@ pub trait RobotBackend: Send + Sync {
     fn report(&self) -> serde_json::Value {
         serde_json::Value::Null
     }
+
+    /// Readings of a robot's range sensors as of `now`, as a JSON list for bridges to other software. No
+    /// decision depends on it.
+    fn range_readings(&self, robot: &RobotId) -> serde_json::Value {
+        let _ = robot;
+        serde_json::Value::Array(vec![])
+    }
 }

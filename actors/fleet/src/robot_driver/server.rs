@@ -55,7 +55,8 @@ pub enum DriverServerMessage {
     Command(Query),
     /// Command of a coordinator about a person.
     PersonRequest(Query),
-    /// Query for the state of the world.
+    /// Query for the state of the world or, with the name of a robot as its payload, for the readings of
+    /// the robot's range sensors.
     WorldView(Query),
     /// A world event is due.
     WorldEventDue,
@@ -161,7 +162,12 @@ impl Actor for DriverServer {
             DriverServerMessage::Command(query) => state.handle_command(query),
             DriverServerMessage::PersonRequest(query) => state.handle_person_command(query),
             DriverServerMessage::WorldView(query) => {
-                let (report, key) = (state.world.report(), state.settings.keys.write(&Key::World));
+                let robot = str::from_utf8(&query.payload).ok().and_then(|name| RobotId::new(name).ok());
+                let report = match robot {
+                    Some(robot) => state.world.range_readings(&robot),
+                    None => state.world.report(),
+                };
+                let key = state.settings.keys.write(&Key::World);
                 state.tasks.spawn(async move { reply::json(&query, &key, &report).await });
             }
             DriverServerMessage::WorldEventDue => state.next_wake = None,

@@ -191,6 +191,10 @@ impl Writer<'_> {
 fn float(value: &Value, path: &str) -> Result<f64, CdrError> {
     match value {
         Value::Null => Ok(0.0),
+        // JSON cannot express them.
+        Value::String(text) if text == "inf" => Ok(f64::INFINITY),
+        Value::String(text) if text == "-inf" => Ok(f64::NEG_INFINITY),
+        Value::String(text) if text == "nan" => Ok(f64::NAN),
         value => value.as_f64().ok_or_else(|| wrong(path, value, "number")),
     }
 }
@@ -298,6 +302,9 @@ mod tests {
             json!({"on": true, "x": 0.5, "list": [1, 65535], "big": -5, "text": "wörter", "three": [1.0, 0.9, -2.0]});
         let bytes = encode(&types, "a/msg/B", &value).unwrap();
         assert_eq!(decode(&types, "a/msg/B", &bytes).unwrap(), value);
+        let infinite = encode(&types, "std_msgs/msg/Float32", &json!({"data": "inf"})).unwrap();
+        assert_eq!(infinite[4..], f32::INFINITY.to_le_bytes());
+        assert_eq!(decode(&types, "std_msgs/msg/Float32", &infinite).unwrap(), json!({"data": null}));
         for length in 0..bytes.len() {
             assert!(decode(&types, "a/msg/B", &bytes[..length]).is_err(), "{length} bytes");
         }

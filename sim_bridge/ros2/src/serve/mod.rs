@@ -55,8 +55,8 @@ pub struct ServeSettings {
     /// Number of this run: greater than in any previous run, for example the milliseconds since 1970.
     /// Goals of previous runs are canceled.
     pub run: u64,
-    /// Session for the states of the robots: `/NAME/odom`, `/NAME/battery_state` and `/tf`. `None`: they are
-    /// not published.
+    /// Session for the states of the robots: `/NAME/odom`, `/NAME/battery_state`, `/NAME/scan` and `/tf`.
+    /// `None`: they are not published.
     pub graph: Option<Arc<Graph>>,
 }
 
@@ -97,6 +97,8 @@ struct Bridges {
     /// States for the bridge of each robot.
     robots: BTreeMap<RobotId, UnboundedSender<DriverState>>,
     tasks: JoinSet<()>,
+    /// Publish the scans of robots with range sensors.
+    scans: JoinSet<()>,
 }
 
 impl Bridges {
@@ -125,6 +127,10 @@ impl Bridges {
                 let command = settings.keys.write(&Key::Driver(robot.clone(), DriverCall::Command));
                 let since = Instant::now();
                 let graph = settings.graph.clone();
+                if let Some(graph) = graph.clone() {
+                    let (bus, world) = (settings.bus.clone(), settings.keys.write(&Key::World));
+                    self.scans.spawn(sensors::publish_scans(graph, bus, world, robot.clone()));
+                }
                 let bridge = Bridge { robot, name, graph, server, executor, bus: settings.bus.clone(), command, since };
                 self.tasks.spawn(bridge.run(states));
             }

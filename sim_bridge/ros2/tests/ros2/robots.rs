@@ -2,13 +2,19 @@
 
 use crate::support::{LIMIT, Offered, carrier, to_place, to_pose, until, within};
 use consort_protocol::pose::Pose;
+use consort_ros2::described::reports::TRANSFORMS;
 use consort_ros2::mapping::FRAME;
 use consort_ros2::messages::{NavigateResult, NavigateToPose, Progress};
 use consort_ros2::ros::Ros;
 use consort_skills::actions::RobotBackend;
+use consort_world::space::Sensor;
+use consort_world::world::RobotSetup;
 use hiroz::Builder;
 use hiroz::action::GoalStatus;
 use hiroz::action::client::{GoalHandle, ZActionClient};
+use serde_json::json;
+use std::collections::BTreeSet;
+use tokio::sync::mpsc::unbounded_channel;
 
 type Client = ZActionClient<NavigateToPose>;
 type Handle = GoalHandle<NavigateToPose>;
@@ -139,6 +145,44 @@ async fn an_empty_battery_or_a_lost_world_aborts_the_goal() {
     let (status, outcome) = ended(handle).await;
     let error_msg = "timed out: ada: no state from its driver server for 3 s".to_owned();
     assert_eq!((status, outcome), (GoalStatus::Aborted, NavigateResult { error_code: 9003, error_msg }));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_publishes_its_state_and_the_scan_of_its_range_sensors() {
+    let ray = |bearing_rad| Sensor::Range { bearing_rad, reach_m: 30.0 };
+    let ada = RobotSetup { sensors: vec![ray(1.0), ray(-1.0), ray(0.0)], ..carrier("ada", "Dock", 1.0) };
+    let offered = Offered::with_states(vec![ada, carrier("bob", "Laboratory", 1.0)]).await;
+    let graph = offered.router.graph("rviz").await;
+    let (sender, mut messages) = unbounded_channel();
+    let topics =
+        [("/ada/scan", "sensor_msgs/msg/LaserScan"), ("/bob/scan", "sensor_msgs/msg/LaserScan"), ("/tf", TRANSFORMS)];
+    let mut subscriptions = vec![];
+    for (number, (topic, type_name)) in topics.into_iter().enumerate() {
+        subscriptions.push(graph.subscribe(topic, type_name, number, sender.clone()).await.unwrap());
+    }
+    let (mut scan, mut bodies) = (None, BTreeSet::new());
+    while scan.is_none() || bodies.len() < 2 {
+        let received = within("a scan and two transforms", messages.recv()).await.unwrap();
+        let message = received.message.unwrap();
+        match received.subscription {
+            0 => scan = Some(message),
+            1 => panic!("bob has no range sensor"),
+            _ => drop(bodies.insert(message["transforms"][0]["child_frame_id"].to_string())),
+        }
+    }
+    let scan = scan.unwrap();
+    assert_eq!(
+        (&scan["angle_min"], &scan["angle_increment"], &scan["range_max"]),
+        (&json!(-1.0), &json!(1.0), &json!(30.0))
+    );
+    let expected = offered.world.with(|world| world.read_ranges(&"ada".parse().unwrap()));
+    let read: Vec<Option<f64>> = serde_json::from_value(scan["ranges"].clone()).unwrap();
+    assert_eq!(read.len(), 3);
+    for (read, expected) in read.into_iter().zip(expected) {
+        let difference = read.unwrap_or_default() - expected.distance_m.unwrap_or_default();
+        assert!(difference.abs() < 1e-3, "{read:?} {expected:?}");
+    }
+    assert_eq!(bodies, ["\"ada/base_link\"", "\"bob/base_link\""].map(str::to_owned).into());
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -8,6 +8,8 @@ use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_ros2::dynamic::graph::{Graph, GraphSettings};
+use consort_ros2::dynamic::types::TypeRegistry;
 use consort_ros2::mapping;
 use consort_ros2::messages::{Goal, Time};
 use consort_ros2::ros::{Ros, RosSettings};
@@ -62,6 +64,13 @@ impl Router {
     pub(crate) fn join(&self, node: &str) -> Ros {
         let settings = RosSettings { routers: vec![self.address.clone()], domain: 0, node: node.to_owned() };
         Ros::join(&settings).unwrap()
+    }
+
+    /// Joins the router's graph with a node for messages of any type.
+    pub(crate) async fn graph(&self, node: &str) -> Arc<Graph> {
+        let (routers, namespace) = (vec![self.address.clone()], String::new());
+        let settings = GraphSettings { routers, domain: 0, node: node.to_owned(), namespace };
+        Arc::new(Graph::join(settings, TypeRegistry::shipped()).await.unwrap())
     }
 
     /// Returns the session of the router, which receives all traffic.
@@ -131,13 +140,22 @@ pub(crate) struct Offered {
 impl Offered {
     /// Starts the world and the bridge in this process.
     pub(crate) async fn with(robots: Vec<RobotSetup>) -> Offered {
+        Offered::with_graph(robots, async |_: &Router| None).await
+    }
+
+    /// Starts the world and the bridge, with a session for the states of the robots.
+    pub(crate) async fn with_states(robots: Vec<RobotSetup>) -> Offered {
+        Offered::with_graph(robots, async |router: &Router| Some(router.graph("consort_serve").await)).await
+    }
+
+    async fn with_graph(robots: Vec<RobotSetup>, graph: impl AsyncFnOnce(&Router) -> Option<Arc<Graph>>) -> Offered {
         let mut offered = Offered::without_bridge(robots).await;
         let (router, bus_of_world) = (&offered.router, &offered.bus);
         let shared: SharedBus = Arc::new(bus(Some(bus_of_world)).await);
-        let ros = router.join("consort_bridge");
+        let (ros, graph) = (router.join("consort_bridge"), graph(router).await);
         offered.tasks.spawn(async move {
             let planner = Arc::new(RoutePlanner::new(hospital()).unwrap());
-            let settings = ServeSettings { bus: shared, keys: keys(), planner, run: 1, graph: None };
+            let settings = ServeSettings { bus: shared, keys: keys(), planner, run: 1, graph };
             panic!("the bridge stopped: {}", serve(&ros, settings, std::future::pending()).await.unwrap_err());
         });
         offered

@@ -174,4 +174,8 @@ impl RobotBackend for World {
     fn report(&self) -> serde_json::Value {
         serde_json::to_value(self.world_report()).expect("a report serializes to JSON")
     }
+
+    fn range_readings(&self, robot: &RobotId) -> serde_json::Value {
+        serde_json::to_value(self.read_ranges(robot)).expect("readings serialize to JSON")
+    }
 }

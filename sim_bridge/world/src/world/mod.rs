@@ -90,7 +90,7 @@ pub use names::{PersonName, SampleId};
 pub use own_parts::SimulatorExtension;
 pub use report::{DoorReport, PersonReport, RobotReport, WorldReport};
 pub use samples::SampleReport;
-pub use sensing::{DetectedObject, Detection, SensorReading};
+pub use sensing::{DetectedObject, Detection, RangeReading, SensorReading};
 pub use setup::{
     DoorSetup, Durations, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, ProgramParts, RobotSetup,
     SetupError, SetupErrors, SpontaneousAction, WindSettings, WorldLimits, WorldSetup, default_step_s,

@@ -26,6 +26,18 @@ pub enum SensorReading {
     Proximity(Vec<Detection>),
 }
 
+/// Reading of a range sensor, with its direction and range.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RangeReading {
+    /// Direction, in radians to the left of ahead.
+    pub bearing_rad: f64,
+    /// Range, in metres.
+    pub reach_m: f64,
+    /// Distance in metres from the robot's centre to the first wall or body; `None` if there is none in
+    /// range.
+    pub distance_m: Option<f64>,
+}
+
 /// A detected robot or person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Detection {
@@ -58,6 +70,25 @@ impl World {
     pub fn read_sensors(&self, robot: &RobotId) -> Option<Vec<SensorReading>> {
         let own_index = self.state.robots.keys().position(|name| name == robot)?;
         Some(Scene::of(self).read(self, own_index, self.state.robots[robot]))
+    }
+
+    /// Returns the current readings of a robot's range sensors, in the order of their directions; empty
+    /// for an unknown robot.
+    pub fn read_ranges(&self, robot: &RobotId) -> Vec<RangeReading> {
+        let sensors = self.robot_setup(robot).map(|setup| setup.sensors).unwrap_or_default();
+        if !sensors.iter().any(|sensor| matches!(sensor, Sensor::Range { .. })) {
+            return vec![];
+        }
+        let readings = self.read_sensors(robot).unwrap_or_default();
+        let range = |(sensor, reading): (&Sensor, SensorReading)| match (*sensor, reading) {
+            (Sensor::Range { bearing_rad, reach_m }, SensorReading::Range(distance_m)) => {
+                Some(RangeReading { bearing_rad, reach_m, distance_m })
+            }
+            _ => None,
+        };
+        let mut ranges: Vec<RangeReading> = sensors.iter().zip(readings).filter_map(range).collect();
+        ranges.sort_by(|a, b| a.bearing_rad.total_cmp(&b.bearing_rad));
+        ranges
     }
 }
 

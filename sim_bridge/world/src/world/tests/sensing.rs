@@ -48,6 +48,18 @@ fn a_ray_ends_at_the_first_wall_or_body() {
 }
 
 #[test]
+fn ranges_are_read_by_direction_without_other_sensors() {
+    let ray = |bearing_rad, reach_m| Sensor::Range { bearing_rad, reach_m };
+    let world = world_with(vec![ray(0.0, 3.0), Sensor::Proximity { reach_m: 1.0 }, ray(-FRAC_PI_2, 10.0)]);
+    let ranges = world.read_ranges(&robot("r1"));
+    let bearings: Vec<f64> = ranges.iter().map(|range| range.bearing_rad).collect();
+    assert_eq!(bearings, [-FRAC_PI_2, 0.0]);
+    assert!((ranges[0].distance_m.unwrap() - 1.75).abs() < 1e-9, "the nurse");
+    assert_eq!(ranges[1], RangeReading { bearing_rad: 0.0, reach_m: 3.0, distance_m: None });
+    assert_eq!((world.read_ranges(&robot("east")), world.read_ranges(&robot("r9"))), (vec![], vec![]));
+}
+
+#[test]
 fn a_camera_detects_bodies_in_view_and_not_behind_a_wall() {
     let camera = |bearing_rad, field_of_view_rad, reach_m| Sensor::Camera { bearing_rad, field_of_view_rad, reach_m };
     let tau = std::f64::consts::TAU;
