@@ -37,7 +37,7 @@ struct DeviceState {
 impl DeviceState {
     fn new(hold: &Hold, scope: &Scope<'_>) -> Result<DeviceState, String> {
         let fields = |entries: &BTreeMap<String, Value>| -> Result<Fields, String> {
-            let value = |(path, value): (&String, &Value)| {
+            let value = |(path, value): (&String, &Value)| -> Result<(FieldPath, Value), String> {
                 let path = FieldPath::parse(path).map_err(|problem| problem.to_string())?;
                 let value = template::value(value, scope).map_err(|problem| problem.to_string())?;
                 // A value that is missing equals no field.
