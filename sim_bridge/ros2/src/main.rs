@@ -94,6 +94,8 @@ enum Command {
     },
     /// Print the JSON Schema of descriptions
     Schema,
+    /// Print the shipped types with their hashes
+    Types,
     /// Show the nodes of the graph, the types and hashes, and what does not fit a description
     Doctor {
         /// Description: a file, or the name of a shipped one; without it, everything is listed
@@ -215,6 +217,10 @@ async fn run_command(command: Command, stop: impl Future<Output = ()>) -> Result
                 print(&format!("{name}: requested from the nodes that use it"))?;
             }
             print(&format!("{file}: {} actions, {} readings", robot.actions.len(), robot.readings.len()))
+        }
+        Command::Types => {
+            let types = TypeRegistry::shipped();
+            types.names().try_for_each(|name| print(&format!("{name} {}", types.hash(name)?)))
         }
         Command::Schema => print(&serde_json::to_string_pretty(&description::schema())?),
         Command::Doctor { file, wait, graph } => {

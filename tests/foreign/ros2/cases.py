@@ -349,6 +349,20 @@ def conformance(world):
 
 
 @case
+def hashes_of_released_messages(world):
+    """The shipped definitions have the hashes that the wheels of Jazzy and Kilted were released with."""
+    shipped = dict(line.split() for line in world.run(ROS2, "types").stdout.splitlines())
+    for release, environment in (("Jazzy", V), ("Kilted", os.environ["KILTED"])):
+        compared = set()
+        for file in pathlib.Path(environment, "share").glob("*/*/*.json"):
+            for released in json.loads(file.read_text(encoding="utf-8")).get("type_hashes", []):
+                name, hash = released["type_name"], released["hash_string"]
+                check(shipped.get(name, hash) == hash, f"{name} of {release} is {hash}, and shipped is {shipped.get(name)}")
+                compared.update({name} & shipped.keys())
+        check(len(compared) >= 60, f"{release}: {len(compared)} types were compared")
+
+
+@case
 def doctor(world):
     """Fits, a missing server, a lifecycle node and a wrong type are told apart; all hashes of genuine nodes are known."""
     world.robot("--namespace", "/ada")

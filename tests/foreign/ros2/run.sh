@@ -16,6 +16,7 @@ command -v gcc >/dev/null && command -v g++ >/dev/null || skip_all "gcc and g++ 
 [ -x "$CONSORT_ROS2" ] || skip_all "consort-ros2 is not built (cargo build --manifest-path sim_bridge/ros2/Cargo.toml)"
 [ -x "$CONSORT" ] || skip_all "consort is not built (cargo build)"
 work=$(dirname "$V"); mkdir -p "$work"
+export KILTED=$work/kilted
 # Packages that are no wheels; the last one has its definitions here. The mark changes with what is installed.
 packages="nav2_msgs tf2_msgs rmf_door_msgs rmf_lift_msgs consort_test_msgs"
 mark=$V/.consort-messages-$(cat "$here/run.sh" "$here/make_messages.py" "$root/sim_bridge/ros2/types/jazzy.txt" | sha256sum | cut -c 1-16)
@@ -23,6 +24,9 @@ if [ ! -e "$mark" ]; then
     {
         [ -x "$V/bin/python" ] || "$kit/make-venv.sh" "$V"
         "$V/bin/pip" install -q ros-jazzy-sensor-msgs==5.3.6 ros-jazzy-nav-msgs==5.3.6 ros-jazzy-diagnostic-msgs==5.3.6 catkin_pkg
+        # The messages of Kilted, for their hashes.
+        [ -x "$KILTED/bin/python" ] || python3.11 -m venv "$KILTED"
+        "$KILTED/bin/pip" install -q ros-kilted-rclpy==9.1.2 ros-kilted-{std-srvs,sensor-msgs,nav-msgs,diagnostic-msgs}==5.5.1
         . "$kit/env.sh"
         rm -rf "$work/messages"; cp -r "$here/messages" "$work/messages"
         python3 "$here/definitions.py" "$root/sim_bridge/ros2/types/jazzy.txt" "$work/messages" $packages

@@ -280,6 +280,11 @@ impl TypeRegistry {
         self.messages.contains_key(name) || self.messages.contains_key(&format!("{name}_Goal"))
     }
 
+    /// Returns the names of all messages and services, in order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.messages.keys().map(String::as_str)
+    }
+
     /// Returns the RIHS01 hash of a message or a service.
     ///
     /// # Errors
