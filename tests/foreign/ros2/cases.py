@@ -403,8 +403,9 @@ def simulated_robots_for_ros_2(world):
 
 @case
 def the_lab_mission(world):
-    """The whole lab mission: carrier and arm are robots under ROS 2 that files describe; a person answers."""
+    """The whole lab mission: carrier and arm are robots under ROS 2 that files describe, behind a door of Open-RMF; a person answers."""
     ada, arm = world.robot("--namespace", "/ada"), world.robot("--namespace", "/arm", "--x", "50")
+    building = world.robot("--door", "lab-door", script="building.py")
     base = ROBOT.split("readings:")[0] + ROBOT[ROBOT.index("actions:"):]
     base = "\n".join(line for line in base.splitlines() if not re.match(r"  (jam|say|release):", line))
     base = base.replace("extends: [turtlebot, nav2_moves]", "extends: [nav2]\ncharge: { topic: battery_state }\n")
@@ -412,8 +413,10 @@ def the_lab_mission(world):
     world.file("ada.yaml", base + "namespace: ada\n")
     world.file("arm.yaml", base + "namespace: arm\n")
     station, listen = free_port(), {}
-    fleet = '[fleet]\nname = "lab"\nmap = "hospital"\nbootstrap_expect = 1\n'
-    world.file("station.toml", f'name = "station"\n[bus]\nlisten = ["tcp/127.0.0.1:{station}"]\n' + fleet)
+    fleet = ('[fleet]\nname = "lab"\nmap = "hospital"\nbootstrap_expect = 1\n'
+             '[[fleet.device]]\nname = "lab-door"\nkind = "door"\nlanes = [["Laboratory Corridor", "Laboratory"]]\n')
+    world.file("station.toml", f'name = "station"\n[bus]\nlisten = ["tcp/127.0.0.1:{station}"]\n'
+               f'[[device]]\nname = "lab-door"\ndriver = ["{ROS2}", "driver", "rmf_door"]\n' + fleet)
     Process(world, [CONSORT, "station", "--config", "station.toml"])
     skills = {"ada": '["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"]', "arm": '["pick_up"]'}
     for name, place, more in (("ada", "Dock", "speed_mps = 0.5\n"), ("arm", "Laboratory", "stationary = true\n")):
@@ -434,6 +437,8 @@ def the_lab_mission(world):
     check(waiting.child.wait(timeout=150) == 0, f"the mission fails: {waiting.errors()[-400:]}")
     ada.message("the drawer was closed at the end", is_event("drawer", open=False))
     arm.message("the arm took the sample", is_event("grip"))
+    building.message("the door opens for the carrier", is_event("door", name="lab-door", mode=2))
+    building.message("the door closes behind it", is_event("door", name="lab-door", mode=0))
 
 
 @case

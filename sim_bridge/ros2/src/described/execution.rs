@@ -197,9 +197,7 @@ impl Execution {
         match via {
             Via::Service(name) => {
                 let name = self.graph.resolve(name);
-                let is_served = |graph: &Graph| graph.find(EndpointKind::Server, &name).is_some();
-                self.graph.wait_for(SERVER_TIMEOUT, is_served).await;
-                let reply = self.graph.call(&name, &mapping.type_name, message, limit).await?;
+                let reply = call_when_served(&self.graph, &name, &mapping.type_name, message, limit).await?;
                 Ok(end_of(mapping, &reply, true))
             }
             Via::Topic(name) | Via::Action(name) => {
@@ -283,13 +281,25 @@ pub(super) fn end_of_call(problem: &CallError) -> End {
     End::aborted(code, problem.to_string())
 }
 
+/// Calls a service, whose server may join the graph a moment later.
+async fn call_when_served(
+    graph: &Graph,
+    name: &str,
+    type_name: &str,
+    request: &Value,
+    limit: Duration,
+) -> Result<Value, CallError> {
+    graph.wait_for(SERVER_TIMEOUT, |graph| graph.find(EndpointKind::Server, name).is_some()).await;
+    graph.call(name, type_name, request, limit).await
+}
+
 /// Returns the state of a lifecycle node: `active`, `inactive`, `unconfigured`.
 ///
 /// # Errors
 /// The cause, if the node does not reply.
 pub async fn lifecycle_state(graph: &Graph, node: &str) -> Result<String, String> {
-    let service = format!("{node}/get_state");
-    let state = graph.call(&service, "lifecycle_msgs/srv/GetState", &Value::Null, LIFECYCLE_TIMEOUT).await;
+    let (service, type_name) = (format!("{node}/get_state"), "lifecycle_msgs/srv/GetState");
+    let state = call_when_served(graph, &service, type_name, &Value::Null, LIFECYCLE_TIMEOUT).await;
     let state = state.map_err(|problem| format!("the state of the lifecycle node {node} is unknown: {problem}"))?;
     Ok(state["current_state"]["label"].as_str().unwrap_or_default().to_owned())
 }
