@@ -13,6 +13,7 @@ use super::types::{TypeError, TypeRegistry, dds_name, ros_name};
 use crate::ros::RosError;
 use hiroz::attachment::Attachment;
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -175,9 +176,17 @@ pub struct Graph {
     known: TypeRegistry,
     /// Token of the own node.
     node: Mutex<Option<LivelinessToken>>,
-    /// Tokens of the own publishers, by key.
-    publishers: Mutex<BTreeMap<String, LivelinessToken>>,
+    /// The own publishers, by key.
+    publishers: Mutex<BTreeMap<String, OwnPublisher>>,
     _graph: Subscriber<()>,
+}
+
+/// A publisher of this node.
+struct OwnPublisher {
+    _token: LivelinessToken,
+    gid: [u8; 16],
+    /// Number of its last message: subscribers count the messages that they miss.
+    sequence: i64,
 }
 
 impl std::fmt::Debug for Graph {
@@ -369,17 +378,35 @@ impl Graph {
         Err(TypeError::Unknown(format!("{type_name} with the hash {hash}")).into())
     }
 
-    fn attachment(&self) -> Attachment {
-        let since_1970 = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
-        let mut source_gid = [0; 16];
-        for (to, from) in source_gid.iter_mut().zip(self.session.zid().to_le_bytes()) {
-            *to = from;
+    /// Returns the attachment of a request.
+    fn request_attachment(&self) -> Attachment {
+        attachment(self.session.zid().to_le_bytes(), self.sequence.fetch_add(1, Ordering::Relaxed))
+    }
+
+    /// Returns the attachment of the next message of an own publisher.
+    fn message_attachment(&self, key: &str) -> Option<Attachment> {
+        let mut publishers = locked(&self.publishers);
+        let publisher = publishers.get_mut(key)?;
+        publisher.sequence += 1;
+        Some(attachment(publisher.gid, publisher.sequence))
+    }
+
+    /// Declares a publisher, unless it is declared. Returns the attachment of its next message.
+    async fn declare_publisher(
+        &self,
+        key: &str,
+        topic: &str,
+        type_name: &str,
+        hash: &str,
+    ) -> Result<Attachment, RosError> {
+        if let Some(attachment) = self.message_attachment(key) {
+            return Ok(attachment);
         }
-        Attachment {
-            sequence_number: self.sequence.fetch_add(1, Ordering::Relaxed),
-            source_timestamp: i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX),
-            source_gid,
-        }
+        let token = self.declare(EndpointKind::Publisher, topic, type_name, hash).await?;
+        let mut gid = [0; 16];
+        gid.copy_from_slice(&Sha256::digest(format!("{}/{key}", self.session.zid()))[..16]);
+        locked(&self.publishers).insert(key.to_owned(), OwnPublisher { _token: token, gid, sequence: 1 });
+        Ok(attachment(gid, 1))
     }
 
     fn key(&self, name: &str, type_name: &str, hash: &str) -> String {
@@ -400,12 +427,8 @@ impl Graph {
         let types = self.types_of(type_name, &hash).await?;
         let bytes = cdr::encode(&types, type_name, message)?;
         let key = self.key(topic, type_name, &hash);
-        let is_declared = locked(&self.publishers).contains_key(&key);
-        if !is_declared {
-            let publisher = self.declare(EndpointKind::Publisher, topic, type_name, &hash).await?;
-            locked(&self.publishers).insert(key.clone(), publisher);
-        }
-        let put = self.session.put(key, bytes).attachment(ZBytes::from(self.attachment()));
+        let attachment = self.declare_publisher(&key, topic, type_name, &hash).await?;
+        let put = self.session.put(key, bytes).attachment(ZBytes::from(attachment));
         put.await.map_err(|problem| RosError::of(format!("publish on {topic}"), problem))?;
         Ok(())
     }
@@ -448,7 +471,7 @@ impl Graph {
             .consolidation(ConsolidationMode::None)
             .timeout(limit)
             .payload(bytes)
-            .attachment(ZBytes::from(self.attachment()))
+            .attachment(ZBytes::from(self.request_attachment()))
             .await
             .map_err(failed)?;
         while let Ok(reply) = replies.recv_async().await {
@@ -547,6 +570,12 @@ impl Graph {
             debug!(%problem, "the session was not closed");
         }
     }
+}
+
+fn attachment(source_gid: [u8; 16], sequence_number: i64) -> Attachment {
+    let since_1970 = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
+    let source_timestamp = i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX);
+    Attachment { sequence_number, source_timestamp, source_gid }
 }
 
 /// A service with a type.
