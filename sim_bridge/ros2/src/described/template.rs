@@ -266,8 +266,10 @@ fn convert_field(types: &TypeRegistry, field: &Field, value: Value, scope: &Scop
 /// Converts a value of the fleet to a message.
 fn as_message(message: &str, value: Value, scope: &Scope<'_>) -> Value {
     // A waypoint contains its pose.
+    let is_pose =
+        matches!(message, "geometry_msgs/msg/Point" | "geometry_msgs/msg/Pose" | "geometry_msgs/msg/PoseStamped");
     let value = match value.get("pose") {
-        Some(pose) if pose.get("x_m").is_some() => pose.clone(),
+        Some(pose) if is_pose && pose.get("x_m").is_some() && value.get("header").is_none() => pose.clone(),
         _ => value,
     };
     let number = value.as_f64();
@@ -318,6 +320,13 @@ mod tests {
         assert_eq!(goal["poses"][0]["pose"]["position"], json!({"x": 1.0, "y": 2.0, "z": 0.0}));
         assert_eq!(goal["poses"][0]["pose"]["orientation"]["w"], 1.0);
         assert_eq!(goal["poses"][0]["header"], json!({"frame_id": "map", "stamp": {"sec": 5, "nanosec": 6}}));
+        let pose = json!({"pose": {"x_m": 1.0, "y_m": 2.0, "yaw_rad": 0.0}});
+        let goal = filled("nav2_msgs/action/NavigateToPose_Goal", json!({"pose": "${pose}"}), pose.clone());
+        assert_eq!(goal["pose"]["pose"]["position"]["y"], 2.0);
+        assert_eq!(goal["pose"]["header"]["frame_id"], "map");
+        let odom = json!({"header": {"frame_id": "odom"}, "pose": "${pose}"});
+        let stamped = filled("geometry_msgs/msg/PoseStamped", odom, pose);
+        assert_eq!((&stamped["header"]["frame_id"], &stamped["pose"]["position"]["x"]), (&json!("odom"), &json!(1.0)));
         let goal = filled("nav2_msgs/action/Wait_Goal", json!({"time": "${time}"}), json!({"time": 1.5}));
         assert_eq!(goal["time"], json!({"sec": 1, "nanosec": 500_000_000}));
     }

@@ -18,17 +18,21 @@ fn ada() -> RobotId {
     "ada".parse().unwrap()
 }
 
-/// Returns a test with A at (0, 0), B at (10, 0) and C at (20, 0); the robot is at A.
+/// Returns A at (0, 0), B at (10, 0) and C at (20, 0).
+fn places() -> BTreeMap<PlaceId, Pose> {
+    [("A", 0.0), ("B", 10.0), ("C", 20.0)].map(|(name, x)| (place(name), Pose::new(x, 0.0, 0.0))).into()
+}
+
+/// Returns a test with these places; the robot is at A.
 fn test() -> DriverTest {
-    let places = [("A", 0.0), ("B", 10.0), ("C", 20.0)].map(|(name, x)| (place(name), Pose::new(x, 0.0, 0.0)));
     let ((commands, sent_commands), (nav2, nav2_events)) = (unbounded_channel(), unbounded_channel());
-    let driver = Nav2Driver::new(ada(), place("A"), places.into(), commands, nav2_events).unwrap();
+    let driver = Nav2Driver::new(ada(), place("A"), places(), commands, nav2_events).unwrap();
     DriverTest { driver, sent_commands, nav2, now: 0.0 }
 }
 
 impl DriverTest {
     fn to(&self, name: &str) -> Waypoint {
-        Waypoint { pose: self.driver.places[&place(name)], place: Some(place(name)) }
+        Waypoint { pose: places()[&place(name)], place: Some(place(name)) }
     }
 
     fn go(&mut self, id: u64, name: &str) {
