@@ -17,6 +17,7 @@ use consort_skills::actions::{GoalId, JsonObject};
 use serde_json::{Value, json};
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
@@ -46,6 +47,8 @@ pub struct RobotGoal {
     pub parameters: JsonObject,
     /// True if a previous process has started it.
     pub resumed: bool,
+    /// Attempt in the id of the goal that it resumes.
+    pub attempt: u8,
     /// The time for stamps, as seconds and nanoseconds.
     pub now: (i64, u32),
     /// Goals of previous processes that must end before it starts.
@@ -105,10 +108,11 @@ impl Execution {
 
     async fn by_action(&self, action: &RosAction, goal: &RobotGoal, stop: watch::Receiver<bool>) -> End {
         self.graph.wait_for(SERVER_TIMEOUT, |_| action.is_served()).await;
-        let id = goal_uuid(&self.robot, goal.id.0);
+        let attempt = AtomicU8::new(goal.attempt);
+        let id = || goal_uuid(&self.robot, goal.id.0, attempt.load(Ordering::Relaxed));
         let execute = async {
             if goal.resumed {
-                return match action.result(id).await {
+                return match action.result(id()).await {
                     ActionEnd::Unknown => {
                         End::aborted("failed", "the robot does not know the goal of the previous process")
                     }
@@ -117,9 +121,17 @@ impl Execution {
             }
             let name = goal.mapping.sent_type();
             let types = self.types_of_action(action, goal).await;
-            match fill(&types, &name, &goal.mapping.send, &self.scope(goal)) {
-                Ok(message) => self.end(&goal.mapping, action.execute(id, &message).await),
-                Err(problem) => End::aborted("unknown", problem.to_string()),
+            let message = match fill(&types, &name, &goal.mapping.send, &self.scope(goal)) {
+                Ok(message) => message,
+                Err(problem) => return End::aborted("unknown", problem.to_string()),
+            };
+            loop {
+                let end = action.execute(id(), &message).await;
+                // A server rejects the id of a goal that it knows: an earlier goal had the same number.
+                let was_used = end == ActionEnd::Rejected && action.knows(id()).await;
+                if !was_used || attempt.fetch_add(1, Ordering::Relaxed) == u8::MAX - 1 {
+                    return self.end(&goal.mapping, end);
+                }
             }
         };
         tokio::select! {
@@ -310,10 +322,14 @@ pub(super) async fn requested(stop: &mut watch::Receiver<bool>) {
 }
 
 /// Sends cancel requests, repeatedly, once requested.
-async fn cancel_when_requested(action: &RosAction, id: GoalUuid, mut stop: watch::Receiver<bool>) -> Infallible {
+async fn cancel_when_requested(
+    action: &RosAction,
+    id: impl Fn() -> GoalUuid,
+    mut stop: watch::Receiver<bool>,
+) -> Infallible {
     requested(&mut stop).await;
     loop {
-        if !action.cancel(id).await {
+        if !action.cancel(id()).await {
             warn!("no reply to a cancel request; it is repeated");
         }
         sleep(CANCEL_INTERVAL).await;
@@ -375,11 +391,6 @@ pub fn feedback(mapping: &ActionMapping, id: GoalId, message: &Value) -> (Driver
         values: values.collect(),
     };
     (feedback, standard("pose").as_ref().and_then(to_pose))
-}
-
-/// Checks whether feedback is that of a goal.
-pub fn is_feedback_of(message: &Value, id: GoalUuid) -> bool {
-    message["goal_id"]["uuid"] == json!(id)
 }
 
 #[cfg(test)]

@@ -2,11 +2,11 @@
 //! standard output.
 
 use super::description::{ActionMapping, RobotDescription};
-use super::execution::{Execution, RobotGoal, cancel_and_wait, feedback, is_feedback_of};
+use super::execution::{Execution, RobotGoal, cancel_and_wait, feedback};
 use super::path::PathError;
 use super::reports::Reports;
 use super::session::{Effect, End, GoalSession};
-use crate::dynamic::action::{RosAction, goal_uuid, goals_in_progress};
+use crate::dynamic::action::{RosAction, goal_of_uuid, goals_in_progress, uuid_of};
 use crate::dynamic::graph::{Graph, Received, Subscription};
 use crate::dynamic::types::TypeRegistry;
 use crate::goals::GoalUuid;
@@ -161,7 +161,6 @@ fn read_lines() -> UnboundedReceiver<String> {
 
 struct Active {
     id: GoalId,
-    uuid: GoalUuid,
     mapping: ActionMapping,
     action: String,
     stop: watch::Sender<bool>,
@@ -354,18 +353,20 @@ impl Driver {
             let _ = self.ends.0.send((id, end));
             return;
         };
-        let uuid = goal_uuid(&self.execution.robot, id.0);
         let (stop, stopped) = watch::channel(false);
-        self.leftovers.remove(&uuid);
+        let robot = &self.execution.robot;
+        let resumable = self.leftovers.keys().filter_map(|uuid| goal_of_uuid(uuid, robot));
+        let attempt = resumable.filter(|(number, _)| *number == id.0).map(|(_, attempt)| attempt).max().unwrap_or(0);
+        self.leftovers.retain(|uuid, _| goal_of_uuid(uuid, robot).is_none_or(|(number, _)| number != id.0));
         let leftovers = std::mem::take(&mut self.leftovers).into_iter().map(|(id, action)| (action, id)).collect();
         let (feedback, now) = (self.feedback.0.clone(), self.now());
-        let goal = RobotGoal { id, mapping: mapping.clone(), parameters, resumed, now, leftovers, feedback };
+        let goal = RobotGoal { id, mapping: mapping.clone(), parameters, resumed, attempt, now, leftovers, feedback };
         let (ends, execution) = (self.ends.0.clone(), Arc::clone(&self.execution));
         tokio::spawn(async move {
             let end = execution.run(goal, stopped).await;
             let _ = ends.send((id, end));
         });
-        self.active = Some(Active { id, uuid, mapping, action: action.to_owned(), stop, last_feedback: None });
+        self.active = Some(Active { id, mapping, action: action.to_owned(), stop, last_feedback: None });
     }
 
     fn now(&self) -> (i64, u32) {
@@ -430,9 +431,10 @@ impl Driver {
             Purpose::Status(action) => self.handle_status(&action, &message),
             Purpose::Feedback(action) => {
                 let due = |at: Instant| at.elapsed() >= FEEDBACK_INTERVAL;
+                let goal = uuid_of(&message["goal_id"]).and_then(|id| goal_of_uuid(&id, &self.execution.robot));
                 let Some(active) = self.active.as_mut().filter(|active| {
                     active.action == action
-                        && is_feedback_of(&message, active.uuid)
+                        && goal.is_some_and(|(number, _)| number == active.id.0)
                         && active.last_feedback.is_none_or(due)
                 }) else {
                     return Ok(());
@@ -454,15 +456,11 @@ impl Driver {
         let Some(action) = self.execution.action(mapping) else { return };
         let in_progress = goals_in_progress(message, &self.execution.robot);
         self.leftovers.retain(|id, other| !other.is_same(&action) || in_progress.contains(id));
-        let own = self.active.as_ref().map(|active| active.uuid);
-        let number = |id: &GoalUuid| u64::from_be_bytes(id[8..].try_into().unwrap_or_default());
         let newest = self.active.as_ref().map(|active| active.id.0);
         for id in in_progress {
+            let Some((number, _)) = goal_of_uuid(&id, &self.execution.robot) else { continue };
             // A goal that this process has just ended is no leftover.
-            if own != Some(id)
-                && newest.is_none_or(|newest| number(&id) < newest)
-                && !self.session.has_ended(number(&id))
-            {
+            if newest.is_none_or(|newest| number < newest) && !self.session.has_ended(number) {
                 self.leftovers.insert(id, action.clone());
             }
         }

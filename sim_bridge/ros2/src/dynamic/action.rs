@@ -18,6 +18,9 @@ use tracing::debug;
 /// Time limit for a server to accept or reject a goal, or to reply to a cancel request.
 const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
+/// Time without a result after which a goal counts as in progress.
+const KNOWN_TIMEOUT: Duration = Duration::from_secs(1);
+
 /// Time limit of a request for a result. It is repeated.
 const RESULT_TIMEOUT: Duration = Duration::from_secs(3600);
 
@@ -27,22 +30,26 @@ const SERVER_LOST_AFTER: Duration = Duration::from_secs(3);
 /// Interval at which a failed request for a result is repeated.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Returns the id of a robot's goal: eight bytes of the robot, then the number.
-pub fn goal_uuid(robot: &str, goal: u64) -> GoalUuid {
+/// Returns the id of a robot's goal: seven bytes of the robot, the attempt, then the number. The attempt is
+/// not 0 if the server knows the goal of the attempt before.
+pub fn goal_uuid(robot: &str, goal: u64, attempt: u8) -> GoalUuid {
     let mut id = [0; 16];
-    id[..8].copy_from_slice(&robot_part(robot));
+    id[..7].copy_from_slice(&robot_part(robot));
+    id[7] = attempt;
     id[8..].copy_from_slice(&goal.to_be_bytes());
     id
 }
 
-/// Checks whether a goal belongs to the robot.
-pub fn is_of_robot(id: &[u8], robot: &str) -> bool {
-    id.len() == 16 && id[..8] == robot_part(robot)
+/// Returns the number and the attempt of a goal of the robot; `None` for a goal of another client.
+pub fn goal_of_uuid(id: &[u8], robot: &str) -> Option<(u64, u8)> {
+    let (own, number) = id.split_at_checked(8)?;
+    let number = u64::from_be_bytes(number.try_into().ok()?);
+    (own[..7] == robot_part(robot)).then_some((number, own[7]))
 }
 
-fn robot_part(robot: &str) -> [u8; 8] {
-    let mut part = [0; 8];
-    part.copy_from_slice(&Sha256::digest(format!("consort/{robot}"))[..8]);
+fn robot_part(robot: &str) -> [u8; 7] {
+    let mut part = [0; 7];
+    part.copy_from_slice(&Sha256::digest(format!("consort/{robot}"))[..7]);
     part
 }
 
@@ -119,6 +126,18 @@ impl RosAction {
         }
     }
 
+    /// Checks whether the server knows a goal, in progress or ended.
+    pub async fn knows(&self, id: GoalUuid) -> bool {
+        let request = json!({"goal_id": {"uuid": id}});
+        let type_name = format!("{}_GetResult", self.type_name);
+        match self.graph.call(&self.part("get_result"), &type_name, &request, KNOWN_TIMEOUT).await {
+            Ok(reply) => reply["status"].as_i64() != Some(i64::from(Status::Unknown as i8)),
+            // The reply arrives at the end of the goal.
+            Err(CallError::NoReply(_)) => true,
+            Err(_) => false,
+        }
+    }
+
     /// Waits for the end of an accepted goal, for as long as its server is on the graph.
     pub async fn result(&self, id: GoalUuid) -> ActionEnd {
         let request = json!({"goal_id": {"uuid": id}});
@@ -160,17 +179,20 @@ fn ended(status: Option<i64>, result: Value) -> ActionEnd {
     }
 }
 
+/// Returns the id in a `unique_identifier_msgs/msg/UUID`.
+pub fn uuid_of(message: &Value) -> Option<GoalUuid> {
+    let bytes = message["uuid"].as_array()?;
+    let bytes: Vec<u8> = bytes.iter().filter_map(|byte| u8::try_from(byte.as_u64()?).ok()).collect();
+    GoalUuid::try_from(bytes).ok()
+}
+
 /// Returns the goals of a robot that are in progress, from a message with the states of goals.
 pub fn goals_in_progress(statuses: &Value, robot: &str) -> Vec<GoalUuid> {
     let statuses = statuses["status_list"].as_array().into_iter().flatten();
     // Accepted, executing, canceling.
     let in_progress = statuses.filter(|goal| (1..=3).contains(&goal["status"].as_i64().unwrap_or_default()));
-    let ids = in_progress.filter_map(|goal| {
-        let bytes = goal["goal_info"]["goal_id"]["uuid"].as_array()?;
-        let bytes: Vec<u8> = bytes.iter().filter_map(|byte| u8::try_from(byte.as_u64()?).ok()).collect();
-        GoalUuid::try_from(bytes).ok()
-    });
-    ids.filter(|id| is_of_robot(id, robot)).collect()
+    let ids = in_progress.filter_map(|goal| uuid_of(&goal["goal_info"]["goal_id"]));
+    ids.filter(|id| goal_of_uuid(id, robot).is_some()).collect()
 }
 
 #[cfg(test)]
@@ -179,11 +201,13 @@ mod tests {
 
     #[test]
     fn the_goals_of_a_robot_are_told_from_those_of_others() {
-        let id = goal_uuid("ada", 7);
-        assert_eq!(&id[8..], &[0, 0, 0, 0, 0, 0, 0, 7]);
-        assert!(is_of_robot(&id, "ada") && !is_of_robot(&id, "bob") && !is_of_robot(&[0; 16], "ada"));
+        let id = goal_uuid("ada", 7, 2);
+        assert_eq!(&id[7..], &[2, 0, 0, 0, 0, 0, 0, 0, 7]);
+        assert_eq!(goal_of_uuid(&id, "ada"), Some((7, 2)));
+        let others = [goal_of_uuid(&id, "bob"), goal_of_uuid(&[0; 16], "ada"), goal_of_uuid(&id[..9], "ada")];
+        assert_eq!(others, [None; 3]);
         let goal = |id: GoalUuid, status: i8| json!({"goal_info": {"goal_id": {"uuid": id}}, "status": status});
-        let list = [goal(id, 2), goal(goal_uuid("ada", 6), 4), goal(goal_uuid("bob", 1), 2), goal([0; 16], 2)];
+        let list = [goal(id, 2), goal(goal_uuid("ada", 6, 0), 4), goal(goal_uuid("bob", 1, 0), 2), goal([0; 16], 2)];
         assert_eq!(goals_in_progress(&json!({"status_list": list}), "ada"), [id]);
     }
 }

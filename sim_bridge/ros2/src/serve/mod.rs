@@ -168,6 +168,8 @@ impl Bridge {
         loop {
             let now = self.since.elapsed();
             let actions = tokio::select! {
+                // A goal is not handled before the state with which the robot was offered.
+                biased;
                 state = states.recv() => match state {
                     Some(state) => {
                         if let Some(graph) = &self.graph {
