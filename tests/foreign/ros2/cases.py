@@ -144,7 +144,7 @@ class Driver(Process):
         self.send("start", protocol=1, robot=robot, place="Dock", pose={"x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0})
         self.hello = self.message("the hello", lambda message: message["type"] == "hello")
 
-    def goal(self, id, action, resumed=False, keep_for_ms=600000, **parameters):
+    def goal(self, id, action, /, resumed=False, keep_for_ms=600000, **parameters):
         self.send("goal", id=str(id), action=action, parameters=parameters, keep_for_ms=keep_for_ms, resumed=resumed)
 
     def result(self, id, limit=LIMIT):
@@ -154,7 +154,7 @@ class Driver(Process):
         self.message(f"ready is {is_ready}", lambda sent: sent["type"] == "feedback" and sent["id"] == str(id)
                      and sent["values"] == {"ready": is_ready})
 
-    def do(self, id, action, **parameters):
+    def do(self, id, action, /, **parameters):
         self.goal(id, action, **parameters)
         return self.result(id)
 
@@ -407,7 +407,7 @@ def the_lab_mission(world):
     ada, arm = world.robot("--namespace", "/ada"), world.robot("--namespace", "/arm", "--x", "50")
     building = world.robot("--door", "lab-door", script="building.py")
     base = ROBOT.split("readings:")[0] + ROBOT[ROBOT.index("actions:"):]
-    base = "\n".join(line for line in base.splitlines() if not re.match(r"  (jam|say|release):", line))
+    base = "".join(line for line in base.splitlines(True) if not re.match(r"  (jam|say|release):", line))
     base = base.replace("extends: [turtlebot, nav2_moves]", "extends: [nav2]\ncharge: { topic: battery_state }\n")
     base = base.replace(", results: { note: message }", "")
     world.file("ada.yaml", base + "namespace: ada\n")

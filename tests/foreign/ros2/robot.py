@@ -9,6 +9,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.qos import QoSProfile, DurabilityPolicy
+from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -119,7 +120,11 @@ class Robot:
 
     def wait(self, goal):
         time_s = goal.request.time.sec + goal.request.time.nanosec * 1e-9
-        if self.work(goal, time_s):
+
+        def step(share):
+            left = time_s * (1 - share)
+            goal.publish_feedback(Wait.Feedback(time_left=Duration(sec=int(left), nanosec=int(left % 1 * 1e9))))
+        if self.work(goal, time_s, step):
             goal.succeed()
         return Wait.Result()
 
