@@ -414,7 +414,7 @@ def the_lab_mission(world):
     world.file("arm.yaml", base + "namespace: arm\n")
     station, listen = free_port(), {}
     fleet = ('[fleet]\nname = "lab"\nmap = "hospital"\nbootstrap_expect = 1\n'
-             '[[fleet.device]]\nname = "lab-door"\nkind = "door"\nlanes = [["Laboratory Corridor", "Laboratory"]]\n')
+             '[[fleet.device]]\nname = "lab-door"\nkind = "door"\nhost = "station"\nlanes = [["Laboratory Corridor", "Laboratory"]]\n')
     world.file("station.toml", f'name = "station"\n[bus]\nlisten = ["tcp/127.0.0.1:{station}"]\n'
                f'[[device]]\nname = "lab-door"\ndriver = ["{ROS2}", "driver", "rmf_door"]\n' + fleet)
     Process(world, [CONSORT, "station", "--config", "station.toml"])

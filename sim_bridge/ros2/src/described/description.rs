@@ -411,8 +411,11 @@ fn merged(name: &str, folder: &Path, depth: usize) -> Result<Map<String, Value>,
     }
     let own = serde_json::to_value(own).map_err(|problem| syntax(problem.to_string()))?;
     let Value::Object(mut own) = own else { return Ok(result) };
-    own.retain(|_, value| {
-        *value != Value::Bool(false) && *value != Value::from("") && *value != Value::from(Vec::<Value>::new())
+    own.retain(|_, value| match value {
+        Value::Bool(value) => *value,
+        Value::String(text) => !text.is_empty(),
+        Value::Array(items) => !items.is_empty(),
+        _ => true,
     });
     merge(&mut result, own);
     Ok(result)

@@ -167,6 +167,8 @@ struct Active {
     last_feedback: Option<Instant>,
 }
 
+type Channel<T> = (UnboundedSender<T>, UnboundedReceiver<T>);
+
 struct Driver {
     execution: Arc<Execution>,
     reports: Reports,
@@ -175,10 +177,10 @@ struct Driver {
     active: Option<Active>,
     purposes: Vec<Purpose>,
     subscriptions: Vec<Subscription>,
-    messages: (UnboundedSender<Received>, UnboundedReceiver<Received>),
-    ends: (UnboundedSender<(GoalId, End)>, UnboundedReceiver<(GoalId, End)>),
+    messages: Channel<Received>,
+    ends: Channel<(GoalId, End)>,
     /// Feedback of goals that last until their cancel.
-    feedback: (UnboundedSender<(GoalId, DriverMessage)>, UnboundedReceiver<(GoalId, DriverMessage)>),
+    feedback: Channel<(GoalId, DriverMessage)>,
     /// Goals of previous processes that are in progress.
     leftovers: BTreeMap<GoalUuid, RosAction>,
     /// Time until which the node may resume one of them; `None` once it has passed.

@@ -164,6 +164,9 @@ pub struct GraphSettings {
     pub namespace: String,
 }
 
+/// Name and hash of a type.
+type TypeId = (String, String);
+
 /// A node on the graph. Dropping it removes the node.
 pub struct Graph {
     session: zenoh::Session,
@@ -172,7 +175,7 @@ pub struct Graph {
     sequence: AtomicI64,
     entities: Arc<Mutex<BTreeMap<String, Entity>>>,
     changes: watch::Receiver<u64>,
-    types: Arc<Mutex<BTreeMap<(String, String), Arc<TypeRegistry>>>>,
+    types: Mutex<BTreeMap<TypeId, Arc<TypeRegistry>>>,
     known: TypeRegistry,
     /// Token of the own node.
     node: Mutex<Option<LivelinessToken>>,
@@ -239,7 +242,7 @@ impl Graph {
             sequence: AtomicI64::new(1),
             entities,
             changes,
-            types: Arc::default(),
+            types: Mutex::default(),
             known: types,
             node: Mutex::default(),
             publishers: Mutex::default(),
