@@ -9,6 +9,7 @@ use crate::dynamic::action::{ActionEnd, RosAction, goal_uuid};
 use crate::dynamic::graph::{CallError, EndpointKind, Graph};
 use crate::dynamic::types::TypeRegistry;
 use crate::goals::{GoalUuid, Status};
+use crate::mapping::seconds_now;
 use consort_driver::{DriverMessage, ResultStatus};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
@@ -49,8 +50,8 @@ pub struct RobotGoal {
     pub resumed: bool,
     /// Attempt in the id of the goal that it resumes.
     pub attempt: u8,
-    /// The time for stamps, as seconds and nanoseconds.
-    pub now: (i64, u32),
+    /// The time of `/clock`, as seconds and nanoseconds.
+    pub clock: watch::Receiver<Option<(i64, u32)>>,
     /// Goals of previous processes that must end before it starts.
     pub leftovers: Vec<(RosAction, GoalUuid)>,
     /// Receives the feedback of a goal that lasts until its cancel.
@@ -88,6 +89,9 @@ impl Execution {
         }
         if let Err(problem) = self.activate().await {
             return End::aborted("failed", problem);
+        }
+        if !self.has_time(&goal).await {
+            return End::aborted("failed", "use_sim_time: there is no time on /clock");
         }
         if *stop.borrow() {
             return End::canceled();
@@ -160,8 +164,18 @@ impl Execution {
             tables: &self.description.tables,
             robot: &self.robot,
             frame: self.description.frame(),
-            now: goal.now,
+            now: match self.description.use_sim_time {
+                true => goal.clock.borrow().unwrap_or_default(),
+                false => seconds_now(),
+            },
         }
+    }
+
+    /// Waits for the time of stamps. Returns false if it is unknown.
+    async fn has_time(&self, goal: &RobotGoal) -> bool {
+        let mut clock = goal.clock.clone();
+        !self.description.use_sim_time
+            || timeout(SERVER_TIMEOUT, clock.wait_for(Option::is_some)).await.is_ok_and(|time| time.is_ok())
     }
 
     fn end(&self, mapping: &ActionMapping, end: ActionEnd) -> End {

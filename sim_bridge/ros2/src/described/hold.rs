@@ -143,11 +143,7 @@ impl Execution {
 
     /// Publishes a template of a goal with the time of this moment.
     async fn publish_filled(&self, topic: &str, template: &Value, goal: &RobotGoal) -> Result<(), End> {
-        let mut scope = self.scope(goal);
-        if !self.description.use_sim_time {
-            scope.now = seconds_now();
-        }
-        self.publish_template(topic, &goal.mapping.type_name, template, &scope).await
+        self.publish_template(topic, &goal.mapping.type_name, template, &self.scope(goal)).await
     }
 
     async fn publish_template(

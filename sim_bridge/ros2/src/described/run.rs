@@ -10,7 +10,6 @@ use crate::dynamic::action::{RosAction, goal_of_uuid, goals_in_progress, uuid_of
 use crate::dynamic::graph::{Graph, Received, Subscription};
 use crate::dynamic::types::TypeRegistry;
 use crate::goals::GoalUuid;
-use crate::mapping::seconds_now;
 use crate::ros::RosError;
 use consort_driver::{DriverMessage, NodeMessage, OfferedAction, PROTOCOL_VERSION};
 use consort_skills::actions::{GoalId, JsonObject};
@@ -185,7 +184,8 @@ struct Driver {
     leftovers: BTreeMap<GoalUuid, RosAction>,
     /// Time until which the node may resume one of them; `None` once it has passed.
     resume_until: Option<Instant>,
-    clock: Option<(i64, u32)>,
+    /// The time of `/clock`.
+    clock: watch::Sender<Option<(i64, u32)>>,
     unreadable: Vec<usize>,
 }
 
@@ -206,7 +206,7 @@ impl Driver {
             feedback: unbounded_channel(),
             leftovers: BTreeMap::new(),
             resume_until: Some(Instant::now() + RESUME_WITHIN),
-            clock: None,
+            clock: watch::Sender::new(None),
             unreadable: vec![],
         })
     }
@@ -361,21 +361,14 @@ impl Driver {
         let attempt = resumable.filter(|(number, _)| *number == id.0).map(|(_, attempt)| attempt).max().unwrap_or(0);
         self.leftovers.retain(|uuid, _| goal_of_uuid(uuid, robot).is_none_or(|(number, _)| number != id.0));
         let leftovers = std::mem::take(&mut self.leftovers).into_iter().map(|(id, action)| (action, id)).collect();
-        let (feedback, now) = (self.feedback.0.clone(), self.now());
-        let goal = RobotGoal { id, mapping: mapping.clone(), parameters, resumed, attempt, now, leftovers, feedback };
+        let (feedback, clock) = (self.feedback.0.clone(), self.clock.subscribe());
+        let goal = RobotGoal { id, mapping: mapping.clone(), parameters, resumed, attempt, clock, leftovers, feedback };
         let (ends, execution) = (self.ends.0.clone(), Arc::clone(&self.execution));
         tokio::spawn(async move {
             let end = execution.run(goal, stopped).await;
             let _ = ends.send((id, end));
         });
         self.active = Some(Active { id, mapping, action: action.to_owned(), stop, last_feedback: None });
-    }
-
-    fn now(&self) -> (i64, u32) {
-        match self.execution.description.use_sim_time {
-            true => self.clock.unwrap_or_default(),
-            false => seconds_now(),
-        }
     }
 
     async fn ended(&mut self, id: GoalId, end: End) -> Result<(), std::io::Error> {
@@ -428,7 +421,7 @@ impl Driver {
             Purpose::Clock => {
                 let clock = &message["clock"];
                 let nanosec = clock["nanosec"].as_u64().and_then(|nanosec| u32::try_from(nanosec).ok());
-                self.clock = clock["sec"].as_i64().zip(nanosec);
+                self.clock.send_replace(clock["sec"].as_i64().zip(nanosec));
             }
             Purpose::Status(action) => self.handle_status(&action, &message),
             Purpose::Feedback(action) => {
