@@ -103,8 +103,9 @@ async fn read_ranges(bus: &SharedBus, world: &str, robot: &RobotId) -> Option<Ve
     let mut replies = bus.query(world, Bytes::from(robot.to_string()), SCAN_TIMEOUT).await.ok()?;
     let mut found: Option<Vec<RangeReading>> = None;
     while let Some(reply) = replies.recv().await {
+        let Ok(payload) = reply.payload else { continue };
         // A world of an earlier version replies with its report, which is no list.
-        let ranges: Vec<RangeReading> = reply.payload.ok().and_then(|payload| serde_json::from_slice(&payload).ok())?;
+        let ranges: Vec<RangeReading> = serde_json::from_slice(&payload).unwrap_or_default();
         found.get_or_insert_default().extend(ranges);
     }
     found
