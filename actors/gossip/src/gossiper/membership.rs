@@ -111,6 +111,8 @@ impl Membership {
     /// Queries a node that is alive for all this node knows, and suspects it if it does not answer.
     fn query(&mut self, node: NodeId, context: &mut Context<'_>) -> Result<(), GossipError> {
         if context.state.is_alive(&node) && !self.queried.contains_key(&node) {
+            // The helpers of an earlier query may lie. This query has none.
+            self.swim.forget_helpers(&node);
             self.expect_answer(node.clone(), context.core.settings.token_probe_timeout(), context);
             self.announce_to(&node, context)?;
         }

@@ -288,6 +288,11 @@ impl Swim {
         std::iter::once(direct).chain(helpers.iter().map(through)).collect()
     }
 
+    /// Accepts no more answers of a node through the members that were asked to [query](Self::ask) it.
+    pub(super) fn forget_helpers(&mut self, node: &NodeId) {
+        self.helpers.remove(node);
+    }
+
     /// Handles the arrival of a node's record with this incarnation: what others have said about the node may
     /// be confirmed now.
     pub(super) fn confirm(&mut self, node: &NodeId, incarnation: u64) -> Result<Vec<SwimAction>, SwimError> {
@@ -583,5 +588,21 @@ mod tests {
             assert_eq!(confidants.len(), expected);
             assert!(!confidants.contains(&id(7).node));
         }
+    }
+
+    #[test]
+    fn a_helper_answers_for_a_node_only_during_the_query() {
+        let own = id(0).node;
+        let settings = Settings::new(FleetId::new("ward").unwrap(), own.clone(), 1);
+        let mut swim = Swim::new(own, 1, settings.swim(), usize::MAX, ChaCha8Rng::seed_from_u64(1));
+        let members = (1..=4).map(|number| Member::new(id(number), 0, State::Alive));
+        swim.act(|foca, runtime| foca.apply_many(members, true, runtime)).unwrap();
+        swim.ask(&id(4).node).unwrap();
+        let message = Message::ForwardedAck { origin: id(4), probe_number: QUERY_PROBE };
+        let header = Header { src: id(1), src_incarnation: 0, dst: swim.foca.identity().clone(), message };
+        let answer = with_version(encode(&header, &[]).unwrap());
+        assert_eq!(swim.receive(&answer, |_| false, |_| None).unwrap().0, id(4).node);
+        swim.forget_helpers(&id(4).node);
+        assert_eq!(swim.receive(&answer, |_| false, |_| None).unwrap().0, id(1).node);
     }
 }
