@@ -26,7 +26,7 @@ const INSIDE_Y_M: f64 = 29.3;
 const DEVICE: &str = "gate";
 /// Station that runs the driver of the device.
 const HOST: &str = "basil";
-/// Robot whose key is stolen.
+/// Robot with a stolen key.
 const FORGER: &str = "lab-arm";
 /// Time in which the device opens, in seconds of node time.
 const OPENING_S: f64 = 3.0;

@@ -210,7 +210,7 @@ mod tests {
     async fn a_mailbox_ends_after_its_last_item() {
         let (sender, mut receiver) = mailbox();
         (0..8).for_each(|_| assert!(sender.send(sized("small", 0, MESSAGE_MAX / 2))));
-        // Displaces two, whose arrivals the receiver skips.
+        // The large item displaces two small ones, and the receiver skips them.
         assert!(sender.send(sized("large", 0, MESSAGE_MAX)));
         drop(sender);
         let mut received = 0;

@@ -56,7 +56,7 @@ struct RolePart {
     progress: PlanProgress,
     current: Option<StepIndex>,
     outcomes: TaskOutcomes,
-    /// For each step, the tasks whose outcomes its own task reads.
+    /// By step, the other tasks with outcomes that the task of the step reads.
     used: BTreeMap<StepIndex, BTreeSet<TaskId>>,
 }
 

@@ -87,7 +87,7 @@ impl BatterySwaps {
     }
 }
 
-/// Returns the robots in contact whose batteries are swapped, and whose charge is low.
+/// Returns the robots in contact that have a low charge and batteries to swap.
 fn low_robots(context: &SessionContext, charging: &ChargingSettings) -> BTreeSet<RobotId> {
     let knowledge = &context.settings.parts.knowledge;
     let low = knowledge.read(|base| known_as_low(base, charging));

@@ -202,7 +202,7 @@ impl ChangeFeed {
     }
 }
 
-/// Returns the roles whose orders have changed.
+/// Returns the roles with changed orders.
 fn changed_orders(
     former: Option<&BTreeMap<RoleId, RoleOrder>>,
     orders: &BTreeMap<RoleId, RoleOrder>,

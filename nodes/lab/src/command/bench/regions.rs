@@ -285,7 +285,7 @@ async fn reply_to_all(mut service: Stream<Query>) {
 #[derive(Clone)]
 struct Site {
     gateway: ZenohBus,
-    /// At least one.
+    /// Sessions of the other nodes of the site; never empty.
     members: Vec<ZenohBus>,
 }
 
