@@ -147,8 +147,9 @@ impl<'a> Driver<'a> {
         let number = |id: &str| id.parse::<u64>();
         match line {
             NodeLine::Heartbeat { sequence } => self.output.send("heartbeat", json!({ "sequence": sequence })),
-            NodeLine::Goal { id, action, parameters, keep_for_ms, resumed } => {
-                return self.read_goal(&id, action, &parameters, (permission(keep_for_ms), resumed));
+            NodeLine::Goal { id, action, parameters, keep_for_ms, resumed, since } => {
+                let since = since.or_else(|| resumed.then(|| id.clone())).and_then(|since| number(&since).ok());
+                return self.read_goal(&id, action, &parameters, (permission(keep_for_ms), since));
             }
             NodeLine::Keep { id, keep_for_ms } => {
                 if let Ok(id) = number(&id) {
@@ -170,7 +171,7 @@ impl<'a> Driver<'a> {
         id: &str,
         action: String,
         parameters: &Map<String, Value>,
-        (keep_for, is_resumed): (Duration, bool),
+        (keep_for, since): (Duration, Option<u64>),
     ) -> Received {
         let reject = |GoalError { code, message }: GoalError| {
             let result = json!({ "id": id, "status": "aborted", "code": code, "message": message });
@@ -184,7 +185,7 @@ impl<'a> Driver<'a> {
         match self.settings.catalog.work(&action, parameters) {
             Ok((fingerprint, work)) => {
                 self.actions.insert(number, action);
-                Received::Event(Box::new(Event::Goal { id: number, fingerprint, work, keep_for, is_resumed }))
+                Received::Event(Box::new(Event::Goal { id: number, fingerprint, work, keep_for, since }))
             }
             Err(problem) => reject(problem),
         }

@@ -25,6 +25,9 @@ pub(crate) enum NodeLine {
         /// True if an earlier process of the driver ended during the goal.
         #[serde(default)]
         resumed: bool,
+        /// First goal with which an earlier process of the node may have begun this goal.
+        #[serde(default)]
+        since: Option<String>,
     },
     Keep {
         id: String,
@@ -125,6 +128,9 @@ mod tests {
         let read = |text: &str| parse(text.as_bytes());
         let goal = r#"{"type":"goal","id":"7","action":"dock","keep_for_ms":900,"resumed":true,"later":1}"#;
         assert!(matches!(read(goal), Some(Input::Line(NodeLine::Goal { keep_for_ms: 900, resumed: true, .. }))));
+        let goal = r#"{"type":"goal","id":"7","action":"dock","keep_for_ms":900,"since":"5"}"#;
+        let since = |since: &Option<String>| since.as_deref() == Some("5");
+        assert!(matches!(read(goal), Some(Input::Line(NodeLine::Goal { since: first, .. })) if since(&first)));
         assert!(matches!(read(r#"{"type":"sing"}"#), Some(Input::Line(NodeLine::Unknown))));
         assert!(matches!(read("{"), Some(Input::Wrong(_))));
         assert!(matches!(parse(b"\xff\xfe\n"), Some(Input::Wrong(_))));

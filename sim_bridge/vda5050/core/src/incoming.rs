@@ -120,6 +120,11 @@ impl VehicleState {
         self.actions.iter().chain(&self.instant_actions).find(|action| action.id == id)
     }
 
+    /// Returns the ids of the reported actions.
+    pub(crate) fn action_ids(&self) -> impl Iterator<Item = &str> {
+        self.actions.iter().chain(&self.instant_actions).map(|action| action.id.as_str())
+    }
+
     /// Checks whether the latest order has ended: nothing is left to drive, and all its actions have ended.
     /// An instant action of version 3.0 may go on.
     pub fn is_idle(&self) -> bool {

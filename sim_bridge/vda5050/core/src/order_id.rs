@@ -11,7 +11,8 @@ use std::str::FromStr;
 ///
 /// A goal keeps its id when the coordinator or the adapter is replaced. It contains the incarnation of the
 /// node and a number, and not the mission, role and epoch of the award: a restarted node asks for the same
-/// action with another id. An order that has ended then counts as another request.
+/// action with another id. The node then states the first goal of its task, and an order for the same work
+/// since that goal counts as the order of the new goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct OrderId {
     /// The goal of the node.
@@ -31,6 +32,14 @@ impl OrderId {
     /// repeats no action.
     pub fn action(&self, index: usize) -> String {
         format!("{self}-a{index}")
+    }
+
+    /// Returns the order of an action, from the id of the action.
+    ///
+    /// # Errors
+    /// The text is no id of an action of Consort.
+    pub(crate) fn of_action(action: &str) -> Result<OrderId, OrderIdError> {
+        action.strip_suffix("-a0").ok_or(OrderIdError)?.parse()
     }
 }
 
@@ -75,6 +84,8 @@ mod tests {
         let id = OrderId { goal: 1 << 60, work: fingerprint("vacuum"), attempt: 2 };
         assert_eq!(id.to_string().parse(), Ok(id));
         assert_eq!(id.action(0), format!("{id}-a0"));
+        assert_eq!(OrderId::of_action(&id.action(0)), Ok(id));
+        assert_eq!(OrderId::of_action(&id.to_string()), Err(OrderIdError));
         for foreign in ["", "order-7", "consort-7-1", "consort-7-0000000G-0", "consort-07-00000001-0"] {
             assert_eq!(foreign.parse::<OrderId>(), Err(OrderIdError), "{foreign}");
         }

@@ -263,7 +263,7 @@ fn both_sides_understand_each_other_in_every_version() {
                 let id = u64::from(time);
                 goal = Some(id);
                 let keep_for = Duration::from_secs(100);
-                let event = Event::Goal { id, fingerprint: 1, work, keep_for, is_resumed: false };
+                let event = Event::Goal { id, fingerprint: 1, work, keep_for, since: None };
                 inbox.extend(control.step(event, now));
             }
             let mut commands = vec![];

@@ -13,11 +13,15 @@
 //! - An unfinished order of an earlier process is continued if it is for the same goal, or for an
 //!   earlier goal with the same work: the node restarted. Any other unfinished order of Consort is
 //!   cancelled. Orders of other masters are not touched.
+//! - An action that an earlier process may have begun, and that the vehicle reports, is not ordered
+//!   again: its end is the result of the goal. If the vehicle does not report it, the goal fails, unless
+//!   the latest order of the vehicle shows that the action was not begun.
 //! - A vehicle that restarts loses its order. A drive is ordered again from where the vehicle is; an
-//!   action is not, since it may have happened. The same holds for the action of a resumed goal that
-//!   the vehicle does not report.
+//!   action is not, since it may have happened.
 
+mod earlier;
 mod execution;
+mod goal;
 #[cfg(test)]
 mod tests;
 mod values;
@@ -27,7 +31,9 @@ use crate::cause::{Cause, ErrorLevel, VehicleError};
 use crate::incoming::VehicleState;
 use crate::order_id::OrderId;
 use crate::outgoing::{BlockingType, VehicleAction};
+use earlier::EarlierProcesses;
 use execution::{ActionRun, DriveStart, OrderRun, Verdict};
+use goal::{ActiveGoal, Phase, Stop};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::mem;
@@ -55,38 +61,10 @@ pub struct OrderMachine {
     /// The latest ended goal: a repeated goal repeats its result.
     ended: Option<(u64, GoalStatus)>,
     stray: Option<Stray>,
+    earlier: EarlierProcesses,
     instants_sent: u64,
     cleared_at: Option<Duration>,
     is_shut_down: bool,
-}
-
-#[derive(Debug)]
-struct ActiveGoal {
-    id: u64,
-    fingerprint: u32,
-    work: Work,
-    is_resumed: bool,
-    /// End of the permission.
-    until: Duration,
-    waiting_since: Duration,
-    attempt: u32,
-    phase: Phase,
-    stop: Option<Stop>,
-    feedback_at: Duration,
-}
-
-#[derive(Debug)]
-enum Phase {
-    Waiting,
-    Order(OrderRun),
-    Action(ActionRun),
-}
-
-/// The vehicle has to stop: the goal was cancelled, or has failed.
-#[derive(Debug, Default)]
-struct Stop {
-    failure: Option<Cause>,
-    sent_at: Option<Duration>,
 }
 
 /// An unfinished order of an earlier process that no goal continues.
@@ -95,22 +73,6 @@ struct Stray {
     order: OrderId,
     since: Duration,
     sent_at: Option<Duration>,
-}
-
-impl ActiveGoal {
-    fn order_id(&self) -> OrderId {
-        OrderId { goal: self.id, work: self.fingerprint, attempt: self.attempt }
-    }
-
-    fn stop(&mut self, failure: Option<Cause>) {
-        self.stop.get_or_insert(Stop { failure, sent_at: None });
-    }
-
-    /// Returns the end of the goal after the vehicle has stopped.
-    fn stopped(&mut self) -> Option<GoalStatus> {
-        let stop = self.stop.as_mut()?;
-        Some(stop.failure.take().map_or(GoalStatus::Canceled, GoalStatus::Aborted))
-    }
 }
 
 /// Returns why the operating mode prevents orders.
@@ -132,6 +94,7 @@ impl OrderMachine {
             goal: None,
             ended: None,
             stray: None,
+            earlier: EarlierProcesses::default(),
             instants_sent: 0,
             cleared_at: None,
             is_shut_down: false,
@@ -161,12 +124,13 @@ impl OrderMachine {
     pub fn step(&mut self, event: Event, now: Duration) -> Vec<Command> {
         let mut commands = vec![];
         match event {
-            Event::Goal { id, fingerprint, work, keep_for, is_resumed } => {
+            Event::Goal { id, fingerprint, work, keep_for, since } => {
+                let earlier = self.earlier.goals(id, fingerprint, since);
                 commands.extend(self.accept(ActiveGoal {
                     id,
                     fingerprint,
                     work,
-                    is_resumed,
+                    earlier,
                     until: now + keep_for,
                     waiting_since: now,
                     attempt: 0,
@@ -324,6 +288,9 @@ impl OrderMachine {
             return goal.stopped();
         }
         if goal.stop.is_none() && self.adopt(goal, &state) {
+            if goal.earlier.is_some() {
+                self.earlier.take_over(goal.fingerprint);
+            }
             return None;
         }
         if goal.stop.is_some() || !state.is_idle() || state.is_stopped {
@@ -347,15 +314,22 @@ impl OrderMachine {
         if let Some(error) = state.errors.iter().find(prevents) {
             return Some(GoalStatus::Aborted(self.settings.causes.cause(error)));
         }
-        if goal.is_resumed && goal.attempt == 0 && matches!(goal.work, Work::Act { .. }) {
+        if let Some(earlier) = &goal.earlier
+            && goal.attempt == 0
+            && matches!(goal.work, Work::Act { .. })
+        {
             // The earlier process may have sent the action just before its end, or the vehicle has
             // restarted since.
             if now.saturating_sub(goal.waiting_since) < self.settings.retry_after {
                 self.request_state(now, commands);
                 return None;
             }
-            let text = "the vehicle no longer reports the action of the earlier process, which is not repeated";
-            return aborted("failed", text.to_owned());
+            if !self.earlier.was_not_begun(goal.fingerprint, earlier, &state) {
+                let text = "an earlier process may have begun the action, which the vehicle does not report; it is \
+                            not repeated";
+                return aborted("failed", text.to_owned());
+            }
+            self.earlier.take_over(goal.fingerprint);
         }
         self.start(goal, &state, now, commands)
     }
@@ -363,13 +337,14 @@ impl OrderMachine {
     /// Continues what an earlier process began for this goal. Returns false if there is nothing.
     fn adopt(&mut self, goal: &mut ActiveGoal, state: &VehicleState) -> bool {
         if let Work::Act { is_instant: true, .. } = goal.work {
-            let run = ActionRun::adopt(goal.order_id().action(0), state);
+            let is_same = |id: &&str| OrderId::of_action(id).is_ok_and(|order| goal.includes(order));
+            let run = state.action_ids().find(is_same).and_then(|id| ActionRun::adopt(id.to_owned(), state));
             let is_known = run.is_some();
             goal.phase = run.map_or(Phase::Waiting, Phase::Action);
             return is_known;
         }
         let Ok(order) = state.order.parse::<OrderId>() else { return false };
-        let is_same = order.goal == goal.id && order.work == goal.fingerprint;
+        let is_same = goal.includes(order);
         let is_cancelled = self.stray.as_ref().is_some_and(|stray| stray.sent_at.is_some());
         // The limit of the speed of an earlier goal is unknown.
         let is_limited = matches!(goal.work, Work::Drive { speed_max_mps: Some(_), .. });
@@ -431,6 +406,7 @@ impl OrderMachine {
         if target.is_some() && stops.len() == 1 && !state.is_driving {
             return Some(GoalStatus::Succeeded(String::new()));
         }
+        self.earlier.keep_state(state);
         let run = OrderRun::new(id, stops, action, speed_max_mps, self.settings.release_ahead, state, now);
         commands.push(Command::SendOrder(run.message(&self.settings.map)));
         goal.phase = Phase::Order(run);

@@ -170,18 +170,53 @@ fn pick(is_instant: bool) -> Work {
 
 fn goal(id: u64, work: Work) -> Event {
     let fingerprint = fingerprint(&format!("{work:?}"));
-    Event::Goal { id, fingerprint, work, keep_for: seconds(1_000), is_resumed: false }
+    Event::Goal { id, fingerprint, work, keep_for: seconds(1_000), since: None }
 }
 
 /// Returns a goal that an earlier process has not ended.
 fn resumed(id: u64, work: Work) -> Event {
+    begun_since(id, id, work)
+}
+
+/// Returns a goal that an earlier process may have begun since a goal.
+fn begun_since(first: u64, id: u64, work: Work) -> Event {
     match goal(id, work) {
         Event::Goal { id, fingerprint, work, keep_for, .. } => {
-            Event::Goal { id, fingerprint, work, keep_for, is_resumed: true }
+            Event::Goal { id, fingerprint, work, keep_for, since: Some(first) }
         }
         other => other,
     }
 }
+
+/// Returns the vehicle after goals of an earlier process, which have ended.
+fn after_goals(goals: &[(u64, Work)]) -> FakeVehicle {
+    let (mut killed, mut vehicle) = (machine(3), FakeVehicle::at("a"));
+    exchange(&mut killed, &mut vehicle, 1);
+    for (time, (id, work)) in (2..).step_by(4).zip(goals) {
+        let sent = killed.step(goal(*id, work.clone()), seconds(time));
+        sent.iter().for_each(|command| vehicle.receive(command));
+        (0..3).for_each(|_| vehicle.step());
+        vehicle.finish_actions();
+        let ended = [1, 2].map(|later| exchange(&mut killed, &mut vehicle, time + later)).concat();
+        assert!(matches!(result(&ended), Some(GoalStatus::Succeeded(_))), "goal {id}: {ended:?}");
+    }
+    vehicle
+}
+
+/// Number of actions that the vehicle has begun for goals.
+fn acted(vehicle: &FakeVehicle) -> usize {
+    vehicle.executed.iter().filter(|action| action.starts_with("consort-") || *action == "pick").count()
+}
+
+/// Steps a machine with an event, and passes its commands to the vehicle.
+fn send(machine: &mut OrderMachine, vehicle: &mut FakeVehicle, event: Event, time: u64) -> Vec<Command> {
+    let commands = machine.step(event, seconds(time));
+    commands.iter().for_each(|command| vehicle.receive(command));
+    commands
+}
+
+/// Id of the first goal of the node's next process.
+const NEXT: u64 = 1 << 20;
 
 fn orders(commands: &[Command]) -> Vec<Order> {
     let order = |command: &Command| match command {
@@ -331,6 +366,83 @@ fn a_resumed_action_that_the_vehicle_has_lost_is_not_repeated() {
 }
 
 #[test]
+fn an_action_that_ended_while_no_node_ran_is_not_repeated() {
+    for is_instant in [false, true] {
+        let (mut next, mut vehicle) = (machine(1), after_goals(&[(7, pick(is_instant))]));
+        send(&mut next, &mut vehicle, begun_since(7, NEXT, pick(is_instant)), 1);
+        let commands = [2, 3].map(|time| exchange(&mut next, &mut vehicle, time)).concat();
+        assert!(matches!(result(&commands), Some(GoalStatus::Succeeded(_))), "{commands:?}");
+        assert_eq!(acted(&vehicle), 1, "{vehicle:?}");
+    }
+}
+
+#[test]
+fn the_failure_of_an_action_that_ended_while_no_node_ran_is_reported_once() {
+    for is_instant in [false, true] {
+        let (mut next, mut vehicle) = (machine(1), after_goals(&[(7, pick(is_instant))]));
+        vehicle.actions.iter_mut().for_each(|action| action.status = ActionStatus::Failed);
+        send(&mut next, &mut vehicle, begun_since(7, NEXT, pick(is_instant)), 1);
+        let commands = [2, 3].map(|time| exchange(&mut next, &mut vehicle, time)).concat();
+        assert!(matches!(result(&commands), Some(GoalStatus::Aborted(_))), "{commands:?}");
+        assert_eq!(acted(&vehicle), 1, "{vehicle:?}");
+        // The node has the result, and decides to try again.
+        send(&mut next, &mut vehicle, begun_since(7, NEXT + 1, pick(is_instant)), 4);
+        assert_eq!(acted(&vehicle), 2, "{vehicle:?}");
+    }
+}
+
+#[test]
+fn the_same_action_of_the_next_task_is_executed() {
+    for is_instant in [false, true] {
+        let (mut next, mut vehicle) = (machine(1), after_goals(&[(6, drive("b")), (7, pick(is_instant))]));
+        // The node has recorded the end of the task.
+        send(&mut next, &mut vehicle, goal(NEXT, pick(is_instant)), 1);
+        exchange(&mut next, &mut vehicle, 2);
+        assert_eq!(acted(&vehicle), 2, "{vehicle:?}");
+    }
+    // The task had not begun when the node ended: the latest order is older, or is the drive before the action.
+    for first in [8, 9] {
+        let earlier = [(6, drive("b")), (7, pick(false)), (8, drive("c"))];
+        for is_instant in [false, true] {
+            let (mut next, mut vehicle) = (machine(1), after_goals(&earlier));
+            send(&mut next, &mut vehicle, begun_since(first, NEXT, pick(is_instant)), 1);
+            let early = exchange(&mut next, &mut vehicle, 2);
+            assert_eq!((result(&early), acted(&vehicle)), (None, 1), "the state may be older than the action");
+            exchange(&mut next, &mut vehicle, 3);
+            assert_eq!(acted(&vehicle), 2, "{vehicle:?}");
+        }
+    }
+}
+
+#[test]
+fn an_action_that_may_have_happened_is_not_repeated() {
+    let refused = |next: &mut OrderMachine, vehicle: &mut FakeVehicle, id: u64, is_instant: bool, time: u64| {
+        let before = acted(vehicle);
+        let first = send(next, vehicle, begun_since(7, id, pick(is_instant)), time);
+        let commands = [first, exchange(next, vehicle, time + 1), exchange(next, vehicle, time + 2)].concat();
+        let Some(GoalStatus::Aborted(cause)) = result(&commands) else { panic!("{commands:?}") };
+        assert!(cause.message.contains("not repeated"), "{cause:?}");
+        assert_eq!(acted(vehicle), before, "{vehicle:?}");
+    };
+    for is_instant in [false, true] {
+        // The next order has displaced the report of the action.
+        let goals = [(6, drive("b")), (7, pick(is_instant)), (8, drive("c"))];
+        let (mut next, mut vehicle) = (machine(1), after_goals(&goals));
+        refused(&mut next, &mut vehicle, NEXT, is_instant, 1);
+        refused(&mut next, &mut vehicle, NEXT + 1, is_instant, 5);
+        // An order of this process has displaced it.
+        let (mut next, mut vehicle) = (machine(3), after_goals(&goals[..2]));
+        exchange(&mut next, &mut vehicle, 1);
+        send(&mut next, &mut vehicle, goal(NEXT, drive("c")), 2);
+        (0..3).for_each(|_| vehicle.step());
+        assert!(result(&exchange(&mut next, &mut vehicle, 3)).is_some());
+        refused(&mut next, &mut vehicle, NEXT + 1, is_instant, 4);
+        // The vehicle has restarted.
+        refused(&mut machine(1), &mut FakeVehicle::at("a"), NEXT, is_instant, 1);
+    }
+}
+
+#[test]
 fn a_goal_after_the_shutdown_is_not_begun() {
     let (mut machine, mut vehicle) = (machine(1), FakeVehicle::at("a"));
     exchange(&mut machine, &mut vehicle, 1);
@@ -423,7 +535,7 @@ fn a_goal_is_canceled_when_the_vehicle_has_stopped() {
     let under_way = |keep_for: Duration| {
         let (mut machine, mut vehicle) = (machine(3), FakeVehicle::at("a"));
         exchange(&mut machine, &mut vehicle, 1);
-        let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for, is_resumed: false };
+        let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for, since: None };
         let sent = machine.step(event, seconds(2));
         vehicle.receive(&sent[0]);
         exchange(&mut machine, &mut vehicle, 3);
@@ -444,7 +556,7 @@ fn a_goal_is_canceled_when_the_vehicle_has_stopped() {
     // A goal without permission is not sent.
     let (mut machine, mut vehicle) = (self::machine(3), FakeVehicle::at("a"));
     exchange(&mut machine, &mut vehicle, 1);
-    let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for: Duration::ZERO, is_resumed: false };
+    let event = Event::Goal { id: 7, fingerprint: 1, work: drive("d"), keep_for: Duration::ZERO, since: None };
     let commands = machine.step(event, seconds(2));
     assert_eq!((orders(&commands), result(&commands)), (vec![], Some(GoalStatus::Canceled)));
 }

@@ -55,8 +55,9 @@ pub enum Event {
         work: Work,
         /// Time for which the vehicle may act.
         keep_for: Duration,
-        /// True if an earlier process ended during the goal, so its action may have happened.
-        is_resumed: bool,
+        /// First goal with which an earlier process may have begun the work, so its action may have happened:
+        /// the goal itself after a restart of this program, an earlier goal after a restart of the node.
+        since: Option<u64>,
     },
     /// A renewed permission.
     Keep {
