@@ -51,6 +51,12 @@ pub enum NodeMessage {
         /// continues it, starts it again, or ends it as `aborted`.
         #[serde(default)]
         resumed: bool,
+        /// Id of the first goal of the task, if an earlier process of the node may have begun this goal with
+        /// another id; only for actions that are not `repeatable`. If the driver finds the same work begun since
+        /// then, the end of that work is the result.
+        #[serde(default, skip_serializing_if = "Option::is_none", with = "optional_goal_id")]
+        #[schemars(with = "Option<String>")]
+        since: Option<GoalId>,
     },
     /// Renew the permission of a goal. The new time replaces the former time.
     Keep {
@@ -225,6 +231,23 @@ mod goal_id {
     }
 }
 
+mod optional_goal_id {
+    use super::goal_id;
+    use consort_skills::actions::GoalId;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[derive(Serialize, Deserialize)]
+    struct Id(#[serde(with = "goal_id")] GoalId);
+
+    pub(super) fn serialize<S: Serializer>(id: &Option<GoalId>, serializer: S) -> Result<S::Ok, S::Error> {
+        id.map(Id).serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<GoalId>, D::Error> {
+        Ok(Option::<Id>::deserialize(deserializer)?.map(|Id(id)| id))
+    }
+}
+
 impl NodeMessage {
     /// Returns the line of the message, with its end.
     pub fn to_line(&self) -> String {
@@ -275,9 +298,14 @@ mod tests {
             parameters: JsonObject::from_iter([("passes".to_owned(), json!(2))]),
             keep_for_ms: 900,
             resumed: false,
+            since: None,
         };
         let line = r#"{"type":"goal","id":"1152921504606846976","action":"vacuum","parameters":{"passes":2},"keep_for_ms":900,"resumed":false}"#;
         assert_eq!(goal.to_line(), format!("{line}\n"));
+        let line = line.replace("false}", r#"false,"since":"7"}"#);
+        let again = serde_json::from_str::<NodeMessage>(&line).unwrap();
+        assert!(matches!(again, NodeMessage::Goal { since: Some(GoalId(7)), .. }), "{again:?}");
+        assert_eq!(again.to_line(), format!("{line}\n"));
         assert_eq!(NodeMessage::Shutdown {}.to_line(), "{\"type\":\"shutdown\"}\n");
         assert_eq!(
             DriverMessage::parse(

@@ -200,6 +200,7 @@ mod tests {
             parameters: serde_json::Map::new(),
             repeatable: true,
             hands_over: Some(false),
+            since: None,
         };
         let id = GoalId(5);
         let is_ready = |door: &SimulatedDevice| match door.status(&name, id) {

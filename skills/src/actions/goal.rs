@@ -33,6 +33,10 @@ pub struct Goal {
     /// True if the goal may move items; `None` if the declaration of the action does not state it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hands_over: Option<bool>,
+    /// First goal of the task, if an earlier process of the robot's node may have begun this goal with another
+    /// id; only for goals that are not repeatable. A driver with a memory takes the result of that goal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub since: Option<GoalId>,
 }
 
 /// The parameters of an action, for programs that know the action: skills, simulators and adapters.
@@ -53,7 +57,7 @@ impl<P: ActionParameters> From<P> for Goal {
         };
         // A parameter without a value is left out, as in a behavior tree.
         let parameters = parameters.into_iter().filter(|(_, value)| !value.is_null()).collect();
-        Goal { action, parameters, repeatable: P::REPEATABLE, hands_over: None }
+        Goal { action, parameters, repeatable: P::REPEATABLE, hands_over: None, since: None }
     }
 }
 
@@ -246,6 +250,7 @@ mod tests {
             parameters: JsonObject::from_iter([("litres".to_owned(), json!(0.5))]),
             repeatable: true,
             hands_over: Some(false),
+            since: Some(GoalId(7)),
         };
         let navigate = |place| Goal::from(NavigateToPose::to(pose, place));
         vec![
@@ -264,7 +269,10 @@ mod tests {
             (Undock {}.into(), json!({ "action": "undock", "parameters": {}, "repeatable": true })),
             (
                 water,
-                json!({ "action": "water", "parameters": { "litres": 0.5 }, "repeatable": true, "hands_over": false }),
+                json!({
+                    "action": "water", "parameters": { "litres": 0.5 }, "repeatable": true, "hands_over": false,
+                    "since": 7,
+                }),
             ),
         ]
     }

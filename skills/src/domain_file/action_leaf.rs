@@ -27,7 +27,13 @@ pub(super) fn register(
         let (action, own) = (action.clone(), Arc::clone(&form));
         let goal = GoalLeaf::new(move |leaf| {
             let parameters = parameters(&own, leaf)?;
-            Ok(Goal { action: action.clone(), parameters, repeatable: own.repeatable, hands_over: own.hands_over })
+            Ok(Goal {
+                action: action.clone(),
+                parameters,
+                repeatable: own.repeatable,
+                hands_over: own.hands_over,
+                since: None,
+            })
         });
         let goal = goal.with_results(Arc::clone(&results));
         let leaf: Box<dyn Leaf> = match &form.retry {

@@ -48,7 +48,7 @@ fn task(task_type: &str, parameters: &[(&str, &str)]) -> TaskSpec {
 /// Robot ada is r1, arm is lab_arm.
 fn goal(action: &str, parameters: Value, repeatable: bool) -> Goal {
     let Value::Object(parameters) = parameters else { panic!("{parameters} is not an object") };
-    Goal { action: action.parse().unwrap(), parameters, repeatable, hands_over: None }
+    Goal { action: action.parse().unwrap(), parameters, repeatable, hands_over: None, since: None }
 }
 
 fn context() -> SkillContext {

@@ -302,6 +302,28 @@ def a_robot_is_out_of_service_while_its_vehicle_is_offline(case):
 
 
 @case
+def a_restarted_node_takes_the_end_of_an_action_from_the_vehicle(case):
+    from kit import wait_for
+    broker = case.broker()
+    listener = case.listener(broker)
+    case.agv(broker)
+    driver = case.driver(broker)
+    driver.goal(1, "pick_load", load="L-7")
+    wait_for("the action begins", lambda: starts(listener, "pick"))
+    driver.kill()
+    wait_for("the action ends", lambda: [action for action in listener.of("state")[-1]["actionStates"]
+                                         if action.get("actionType") == "pick" and action["actionStatus"] == "FINISHED"])
+    driver = case.driver(broker)
+    driver.goal(1 << 20, "pick_load", since=1, load="L-7")
+    driver.result(1 << 20)
+    assert len(starts(listener, "pick")) == 1 and len(listener.of("order")) == 1, "the action is executed once"
+    # The node has recorded the end, and a later task asks for the same.
+    driver.goal((1 << 20) + 1, "pick_load", load="L-7")
+    driver.result((1 << 20) + 1)
+    assert len(starts(listener, "pick")) == 2, "a new request"
+
+
+@case
 def a_killed_driver_continues_its_action_without_repeating_it(case):
     from kit import wait_for
     broker = case.broker()

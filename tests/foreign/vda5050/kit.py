@@ -123,8 +123,9 @@ class Driver:
         except (BrokenPipeError, ValueError):
             pass
 
-    def goal(self, id, action, resumed=False, **parameters):
-        self.send("goal", id=str(id), action=action, parameters=parameters, keep_for_ms=900, resumed=resumed)
+    def goal(self, id, action, resumed=False, since=None, **parameters):
+        earlier = {} if since is None else {"since": str(since)}
+        self.send("goal", id=str(id), action=action, parameters=parameters, keep_for_ms=900, resumed=resumed, **earlier)
         self.goal_id = str(id)
 
     def drive(self, id, place, resumed=False):

@@ -33,9 +33,13 @@ pub(super) fn declared_goal(
     let missing = form.parameters.iter().find(|(name, form)| !form.optional && !parameters.contains_key(*name));
     match missing {
         Some((name, _)) => Err(StepFailure::Invalid(format!("{action} needs the parameter `{name}`, in a table"))),
-        None => {
-            Ok(Goal { action: action.clone(), parameters, repeatable: form.repeatable, hands_over: form.hands_over })
-        }
+        None => Ok(Goal {
+            action: action.clone(),
+            parameters,
+            repeatable: form.repeatable,
+            hands_over: form.hands_over,
+            since: None,
+        }),
     }
 }
 

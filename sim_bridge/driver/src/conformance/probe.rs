@@ -169,7 +169,7 @@ impl Probe {
         resumed: bool,
     ) -> Result<(), CaseFailure> {
         let SampleGoal { action, parameters } = goal.clone();
-        self.send(&NodeMessage::Goal { id: GoalId(id), action, parameters, keep_for_ms, resumed }).await
+        self.send(&NodeMessage::Goal { id: GoalId(id), action, parameters, keep_for_ms, resumed, since: None }).await
     }
 
     /// Starts the sample goal with a permission that [`follow`](Probe::follow) renews.

@@ -442,9 +442,10 @@ impl DriverSession {
             self.goals.end(id, GoalStatus::Canceled);
             return vec![];
         }
-        let Goal { action, parameters, .. } = goal;
+        let Goal { action, parameters, since, .. } = goal;
+        let keep_for_ms = millis(keep_for);
         self.goals.begin(id);
-        vec![SessionAction::Send(NodeMessage::Goal { id, action, parameters, keep_for_ms: millis(keep_for), resumed })]
+        vec![SessionAction::Send(NodeMessage::Goal { id, action, parameters, keep_for_ms, resumed, since })]
     }
 
     /// Renews the permission of a goal, or sets it before the start.

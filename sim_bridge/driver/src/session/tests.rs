@@ -77,7 +77,7 @@ fn start(session: &mut DriverSession, id: u64, now: Duration) -> Vec<NodeMessage
 
 fn goal_message(id: u64, keep_for_ms: u64, resumed: bool) -> NodeMessage {
     let parameters = JsonObject::from_iter([("time".to_owned(), 2.0.into())]);
-    NodeMessage::Goal { id: GoalId(id), action: "wait".parse().unwrap(), parameters, keep_for_ms, resumed }
+    NodeMessage::Goal { id: GoalId(id), action: "wait".parse().unwrap(), parameters, keep_for_ms, resumed, since: None }
 }
 
 fn outcome(id: u64, status: GoalStatus) -> Vec<GoalOutcome> {
@@ -110,6 +110,15 @@ fn a_goal_is_sent_with_its_permission_and_ends_with_the_result() {
     session.handle(result(7, ResultStatus::Aborted), at(410));
     assert_eq!((session.take_ended(), session.status(GoalId(7))), (vec![], Some(GoalStatus::succeeded())));
     assert_eq!(session.goal(GoalId(7)), Some(wait()));
+}
+
+#[test]
+fn the_driver_learns_since_when_an_earlier_process_of_the_node_may_have_begun_a_goal() {
+    let mut session = ready(false);
+    session.permit(GoalId(7), KEEP, at(0));
+    let goal = Goal { since: Some(GoalId(5)), ..wait() };
+    let sent = sent(session.start(GoalId(7), goal, at(0)));
+    assert!(matches!(&sent[..], [NodeMessage::Goal { since: Some(GoalId(5)), .. }]), "{sent:?}");
 }
 
 /// The node publishes the results and the causes of several goals in a single message.

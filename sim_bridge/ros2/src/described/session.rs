@@ -99,7 +99,7 @@ impl GoalSession {
     pub fn handle(&mut self, message: NodeMessage, now: Duration) -> Vec<Effect> {
         match message {
             NodeMessage::Start { .. } => vec![],
-            NodeMessage::Goal { id, action, parameters, keep_for_ms, resumed } => {
+            NodeMessage::Goal { id, action, parameters, keep_for_ms, resumed, since: _ } => {
                 if let Some((last, end)) = self.last.as_ref().filter(|(last, _)| *last == id) {
                     return vec![Effect::Send(result(*last, end.clone()))];
                 }
@@ -176,7 +176,14 @@ mod tests {
 
     fn goal(id: u64, keep_for_ms: u64) -> NodeMessage {
         let action = "wait".parse().unwrap();
-        NodeMessage::Goal { id: GoalId(id), action, parameters: JsonObject::new(), keep_for_ms, resumed: false }
+        NodeMessage::Goal {
+            id: GoalId(id),
+            action,
+            parameters: JsonObject::new(),
+            keep_for_ms,
+            resumed: false,
+            since: None,
+        }
     }
 
     fn at(ms: u64) -> Duration {

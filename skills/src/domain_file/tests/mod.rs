@@ -99,7 +99,7 @@ fn a_declared_task_sends_the_goals_of_its_actions() {
     };
     let goal = |action: &str, parameters: serde_json::Value, repeatable| {
         let parameters = parameters.as_object().unwrap().clone();
-        Goal { action: action.parse().unwrap(), parameters, repeatable, hands_over: None }
+        Goal { action: action.parse().unwrap(), parameters, repeatable, hands_over: None, since: None }
     };
     assert_eq!(goals(&task("water_plant", &[("litres", "1.5")])), [goal("water", json!({ "litres": 1.5 }), false)]);
     let both = [goal("look", json!({}), true), goal("water", json!({ "litres": 0.5, "gentle": true }), false)];

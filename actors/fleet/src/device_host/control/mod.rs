@@ -194,7 +194,7 @@ impl DeviceControl {
             }
         };
         let action = ActionName::new(action).expect("the name of an action is a slug");
-        Goal { action, parameters, repeatable: true, hands_over: Some(false) }
+        Goal { action, parameters, repeatable: true, hands_over: Some(false), since: None }
     }
 
     fn report(&self, wanted: Option<&Purpose>, is_ready: bool, now: NodeTime) -> DeviceReport {

@@ -59,6 +59,13 @@ struct Attempt {
     claimed: BTreeSet<GoalId>,
 }
 
+impl Attempt {
+    /// Returns the first goal of the task, if there are earlier attempts.
+    fn since(&self) -> Option<GoalId> {
+        (!self.earlier.is_empty()).then_some(GoalId(self.earlier.start))
+    }
+}
+
 impl GoalTracker {
     /// Creates a tracker without a state; goal ids start at `next`.
     pub(super) fn new(next: u64) -> GoalTracker {
@@ -120,8 +127,8 @@ impl GoalTracker {
         GoalId(self.next)
     }
 
-    /// Starts a goal.
-    pub(super) fn start_goal(&mut self, goal: Goal) -> GoalId {
+    /// Starts a goal. A previous incarnation may have begun it, if it belongs to the task of the attempt.
+    pub(super) fn start_goal(&mut self, mut goal: Goal) -> GoalId {
         let id = GoalId(self.next);
         self.next += 1;
         self.goals.insert(id, GoalStatus::Sent);
@@ -131,6 +138,7 @@ impl GoalTracker {
         if goal.may_move_items() {
             self.moving.insert(id);
         }
+        goal.since = self.attempt.since().filter(|since| *since < self.first && !goal.repeatable);
         self.pending.push(GoalRequest::Start { id, goal });
         id
     }
@@ -238,7 +246,8 @@ impl GoalTracker {
         }
         let (telemetry, arrived) = (state.telemetry, Instant::now());
         self.latest = Some(LatestState { telemetry, arrived, arrived_at: now });
-        self.done.extend(state.completed.into_iter().map(|(id, goal, result)| (id, (goal, result))));
+        let done = |(id, goal, result)| (id, (Goal { since: None, ..goal }, result));
+        self.done.extend(state.completed.into_iter().map(done));
         while self.done.len() > GOALS_KEPT {
             self.done.pop_first();
         }

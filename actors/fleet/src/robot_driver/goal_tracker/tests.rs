@@ -12,7 +12,7 @@ fn executing() -> GoalStatus {
 /// Returns a goal that must not be repeated.
 fn pick_up(from: &str) -> Goal {
     let parameters = JsonObject::from_iter([("from".to_owned(), from.into())]);
-    Goal { action: "pick_up".parse().unwrap(), parameters, repeatable: false, hands_over: None }
+    Goal { action: "pick_up".parse().unwrap(), parameters, repeatable: false, hands_over: None, since: None }
 }
 
 fn stamp(sequence: u64) -> StateStamp {
@@ -153,6 +153,32 @@ fn each_completed_goal_of_an_earlier_attempt_is_claimed_once() {
         [true, true, false],
         "the third attempt"
     );
+}
+
+#[test]
+fn a_goal_that_a_previous_incarnation_may_have_begun_names_the_first_goal_of_its_task() {
+    let since = |first: Option<u64>, goal: Goal| {
+        let mut tracker = GoalTracker::new(100);
+        tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
+        first.into_iter().for_each(|first| tracker.begin_attempt(GoalId(first)));
+        tracker.start_goal(goal);
+        match tracker.pending.last() {
+            Some(GoalRequest::Start { goal, .. }) => goal.since,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(since(Some(6), pick_up("birch")), Some(GoalId(6)));
+    assert_eq!(since(Some(6), Goal::from(Wait { time: Seconds::ZERO })), None, "it is repeatable");
+    for first in [None, Some(100), Some(101)] {
+        assert_eq!(since(first, pick_up("birch")), None, "the task began in this incarnation: {first:?}");
+    }
+    // A third incarnation asks for the goal without it.
+    let mut tracker = GoalTracker::new(200);
+    let done = Goal { since: Some(GoalId(6)), ..pick_up("birch") };
+    let completed = vec![(GoalId(101), done, GoalResult::default())];
+    tracker.apply_state(DriverState { completed, ..state(1, &[]) }, at(0));
+    tracker.begin_attempt(GoalId(6));
+    assert!(tracker.claim_completed(&pick_up("birch")).is_some());
 }
 
 #[test]

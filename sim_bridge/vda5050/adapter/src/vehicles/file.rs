@@ -120,7 +120,13 @@ impl VehiclesSettings {
         let form = self.actions.get(&action.kind)?;
         let given = JsonObject::from_iter(action.parameters.clone());
         let filled = form.parameters.iter().filter_map(|(key, form)| Some((key.clone(), fill(form, &given)?)));
-        Some(Goal { action: form.action.clone(), parameters: filled.collect(), repeatable: false, hands_over: None })
+        Some(Goal {
+            action: form.action.clone(),
+            parameters: filled.collect(),
+            repeatable: false,
+            hands_over: None,
+            since: None,
+        })
     }
 }
 

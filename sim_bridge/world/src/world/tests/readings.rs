@@ -37,8 +37,13 @@ fn readings(world: &World, name: &str) -> BTreeMap<String, Scalar> {
 
 /// Executes an action, and returns the readings after it.
 fn after(world: &mut World, id: u64, action: &str) -> BTreeMap<String, Scalar> {
-    let goal =
-        Goal { action: action.parse().unwrap(), parameters: Default::default(), repeatable: false, hands_over: None };
+    let goal = Goal {
+        action: action.parse().unwrap(),
+        parameters: Default::default(),
+        repeatable: false,
+        hands_over: None,
+        since: None,
+    };
     world.start(&robot("r1"), GoalId(id), goal);
     let before = readings(world, "r1");
     world.advance(at(world.now().as_secs() + 0.9));
