@@ -91,6 +91,7 @@ enum Write {
     Truncate(u64),
     Purge(u64, Vec<u8>),
     Snapshot(Vec<u8>),
+    LeaderSnapshot(Vec<u8>),
     Checkpoint(Option<Vec<u8>>),
 }
 
@@ -221,6 +222,7 @@ async fn perform(store: &DurableStore, write: Write) -> io::Result<()> {
         Write::Truncate(index) => store.truncate(index).await,
         Write::Purge(index, last) => store.purge(index, last).await,
         Write::Snapshot(snapshot) => store.save_snapshot(snapshot).await,
+        Write::LeaderSnapshot(snapshot) => store.install_snapshot(snapshot).await,
         Write::Checkpoint(checkpoint) => store.write(checkpoint).await,
     }
 }
@@ -390,6 +392,10 @@ impl LogStore for Incarnation {
 
     async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
         self.write(Write::Snapshot(snapshot)).await
+    }
+
+    async fn install_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
+        self.write(Write::LeaderSnapshot(snapshot)).await
     }
 }
 

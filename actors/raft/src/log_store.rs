@@ -82,6 +82,12 @@ pub trait LogStore: Send + Sync + 'static {
 
     /// Replaces the snapshot. Other writes may happen meanwhile, except of another snapshot.
     async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()>;
+
+    /// Replaces the snapshot by a snapshot of the leader. Other writes may wait longer than for
+    /// [`LogStore::save_snapshot`]: the log lags in any case.
+    async fn install_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
+        self.save_snapshot(snapshot).await
+    }
 }
 
 /// Adds `advice` to an error that reports damaged data.

@@ -140,7 +140,7 @@ impl<S: StateMachine> StateMachineStore<S> {
         let (cluster, last) = (state.cluster(), stored.meta.last_log_id);
         let record = encode_record(&stored).map_err(writing_snapshot)?;
         let _exclusive = self.snapshots.lock().await;
-        self.log_store.save_snapshot(record).await.map_err(writing_snapshot)?;
+        self.log_store.install_snapshot(record).await.map_err(writing_snapshot)?;
         let former = {
             let mut machine = lock(&self.machine);
             let former = std::mem::take(&mut machine.state);

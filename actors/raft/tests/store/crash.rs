@@ -30,6 +30,7 @@ struct Simulation {
     size_max: Option<u64>,
     /// Size of the largest write, in bytes.
     largest_write: usize,
+    syncs: u64,
 }
 
 /// Content of the files after a failure.
@@ -102,6 +103,7 @@ impl StorageBackend for File {
         let mut simulation = self.machine.simulation();
         simulation.count_call();
         simulation.files[self.index].sync();
+        simulation.syncs += 1;
         Ok(())
     }
 
@@ -143,7 +145,10 @@ async fn write_all(
                 let size_max = [30_000, 300_000][rng.random_range(0..2)];
                 let snapshot = bytes(rng, size_max);
                 now.snapshot = Some(snapshot.clone());
-                store.save_snapshot(snapshot).await
+                match rng.random_range(0..2) {
+                    0 => store.save_snapshot(snapshot).await,
+                    _ => store.install_snapshot(snapshot).await,
+                }
             }
             4 if next > first => {
                 let through = rng.random_range(first..next);
@@ -204,6 +209,23 @@ fn a_piece_of_a_snapshot_fills_a_page() {
     super::block_on(store.save_snapshot(vec![7; 1_000_000])).expect("a write");
     let largest = machine.simulation().largest_write;
     assert!((60 * 1024..=64 * 1024).contains(&largest), "{largest} bytes");
+}
+
+#[test]
+fn a_snapshot_of_the_leader_needs_few_syncs() {
+    let machine = Machine::default();
+    let store = machine.open().expect("a store");
+    let snapshot = vec![7; 3_000_000];
+    super::block_on(store.save_snapshot(snapshot.clone())).expect("a write");
+    let before = machine.simulation().syncs;
+    super::block_on(store.save_snapshot(snapshot.clone())).expect("a write");
+    let saved = machine.simulation().syncs - before;
+    super::block_on(store.install_snapshot(snapshot.clone())).expect("a write");
+    let installed = machine.simulation().syncs - before - saved;
+    assert!(saved > 40 && installed < 10, "{installed} syncs, and {saved} of a snapshot of its own");
+    drop(store);
+    let found = machine.open().expect("the same store").persistent_state().expect("a log store");
+    assert!(found.snapshot == Some(snapshot));
 }
 
 #[test]

@@ -127,6 +127,9 @@ fn a_snapshot_of_any_size_replaces_the_former() {
         rng.fill_bytes(&mut snapshot);
         let store = open(&folder).expect("a store");
         block_on(store.save_snapshot(snapshot.clone())).expect("a write");
+        assert!(block_on(store.load()).expect("a log store").snapshot.as_ref() == Some(&snapshot), "{size} bytes");
+        snapshot.reverse();
+        block_on(store.install_snapshot(snapshot.clone())).expect("a write");
         drop(store);
         let state = block_on(open(&folder).expect("the same store").load()).expect("a log store");
         assert!(state.snapshot == Some(snapshot), "{size} bytes");

@@ -10,7 +10,7 @@
 //! Guarantees:
 //! - When a write returns `Ok`, it is on disk; only the committed position may lag. Writes are
 //!   carried out in the order of the calls, and concurrent writes share a single sync of the disk. A large snapshot is
-//!   written in pieces, with other writes between them.
+//!   written in pieces, with other writes between them; a snapshot of the leader in few, large writes.
 //! - After a failed write nothing more is written, since the content of the disk is then unknown.
 //!   The replica stops for good.
 //! - A read returns the written data, or an error that names the file and a possible repair: when
