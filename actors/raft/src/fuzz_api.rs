@@ -1,7 +1,8 @@
 //! Decoding of Raft messages and records for fuzz tests, exactly as a voter decodes them.
 
 use super::messages::{
-    HeartbeatReply, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_reply, decode_request,
+    BlocksReply, BlocksRequest, HeartbeatReply, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest,
+    decode_reply, decode_request,
 };
 use super::storage::{StoredSnapshot, decode_record, encode_record};
 use super::types::{RaftId, StateMachine, TypeConfig};
@@ -33,6 +34,12 @@ pub fn request<S: StateMachine>(call: RaftCall, bytes: &[u8]) -> Result<Vec<u8>,
             codec::encode(&(cluster, request))
         }
         RaftCall::Heartbeat => reencode::<HeartbeatRequest>(bytes),
+        RaftCall::SnapshotBlocks => {
+            let (cluster, request) = decode_request::<BlocksRequest>(bytes)?;
+            // The receiver checks the length at once.
+            let _ = request.length();
+            codec::encode(&(cluster, request))
+        }
     }
 }
 
@@ -47,6 +54,7 @@ pub fn reply(call: RaftCall, bytes: &[u8]) -> Result<Vec<u8>, CodecError> {
         RaftCall::Snapshot => reencode::<InstallSnapshotResponse<RaftId>>(bytes),
         RaftCall::PreVote | RaftCall::TransferLeadership => reencode::<bool>(bytes),
         RaftCall::Heartbeat => reencode::<HeartbeatReply>(bytes),
+        RaftCall::SnapshotBlocks => reencode::<BlocksReply>(bytes),
     }
 }
 

@@ -1,5 +1,6 @@
 //! Requests between voters that openraft lacks, and the frames of all requests and replies.
 
+use super::storage::Block;
 use super::types::{LogId, RaftId, Vote};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
@@ -47,11 +48,44 @@ impl TransferRequest {
     }
 }
 
+/// Maximum number of blocks in a request.
+pub(super) const BLOCKS_MAX: usize = 1024;
+
+/// Request of a leader that sends a snapshot: which of these blocks does the target lack?
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct BlocksRequest {
+    /// Vote that made it leader.
+    pub(super) vote: Vote,
+    /// Id of the snapshot.
+    pub(super) id: String,
+    /// Offset of the first block in the encoded state, in bytes.
+    pub(super) offset: u64,
+    /// Consecutive blocks, [`BLOCKS_MAX`] at most.
+    pub(super) blocks: Vec<Block>,
+}
+
+impl BlocksRequest {
+    /// Returns the length of all blocks together, in bytes; `None` if there are too many, or if one is too long or empty.
+    pub(super) fn length(&self) -> Option<usize> {
+        let is_valid = self.blocks.len() <= BLOCKS_MAX && self.blocks.iter().all(Block::is_valid);
+        is_valid.then(|| self.blocks.iter().map(Block::length).sum())
+    }
+}
+
+/// Reply to a [`BlocksRequest`].
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct BlocksReply {
+    /// Vote of the target. If it is greater than the vote of the leader, the target has ignored the request.
+    pub(super) vote: Vote,
+    /// For each block, whether the target lacks it.
+    pub(super) missing: Vec<bool>,
+}
+
 /// Reply of a voter to a request that it could decode.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum RaftReply<A> {
     Done(A),
-    /// Reply to a snapshot chunk only: it is not the expected chunk.
+    /// Reply to a part of a snapshot only: it is not the expected part, or the snapshot is damaged.
     Mismatch(SnapshotMismatch),
 }
 
@@ -63,4 +97,30 @@ pub(super) fn decode_reply<A: DeserializeOwned>(bytes: &[u8]) -> Result<RaftRepl
 /// Decodes a request of a voter, and the cluster of the voter.
 pub(super) fn decode_request<T: DeserializeOwned>(bytes: &[u8]) -> Result<(Option<ClusterId>, T), CodecError> {
     codec::decode(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_with_too_many_blocks_or_impossible_blocks_are_malformed() {
+        let block = |length: u32| codec::decode::<Block>(&codec::encode(&(length, 7_u128)).unwrap()).unwrap();
+        let length = |blocks| {
+            BlocksRequest { vote: Vote::default(), id: "T1-N2-3".to_owned(), offset: u64::MAX, blocks }.length()
+        };
+        assert_eq!(length(vec![]), Some(0));
+        assert_eq!(length(vec![block(65_536); BLOCKS_MAX]), Some(64 << 20));
+        assert_eq!(length(vec![block(1); BLOCKS_MAX + 1]), None);
+        for impossible in [0, 65_537, u32::MAX] {
+            assert_eq!(length(vec![block(4096), block(impossible)]), None, "{impossible} bytes");
+        }
+        let largest = BlocksRequest {
+            vote: Vote::default(),
+            id: "x".repeat(200),
+            offset: u64::MAX,
+            blocks: vec![codec::decode(&codec::encode(&(u32::MAX, u128::MAX)).unwrap()).unwrap(); BLOCKS_MAX],
+        };
+        assert!(codec::encode(&(Some(ClusterId(1)), largest)).is_ok(), "it fits in a message");
+    }
 }

@@ -4,9 +4,11 @@
 use super::leader_contact::LeaderContact;
 use super::leadership_transfer;
 use super::leadership_view::LeadershipView;
-use super::messages::{HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_request};
+use super::messages::{
+    BlocksReply, BlocksRequest, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_request,
+};
 use super::staleness::AnnouncedCommits;
-use super::storage::ReceivedChunks;
+use super::storage::{PartError, ReceivedSnapshot, StateMachineStore};
 use super::types::{LogId, Raft, RaftId, StateMachine, TypeConfig, Vote, epoch_of, leader_id_of};
 use consort_bus::{BootInstant, BusError, Encoding, Query, Stream};
 use consort_protocol::codec::{self, CodecError};
@@ -14,13 +16,17 @@ use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
-use openraft::SnapshotSegmentId;
-use openraft::error::{Fatal, InstallSnapshotError, RaftError, SnapshotMismatch};
-use openraft::raft::{AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, VoteRequest, VoteResponse};
+use openraft::error::{Fatal, RaftError, SnapshotMismatch};
+use openraft::raft::{
+    AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, InstallSnapshotResponse, VoteRequest,
+    VoteResponse,
+};
+use openraft::{Snapshot, SnapshotSegmentId};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::io::Cursor;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{debug, warn};
@@ -46,6 +52,9 @@ enum RequestError {
         /// Cluster of this node.
         own: ClusterId,
     },
+    /// A list of blocks is too long, or contains a block of an impossible length.
+    #[error("the list of blocks is malformed")]
+    Blocks,
     /// The snapshot would not fit in memory.
     #[error("a snapshot of at least {end} bytes exceeds the limit of {} bytes", codec::RECORD_BYTES_MAX)]
     SnapshotTooLarge {
@@ -77,8 +86,10 @@ pub(super) struct RaftServer<S: StateMachine> {
     /// Cluster of the first leader that this node followed. Until its own ledger records a cluster,
     /// it follows no other.
     pub(super) followed: OnceLock<ClusterId>,
-    /// Chunks of the snapshot that is being received.
-    pub(super) received_chunks: Mutex<ReceivedChunks>,
+    /// State machine of this node, with its latest snapshot.
+    pub(super) machine: StateMachineStore<S>,
+    /// Snapshot that is being received.
+    pub(super) received_snapshot: Mutex<ReceivedSnapshot>,
 }
 
 impl<S: StateMachine> RaftServer<S> {
@@ -102,6 +113,7 @@ impl<S: StateMachine> RaftServer<S> {
             Some(Key::Raft(_, RaftCall::Vote)) => self.vote(&query).await,
             Some(Key::Raft(_, RaftCall::Append)) => self.append(&query).await,
             Some(Key::Raft(_, RaftCall::Snapshot)) => self.snapshot(&query).await,
+            Some(Key::Raft(_, RaftCall::SnapshotBlocks)) => self.snapshot_blocks(&query).await,
             Some(Key::Raft(_, RaftCall::PreVote)) => self.pre_vote(&query),
             Some(Key::Raft(_, RaftCall::TransferLeadership)) => self.transfer_leadership(&query).await,
             Some(Key::Raft(_, RaftCall::Heartbeat)) => self.heartbeat(&query),
@@ -165,31 +177,63 @@ impl<S: StateMachine> RaftServer<S> {
 
     async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
         let request: InstallSnapshotRequest<TypeConfig<S>> = self.decode_and_follow(query)?;
-        check_chunk_size(request.offset, request.data.len())?;
-        self.record_leader(&request.vote);
-        if !self.check_chunk(&request) {
-            let id = request.meta.snapshot_id;
-            warn!(node = %self.me, id, "a received snapshot is damaged; it is requested again");
-            let segment = |offset| SnapshotSegmentId { id: id.clone(), offset };
-            // The leader sends the snapshot again from its start.
-            let mismatch = SnapshotMismatch { expect: segment(0), got: segment(request.offset) };
-            return encode_reply(&RaftReply::<()>::Mismatch(mismatch));
+        let InstallSnapshotRequest { vote, meta, offset, data, done } = request;
+        check_chunk_size(offset, data.len())?;
+        self.record_leader(&vote);
+        let known = self.core_vote().await?;
+        if vote < known {
+            return encode_reply(&RaftReply::Done(InstallSnapshotResponse { vote: known }));
         }
-        match self.raft.install_snapshot(request).await {
-            Ok(reply) => encode_reply(&RaftReply::Done(reply)),
-            Err(RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch))) => {
-                encode_reply(&RaftReply::<()>::Mismatch(mismatch))
+        let added = self.received_snapshot().add(&meta.snapshot_id, offset, &data, done);
+        match added {
+            Ok(None) => encode_reply(&RaftReply::Done(InstallSnapshotResponse { vote: known })),
+            Ok(Some(state)) => {
+                let snapshot = Snapshot { meta, snapshot: Box::new(Cursor::new(state)) };
+                let reply = self.raft.install_full_snapshot(vote, snapshot).await.map_err(Box::new)?;
+                encode_reply(&RaftReply::Done(InstallSnapshotResponse::from(reply)))
             }
-            Err(RaftError::Fatal(fatal)) => Err(Box::new(fatal).into()),
+            Err(error) => self.reject_part(&meta.snapshot_id, offset, &error),
         }
     }
 
-    /// Adds a chunk to the checksum of its snapshot. Returns whether the snapshot, if this is its last
-    /// chunk, is intact.
-    fn check_chunk(&self, request: &InstallSnapshotRequest<TypeConfig<S>>) -> bool {
-        let mut received = self.received_chunks.lock().unwrap_or_else(PoisonError::into_inner);
-        received.add(&request.meta.snapshot_id, request.offset, &request.data);
-        !request.done || received.finish()
+    /// Copies the blocks of a snapshot that this node's own snapshot contains, and replies which blocks are missing.
+    async fn snapshot_blocks(&self, query: &Query) -> Result<Vec<u8>, RequestError> {
+        let request: BlocksRequest = self.decode_and_follow(query)?;
+        check_chunk_size(request.offset, request.length().ok_or(RequestError::Blocks)?)?;
+        let BlocksRequest { vote, id, offset, blocks } = request;
+        self.record_leader(&vote);
+        let known = self.core_vote().await?;
+        if vote < known {
+            return encode_reply(&RaftReply::Done(BlocksReply { vote: known, missing: vec![] }));
+        }
+        let begins = offset == 0 && !self.received_snapshot().is_of(&id);
+        if begins {
+            let own = self.machine.own_blocks().await;
+            self.received_snapshot().begin(&id, own);
+        }
+        let added = self.received_snapshot().add_blocks(&id, offset, &blocks);
+        match added {
+            Ok(missing) => encode_reply(&RaftReply::Done(BlocksReply { vote: known, missing })),
+            Err(error) => self.reject_part(&id, offset, &error),
+        }
+    }
+
+    /// Returns the vote of this node after all requests that openraft has received. A reply with the vote of the leader
+    /// acknowledges it, so this node must not have voted for another candidate.
+    async fn core_vote(&self) -> Result<Vote, RequestError> {
+        Ok(self.raft.with_raft_state(|state| *state.vote_ref()).await.map_err(Box::new)?)
+    }
+
+    fn received_snapshot(&self) -> MutexGuard<'_, ReceivedSnapshot> {
+        self.received_snapshot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Replies that a part of a snapshot was rejected: the leader sends the snapshot again from its start.
+    fn reject_part(&self, id: &str, offset: u64, error: &PartError) -> Result<Vec<u8>, RequestError> {
+        warn!(node = %self.me, id, offset, %error, "a part of a snapshot is rejected; the snapshot is requested again");
+        let segment = |offset| SnapshotSegmentId { id: id.to_owned(), offset };
+        let mismatch = SnapshotMismatch { expect: segment(0), got: segment(offset) };
+        encode_reply(&RaftReply::<()>::Mismatch(mismatch))
     }
 
     /// Records contact from the leader, unless its term is over. This happens before openraft
@@ -263,7 +307,7 @@ impl<S: StateMachine> RaftServer<S> {
     }
 }
 
-/// Checks the size of a snapshot chunk: openraft allocates memory for everything before its offset.
+/// Checks the size of a part of a snapshot: memory is allocated for everything up to its end.
 fn check_chunk_size(offset: u64, length: usize) -> Result<(), RequestError> {
     let end = offset.saturating_add(length as u64);
     if end > codec::RECORD_BYTES_MAX as u64 { Err(RequestError::SnapshotTooLarge { end }) } else { Ok(()) }

@@ -17,6 +17,8 @@ words! {
         TransferLeadership = "transfer_leadership",
         /// A leader that waits for a reply checks that the voter is reachable.
         Heartbeat = "heartbeat",
+        /// The leader asks which blocks of a snapshot the voter lacks.
+        SnapshotBlocks = "snapshot_blocks",
     }
     /// Call between a robot's node and its driver server.
     DriverCall {

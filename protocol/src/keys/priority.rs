@@ -41,7 +41,7 @@ impl Key {
                 | RaftCall::TransferLeadership
                 | RaftCall::Heartbeat,
             ) => Priority::Consensus,
-            Key::Raft(_, RaftCall::Snapshot) => Priority::Bulk,
+            Key::Raft(_, RaftCall::Snapshot | RaftCall::SnapshotBlocks) => Priority::Bulk,
             // Messages of an unknown author are lost until its certificate has arrived.
             Key::Certificate(_) | Key::KnownCertificate(_) => Priority::Liveness,
             Key::Swim(_) | Key::Bootstrap(_) | Key::Beacon | Key::Leader(_) => Priority::Liveness,
@@ -139,7 +139,8 @@ mod tests {
             }
         }
         for call in RaftCall::ALL {
-            let expected = if *call == RaftCall::Snapshot { Priority::Bulk } else { Priority::Consensus };
+            let is_bulk = matches!(call, RaftCall::Snapshot | RaftCall::SnapshotBlocks);
+            let expected = if is_bulk { Priority::Bulk } else { Priority::Consensus };
             assert_eq!(Key::Raft(7, *call).priority(), expected, "{call:?}");
         }
     }

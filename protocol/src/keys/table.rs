@@ -120,8 +120,8 @@ table! {
     Key::Motion(_) => "wire/motion/{node}", "the node" Publishes WIRE, "in a large fleet: place, pose and charge of the node's robot, and that its record is current";
     Key::Gossip(_) => "wire/gossip/{node}", "the node" Answers WIRE, "compares the records of two nodes, and returns those that the requester lacks";
     Key::Swim(_) => "wire/swim/{node}", "the others" Publishes WIRE, "failure detection packets for the node";
-    Key::Raft(_, RaftCall::Vote | RaftCall::Append | RaftCall::Snapshot | RaftCall::PreVote | RaftCall::TransferLeadership | RaftCall::Heartbeat) =>
-        "wire/raft/{member}/{call}", "the member" Answers WIRE, "consensus: vote, append, snapshot, pre_vote, transfer_leadership, heartbeat";
+    Key::Raft(_, RaftCall::Vote | RaftCall::Append | RaftCall::Snapshot | RaftCall::PreVote | RaftCall::TransferLeadership | RaftCall::Heartbeat | RaftCall::SnapshotBlocks) =>
+        "wire/raft/{member}/{call}", "the member" Answers WIRE, "consensus: vote, append, snapshot, pre_vote, transfer_leadership, heartbeat, snapshot_blocks";
     Key::Bootstrap(_) => "wire/bootstrap/{node}", "nodes that may vote" Answers WIRE, "permission to create a ledger";
     Key::Beacon => "wire/beacon", "the coordinator" Publishes WIRE, "the coordinator, its term, and the voters of the ledger";
     Key::Bid(_) => "wire/bid/{robot}", "the robot" Answers WIRE, "the coordinator's call for bids";

@@ -598,6 +598,8 @@ pub(super) fn raft() -> Vec<Vec<u8>> {
         encoded(&(cluster, (vote, last))),
         encoded(&(cluster, (vote, last, &entries, last))),
         encoded(&(cluster, (vote, &meta, 0_u64, &state, true))),
+        encoded(&(cluster, (vote, "3-7-4@0007-crc00000000", 0_u64, vec![(4096_u32, 7_u128), (9, 8)]))),
+        encoded(&(0_u32, (vote, vec![true, false]))),
         encoded(&(cluster, (vote, 8_u64))),
         stored(&(meta, &state)),
     ];

@@ -130,7 +130,8 @@ impl<S: StateMachine> Replica<S> {
             keys,
             cluster: machine.cluster(),
             followed: OnceLock::new(),
-            received_chunks: Mutex::default(),
+            machine: machine.clone(),
+            received_snapshot: Mutex::default(),
         };
         let server_task = Task::spawn(server.run(queries));
         let (proposals, proposal_queue) = mpsc::unbounded_channel();

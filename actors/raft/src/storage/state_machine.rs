@@ -3,6 +3,7 @@
 //! Entries are applied and states are read under a lock. A snapshot needs it only to copy the state, so copies should
 //! share their parts. The copy is encoded, and snapshots are copied for others, outside of the lock.
 
+use super::blocks::OwnBlocks;
 use super::records::{Covered, SnapshotNotStored, StoredSnapshot, decode_record, encode_record, lock};
 use super::snapshot_id::snapshot_id;
 use crate::log_store::LogStore;
@@ -110,6 +111,13 @@ impl<S: StateMachine> StateMachineStore<S> {
     /// Returns the size of the latest snapshot in bytes; 0 without one.
     pub(crate) fn snapshot_bytes(&self) -> u64 {
         lock(&self.machine).snapshot.as_ref().map_or(0, |stored| stored.state.len() as u64)
+    }
+
+    /// Returns the blocks of the latest snapshot; none without one. A task of its own cuts them, so that the caller can
+    /// do other work.
+    pub(crate) async fn own_blocks(&self) -> OwnBlocks {
+        let Some(snapshot) = lock(&self.machine).snapshot.clone() else { return OwnBlocks::default() };
+        tokio::spawn(async move { compute(|| OwnBlocks::of(snapshot)) }).await.unwrap_or_default()
     }
 
     /// Returns the state as applied so far on this node, and the position of its last entry.
@@ -228,7 +236,7 @@ impl<S: StateMachine> RaftStateMachine<TypeConfig<S>> for StateMachineStore<S> {
 }
 
 /// Computes for some milliseconds. Meanwhile the other tasks of this thread run on another, if the runtime has several.
-fn compute<T>(work: impl FnOnce() -> T) -> T {
+pub(crate) fn compute<T>(work: impl FnOnce() -> T) -> T {
     match Handle::current().runtime_flavor() {
         RuntimeFlavor::MultiThread => block_in_place(work),
         _ => work(),

@@ -340,12 +340,12 @@ fn undecodable_requests_are_rejected_and_counted() {
         fleet.write(1).await;
         let target = fleet.on("bob").id();
         let stranger = fleet.network.bus(node("zed"));
-        for call in ["vote", "append", "snapshot", "pre_vote", "transfer_leadership", "dance"] {
+        for call in ["vote", "append", "snapshot", "snapshot_blocks", "pre_vote", "transfer_leadership", "dance"] {
             let key = format!("consort/ward/wire/raft/{target}/{call}");
             let mut replies = stranger.query(&key, vec![1, 255, 255].into(), TIMEOUT).await.expect("a query");
             assert!(replies.recv().await.is_some_and(|reply| reply.payload.is_err()), "{call}");
         }
-        assert_eq!(fleet.on("bob").rejected_requests(), 6);
+        assert_eq!(fleet.on("bob").rejected_requests(), 7);
         fleet.write(2).await;
         fleet.until_all_hold(2).await;
     });

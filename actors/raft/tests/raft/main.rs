@@ -1,6 +1,5 @@
 //! Replicated ledger on the virtual bus.
 
-mod damaged_snapshots;
 mod failover;
 mod group_commit;
 mod leadership_transfer;
@@ -8,4 +7,5 @@ mod ledger;
 mod log_limit;
 mod lost_leaders;
 mod slow_links;
+mod snapshots;
 mod support;

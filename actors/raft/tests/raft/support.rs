@@ -5,6 +5,8 @@ use consort_bus::{Bus as _, PresenceToken, SharedBus};
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
 use consort_raft::{Epoch, LeadershipView, LogStore, MemoryLogStore, RaftId, RaftSettings, Replica, StateMachine};
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -26,6 +28,8 @@ pub(crate) struct NumberList {
 pub(crate) enum NumberCommand {
     Append(u64),
     Grow(usize),
+    /// Fills the ballast with bytes that do not repeat.
+    Fill(usize),
     /// Has no effect.
     Pad(Vec<u8>),
 }
@@ -38,6 +42,10 @@ impl StateMachine for NumberList {
         match command {
             NumberCommand::Append(number) => self.written.push((at, number)),
             NumberCommand::Grow(bytes) => self.ballast.resize(bytes, 7),
+            NumberCommand::Fill(bytes) => {
+                self.ballast = vec![0; bytes];
+                ChaCha8Rng::seed_from_u64(7).fill_bytes(&mut self.ballast);
+            }
             NumberCommand::Pad(_) => {}
         }
         at

@@ -7,6 +7,8 @@
 //! acknowledgement of its leadership. If not, the append or its reply was lost, and the append is
 //! sent again.
 
+mod snapshot_blocks;
+
 use super::acknowledgements::{LastContacts, LeaderAcks};
 use super::leadership_view::LeadershipView;
 use super::messages::{HeartbeatReply, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_reply};
@@ -18,13 +20,17 @@ use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
-use openraft::error::{InstallSnapshotError, NetworkError, RPCError, RaftError, RemoteError, Timeout, Unreachable};
+use openraft::error::{
+    Fatal, InstallSnapshotError, NetworkError, RPCError, RaftError, RemoteError, ReplicationClosed, StreamingError,
+    Timeout, Unreachable,
+};
+use openraft::network::snapshot_transport::{Chunked, SnapshotTransport as _};
 use openraft::network::{Backoff, RPCOption, RPCTypes};
 use openraft::raft::{
-    AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, InstallSnapshotResponse, VoteRequest,
-    VoteResponse,
+    AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, InstallSnapshotResponse, SnapshotResponse,
+    VoteRequest, VoteResponse,
 };
-use openraft::{AnyError, RaftNetwork, RaftNetworkFactory};
+use openraft::{AnyError, OptionalSend, RaftNetwork, RaftNetworkFactory, Snapshot};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeSet;
@@ -180,6 +186,13 @@ impl PeerClient {
         self.client.acks.send_modify(|acks| acks.record(vote, self.target, sent_at));
     }
 
+    /// Records the reply to a part of a snapshot. It acknowledges the leader if the voter has its vote.
+    fn record_snapshot_reply(&self, vote: Vote, reply: Vote, sent_at: BootInstant) {
+        if reply == vote {
+            self.record_ack(vote, sent_at);
+        }
+    }
+
     /// Sends an append, and waits for the reply as long as the voter reports that the append is
     /// pending.
     async fn append(
@@ -319,9 +332,7 @@ impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
         let sent_at = BootInstant::now();
         match self.send::<InstallSnapshotResponse<RaftId>>(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
             Ok(RaftReply::Done(reply)) => {
-                if reply.vote == request.vote {
-                    self.record_ack(request.vote, sent_at);
-                }
+                self.record_snapshot_reply(request.vote, reply.vote, sent_at);
                 Ok(reply)
             }
             Ok(RaftReply::Mismatch(mismatch)) => {
@@ -329,6 +340,26 @@ impl<S: StateMachine> RaftNetwork<TypeConfig<S>> for PeerClient {
                 Err(RemoteError::new(self.target, error).into())
             }
             Err(error) => Err(self.to_rpc_error(RPCTypes::InstallSnapshot, &error)),
+        }
+    }
+
+    async fn full_snapshot(
+        &mut self,
+        vote: Vote,
+        snapshot: Snapshot<TypeConfig<S>>,
+        cancel: impl Future<Output = ReplicationClosed> + OptionalSend + 'static,
+        option: RPCOption,
+    ) -> Result<SnapshotResponse<RaftId>, StreamingError<TypeConfig<S>, Fatal<RaftId>>> {
+        let mut cancel = Box::pin(cancel);
+        let sent = tokio::select! {
+            biased;
+            closed = &mut cancel => return Err(closed.into()),
+            sent = self.send_blocks(vote, &snapshot, option.hard_ttl()) => sent,
+        };
+        match sent {
+            Ok(Some(vote)) => Ok(SnapshotResponse::new(vote)),
+            Ok(None) => Chunked::send_snapshot(self, vote, snapshot, cancel, option).await,
+            Err(error) => Err(NetworkError::new(&error).into()),
         }
     }
 
