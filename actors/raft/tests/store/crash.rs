@@ -229,6 +229,32 @@ fn a_snapshot_of_the_leader_needs_few_syncs() {
 }
 
 #[test]
+fn a_crash_during_an_installation_keeps_the_former_snapshot() {
+    let machine = Machine::default();
+    let store = machine.open().expect("a store");
+    // The pieces of the next snapshot take two transactions.
+    let (former, next) = (vec![7; 100_000], vec![8; 4_500_000]);
+    super::block_on(store.save_snapshot(former.clone())).expect("a write");
+    {
+        let mut simulation = machine.simulation();
+        let calls_before = simulation.calls;
+        simulation.image_calls = (0..5).rev().map(|image| calls_before + 1 + image * 20).collect();
+        simulation.rng = Some(ChaCha8Rng::seed_from_u64(7));
+    }
+    super::block_on(store.install_snapshot(next.clone())).expect("a write");
+    drop(store);
+    let images = std::mem::take(&mut machine.simulation().images);
+    let mut kept = 0;
+    for Image { files, kind, .. } in images {
+        let store = Machine::with_files(files).open().unwrap_or_else(|problem| panic!("{kind}: {problem}"));
+        let found = store.persistent_state().expect("a log store").snapshot.expect("a snapshot");
+        assert!(found == former || found == next, "{kind}: {} bytes", found.len());
+        kept += usize::from(found == former);
+    }
+    assert!(kept >= 4, "{kept} crashes before the end of the installation");
+}
+
+#[test]
 fn a_store_on_a_full_disk_fails_and_loses_nothing() {
     let machine = Machine::default();
     let store = machine.open().expect("a store");
