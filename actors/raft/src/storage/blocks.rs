@@ -152,9 +152,9 @@ mod tests {
 
     #[test]
     fn an_insertion_changes_only_the_blocks_around_it() {
-        let state = random(4, 2_000_000);
+        let state = random(4, 600_000);
         let before: BTreeSet<Block> = blocks_of(&state).into_iter().collect();
-        for place in [0, 17, 300_000, 1_000_001, 1_999_999, 2_000_000] {
+        for place in [0, 17, 300_000, 599_999, 600_000] {
             for inserted in [&b"x"[..], &[7; 1000]] {
                 let changed = [&state[..place], inserted, &state[place..]].concat();
                 let new = blocks_of(&changed).iter().filter(|block| !before.contains(block)).count();
