@@ -195,7 +195,17 @@ fn modules_have_a_single_layout() {
 }
 
 /// Words of the lab samples, which are a mission of the hospital domain.
-const DOMAIN_WORDS: [&str; 2] = ["drawer", "nurse"];
+const DOMAIN_WORDS: [&str; 3] = ["drawer", "nurse", "sample"];
+
+/// These words where `sample` alone is a message of the bus, or a function of a library.
+const PROTOCOL_WORDS: [&str; 5] = ["drawer", "nurse", "lab-sample", "lab_sample", "lab sample"];
+
+/// Returns `place: word` for each of the words in a text, whatever their case.
+fn used_words(place: &Path, text: &str, words: &[&str]) -> Vec<String> {
+    let text = text.to_lowercase();
+    let used = words.iter().filter(|word| text.contains(**word));
+    used.map(|word| format!("{}: {word}", place.display())).collect()
+}
 
 #[test]
 fn protocol_and_actors_contain_no_words_of_a_domain() {
@@ -205,9 +215,42 @@ fn protocol_and_actors_contain_no_words_of_a_domain() {
     let mut found = Vec::new();
     for file in files {
         let bytes = fs::read(&file).unwrap_or_else(|problem| panic!("{}: {problem}", file.display()));
-        let text = String::from_utf8_lossy(&bytes).to_lowercase();
-        let used = DOMAIN_WORDS.iter().filter(|word| text.contains(**word));
-        found.extend(used.map(|word| format!("{}: {word}", file.display())));
+        found.extend(used_words(&file, &String::from_utf8_lossy(&bytes), &PROTOCOL_WORDS));
     }
     assert!(found.is_empty(), "use a word of any domain, such as clerk or box:\n{}", found.join("\n"));
+}
+
+/// Returns the enums in a formatted Rust source text.
+fn enums(text: &str) -> Vec<String> {
+    let lines: Vec<&str> = text.lines().collect();
+    let mut found = Vec::new();
+    for (start, line) in lines.iter().enumerate() {
+        let code = line.trim_start();
+        let mut words = code.split_whitespace().skip_while(|word| word.starts_with("pub"));
+        if words.next() == Some("enum") {
+            let last = format!("{}}}", &line[..line.len() - code.len()]);
+            let length = lines[start..].iter().position(|line| *line == last || code.ends_with('}'));
+            found.push(lines[start..=start + length.expect("the enum ends")].join("\n"));
+        }
+    }
+    found
+}
+
+#[test]
+fn enums_of_skills_contain_no_words_of_a_domain() {
+    let text =
+        "pub enum A {\n    B { c: u8 },\n}\n// enum C {\nmod d {\n    enum E {\n        F,\n    }\n}\nenum G {}\n";
+    assert_eq!(enums(text), ["pub enum A {\n    B { c: u8 },\n}", "    enum E {\n        F,\n    }", "enum G {}"]);
+    let mut files = module_layout::files(&root().join("skills"));
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "rs"));
+    let (mut count, mut found) = (0, Vec::new());
+    for file in files {
+        let text = fs::read_to_string(&file).unwrap_or_else(|problem| panic!("{}: {problem}", file.display()));
+        for text in enums(&text) {
+            count += 1;
+            found.extend(used_words(&file, &text, &DOMAIN_WORDS));
+        }
+    }
+    assert!(count > 20, "{count} enums are not all there are");
+    assert!(found.is_empty(), "use a word of any domain, such as container:\n{}", found.join("\n"));
 }

@@ -10,7 +10,7 @@ use std::str::FromStr;
 
 /// Identity in a certificate. Stored as a URI in the certificate's subject alternative names:
 /// `consort://ward/node/ada?roles=robot,voter`, `consort://ward/node/world?roles=host&serves=ada,bo`,
-/// `consort://ward/person/kim?scope=submit`, `consort://ward/person/lee?scope=submit&missions=lab-samples`.
+/// `consort://ward/person/kim?scope=submit`, `consort://ward/person/lee?scope=submit&missions=deliveries`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
     /// Fleet of the principal.
@@ -233,7 +233,7 @@ mod tests {
             "consort://ward/node/world?roles=host,dashboard&serves=ada,drone-*",
             "consort://ward/node/world?roles=host&serves=*",
             "consort://ward/person/kim.lee?scope=operate",
-            "consort://ward/person/kim?scope=submit&missions=lab-samples,rounds",
+            "consort://ward/person/kim?scope=submit&missions=deliveries,rounds",
             "consort://ward/person/kim?scope=submit&missions=",
         ] {
             assert_eq!(text.parse::<Identity>().unwrap().to_string(), text);

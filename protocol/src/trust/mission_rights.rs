@@ -109,11 +109,11 @@ mod tests {
     fn a_mission_that_is_not_named_is_refused_with_what_is_allowed() {
         assert_eq!(error("*", Some("rounds")), None);
         assert_eq!(error("*", None), None);
-        assert_eq!(error("lab-samples,rounds", Some("rounds")), None);
-        let allowed = "the right `missions` of the certificate allows lab-samples, rounds, by name";
-        let refused = error("lab-samples,rounds", Some("bed-transfer")).unwrap();
+        assert_eq!(error("deliveries,rounds", Some("rounds")), None);
+        let allowed = "the right `missions` of the certificate allows deliveries, rounds, by name";
+        let refused = error("deliveries,rounds", Some("bed-transfer")).unwrap();
         assert_eq!(refused, format!("kim may not submit \"bed-transfer\": {allowed}"));
-        let refused = error("lab-samples,rounds", None).unwrap();
+        let refused = error("deliveries,rounds", None).unwrap();
         assert_eq!(refused, format!("kim may not submit a mission file: {allowed}"));
         assert!(error("", Some("rounds")).unwrap().ends_with("allows none, by name"));
     }

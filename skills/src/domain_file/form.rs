@@ -322,7 +322,7 @@ pub struct SimulatedMove {
     /// time; for a new item, the name of the action and a number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub item: Option<String>,
-    /// Parameter of type `robot` with the robot of `other_drawer`.
+    /// Parameter of type `robot` with the robot of `other_container`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
     /// Declared failure of a goal that cannot move the item. Default: the standard code of the reason, such as
@@ -337,12 +337,12 @@ pub struct SimulatedMove {
 pub enum ItemHolder {
     /// The table at the robot's place.
     Table,
-    /// The robot's own drawer, open or closed.
-    Drawer,
+    /// The robot's own container, open or closed.
+    Container,
     /// The robot's arm, within its reach and payload.
     Arm,
-    /// The open drawer of another robot at the same place, after one of the two has approached the other.
-    OtherDrawer,
+    /// The open container of another robot at the same place, after one of the two has approached the other.
+    OtherContainer,
     /// No holder: the item does not exist.
     Nothing,
 }

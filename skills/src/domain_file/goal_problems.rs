@@ -62,14 +62,14 @@ pub(super) fn move_problems(place: &str, action: &ActionForm) -> Vec<DomainProbl
     if let Some(name) = item {
         problems.extend(parameter_problem(&place, "item", action, name, ParameterKind::Text));
     }
-    let needs_robot = [from, to].contains(&&ItemHolder::OtherDrawer);
+    let needs_robot = [from, to].contains(&&ItemHolder::OtherContainer);
     match robot {
         Some(_) if !needs_robot => {
-            problems.push(problem(format!("{place}.robot"), "only `other_drawer` has a robot; omit `robot`"));
+            problems.push(problem(format!("{place}.robot"), "only `other_container` has a robot; omit `robot`"));
         }
         Some(name) => problems.extend(parameter_problem(&place, "robot", action, name, ParameterKind::Robot)),
         None if needs_robot => {
-            let needed = "`other_drawer` needs `robot`: a parameter of type robot";
+            let needed = "`other_container` needs `robot`: a parameter of type robot";
             problems.push(problem(&place, needed));
         }
         None => {}

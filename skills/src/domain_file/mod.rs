@@ -16,7 +16,7 @@
 //!   load:                                      # a goal that hands an item over
 //!     hands_over: true
 //!     cancel: { within_s: 5 }
-//!     simulate: { moves: { from: table, to: drawer } }
+//!     simulate: { moves: { from: table, to: container } }
 //! readings:                                    # what a driver publishes
 //!   tank_l: { type: number, unit: l, minimum: 0, maximum: 5, simulate: { value: 5 } }
 //! tasks:                                       # what a mission contains

@@ -78,8 +78,8 @@ async fn a_request_needs_a_person_with_its_scope() {
 #[tokio::test(flavor = "current_thread", start_paused = true)]
 async fn the_author_of_a_request_has_the_missions_of_the_certificate() {
     let mut ada = Coordinator::start().await;
-    let identity = "consort://ward/person/kim?scope=submit&missions=lab-samples";
-    let allowed: MissionRights = "lab-samples".parse().unwrap();
+    let identity = "consort://ward/person/kim?scope=submit&missions=deliveries";
+    let allowed: MissionRights = "deliveries".parse().unwrap();
     let kim_bus = ada.fixture.node("kim", identity).await;
     assert_eq!(ada.author(&kim_bus, ApiCall::Submit, b"").await.unwrap().missions, allowed);
     let issued = ada.fixture.authority().issue(&identity.parse().unwrap(), &[], LONG).unwrap();

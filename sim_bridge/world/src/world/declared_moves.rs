@@ -53,13 +53,13 @@ impl SimState {
         let holder = |holder: ItemHolder| -> Result<Option<HolderEntity>, ActionError> {
             let holder = match holder {
                 ItemHolder::Table => HolderEntity::Table(self.require_place(robot)?),
-                ItemHolder::Drawer if self.get::<SimRobot>(robot).0.has_drawer => HolderEntity::Drawer(robot),
-                ItemHolder::Drawer => {
+                ItemHolder::Container if self.get::<SimRobot>(robot).0.has_drawer => HolderEntity::Drawer(robot),
+                ItemHolder::Container => {
                     let message = format!("{} has no drawer", self.robot_id(robot));
                     return Err(action_error(ErrorCode::ContainerState, message));
                 }
                 ItemHolder::Arm => self.in_arm(robot).map(|_| HolderEntity::Arm(robot))?,
-                ItemHolder::OtherDrawer => self.other_drawer(robot, text(moves.robot.as_ref()))?,
+                ItemHolder::OtherContainer => self.other_drawer(robot, text(moves.robot.as_ref()))?,
                 ItemHolder::Nothing => return Ok(None),
             };
             Ok(Some(holder))

@@ -10,7 +10,7 @@ fn items_come_from_nothing_and_go_to_nothing() {
         ))
     };
     assert!(moves("", "nothing", "table").is_ok());
-    assert!(moves("", "drawer", "nothing").is_ok());
+    assert!(moves("", "container", "nothing").is_ok());
     let place = "actions.a.simulate.moves";
     let same = format!("{place}: `from` and `to` are the same; allowed are two different holders");
     assert_eq!(moves("", "nothing", "nothing").unwrap_err(), [same]);

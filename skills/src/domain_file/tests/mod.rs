@@ -329,17 +329,17 @@ domain: loading
 actions:
   a: { cancel: { within_s: 0 } }
   b: { cancel: { within_s: 61 } }
-  c: { simulate: { system: arm, moves: { from: table, to: drawer } } }
+  c: { simulate: { system: arm, moves: { from: table, to: container } } }
   d: { by_people: true, simulate: { moves: { from: table, to: table } } }
   e: { repeatable: true, simulate: { moves: { from: table, to: arm } } }
   f: { hands_over: false, simulate: { moves: { from: table, to: arm, robot: other } } }
   g:
     parameters: { name: { type: text, optional: true }, thing: { type: text }, other: { type: robot } }
     failures: { gone: {} }
-    simulate: { moves: { from: other_drawer, to: arm, item: thin, otherwise: gon } }
+    simulate: { moves: { from: other_container, to: arm, item: thin, otherwise: gon } }
   h:
     parameters: { name: { type: text, optional: true }, other: { type: text } }
-    simulate: { moves: { from: arm, to: other_drawer, item: name, robot: other } }
+    simulate: { moves: { from: arm, to: other_container, item: name, robot: other } }
 "#;
     let problems = check(wrong).unwrap_err();
     let expected = [
@@ -350,10 +350,10 @@ actions:
         "actions.d.simulate.moves: `from` and `to` are the same; allowed are two different holders",
         "actions.e.simulate.moves: an action that moves items needs `hands_over: true`",
         "actions.f.simulate.moves: an action that moves items needs `hands_over: true`",
-        "actions.f.simulate.moves.robot: only `other_drawer` has a robot; omit `robot`",
+        "actions.f.simulate.moves.robot: only `other_container` has a robot; omit `robot`",
         "actions.g.simulate.moves.item: no parameter with the type \"text\" that is not `optional`; allowed: thing; did \
          you mean `thing`?",
-        "actions.g.simulate.moves: `other_drawer` needs `robot`: a parameter of type robot",
+        "actions.g.simulate.moves: `other_container` needs `robot`: a parameter of type robot",
         "actions.g.simulate.moves.otherwise: no such failure; allowed: gone; did you mean `gone`?",
         "actions.h.simulate.moves.item: no parameter with the type \"text\" that is not `optional`; allowed: other",
         "actions.h.simulate.moves.robot: no parameter with the type \"robot\" that is not `optional`; no names are \
@@ -363,7 +363,7 @@ actions:
     let unknown =
         yaml::parse::<DomainForm>("domain: d\nactions: { a: { simulate: { moves: { from: shelf, to: arm } } } }");
     let unknown = unknown.unwrap_err();
-    assert!(unknown.contains("shelf") && unknown.contains("other_drawer"), "{unknown}");
+    assert!(unknown.contains("shelf") && unknown.contains("other_container"), "{unknown}");
 }
 
 #[test]

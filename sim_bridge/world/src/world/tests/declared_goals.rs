@@ -11,23 +11,23 @@ use std::collections::BTreeMap;
 const LOADING: &str = r#"
 domain: loading
 actions:
-  load: { simulate: { duration_s: [2, 2], moves: { from: table, to: drawer } } }
+  load: { simulate: { duration_s: [2, 2], moves: { from: table, to: container } } }
   load_thing:
     parameters: { thing: { type: text } }
     failures: { not_there: { class: task, moved_nothing: true } }
-    simulate: { duration_s: [2, 2], moves: { from: table, to: drawer, item: thing, otherwise: not_there } }
-  unload: { simulate: { duration_s: [2, 2], moves: { from: drawer, to: table } } }
+    simulate: { duration_s: [2, 2], moves: { from: table, to: container, item: thing, otherwise: not_there } }
+  unload: { simulate: { duration_s: [2, 2], moves: { from: container, to: table } } }
   lift: { parameters: { thing: { type: text } }, simulate: { moves: { from: table, to: arm, item: thing } } }
   pass_on:
     parameters: { to: { type: robot } }
-    simulate: { moves: { from: drawer, to: other_drawer, robot: to } }
-  spill: { simulate: { failure_rate: 1, moves: { from: table, to: drawer } } }
-  cook: { simulate: { duration_s: [2, 2], moves: { from: nothing, to: drawer } } }
+    simulate: { moves: { from: container, to: other_container, robot: to } }
+  spill: { simulate: { failure_rate: 1, moves: { from: table, to: container } } }
+  cook: { simulate: { duration_s: [2, 2], moves: { from: nothing, to: container } } }
   print:
     parameters: { thing: { type: text } }
     failures: { no_paper: { class: task, moved_nothing: true } }
     simulate: { duration_s: [2, 2], moves: { from: nothing, to: table, item: thing, otherwise: no_paper } }
-  eat: { simulate: { duration_s: [2, 2], moves: { from: drawer, to: nothing } } }
+  eat: { simulate: { duration_s: [2, 2], moves: { from: container, to: nothing } } }
   burn: { parameters: { thing: { type: text } }, simulate: { moves: { from: table, to: nothing, item: thing } } }
   press: { cancel: { within_s: 3 }, simulate: { duration_s: [10, 10] } }
   wash:
@@ -189,7 +189,7 @@ fn a_declared_goal_creates_and_consumes_items() {
 #[test]
 fn the_name_of_a_new_item_is_shortened() {
     let long = "c".repeat(64);
-    let text = format!("{LOADING}  {long}: {{ simulate: {{ moves: {{ from: nothing, to: drawer }} }} }}\n");
+    let text = format!("{LOADING}  {long}: {{ simulate: {{ moves: {{ from: nothing, to: container }} }} }}\n");
     let domain = DomainFile::check(yaml::parse(&text).unwrap(), &BTreeMap::new(), &[]).unwrap();
     let mut world = World::new(store_setup(2).domain(&domain)).unwrap();
     for id in [1, 2] {
