@@ -177,13 +177,17 @@ impl Browser {
     }
 
     /// Permits notifications to the pages of an address, and lists those that the open page shows from now on in
-    /// `window.shown`, each by title, text and tag.
+    /// `window.shown`, each by title, text and tag. `window.tones` is the number of tones that the page plays.
     pub(crate) fn watch_notifications(&self) {
         let origin = self.value("location.origin");
         self.command("Browser.grantPermissions", json!({ "permissions": ["notifications"], "origin": origin }));
         self.value(
             "((Shown) => { window.shown = []; window.Notification = class extends Shown { constructor(title, options) \
              { super(title, options); window.shown.push([title, options.body, options.tag]); } }; return true; })(Notification)",
+        );
+        self.value(
+            "((create) => { window.tones = 0; AudioContext.prototype.createOscillator = function () { window.tones += 1; \
+             return create.call(this); }; return true; })(AudioContext.prototype.createOscillator)",
         );
     }
 

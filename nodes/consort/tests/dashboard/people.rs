@@ -35,6 +35,20 @@ root:
     - { task: sign, type: attend, roles: [doctor], parameters: { at: Dock } }
 ";
 
+/// Alerts of each level, one after the other.
+const ALERTS: &str = r"
+mission: alerts
+roles: { doctor: { kind: unmanaged }, r1: { kind: managed } }
+root:
+  task: all
+  method: sequential
+  tasks:
+    - { task: come, type: navigation, roles: [r1], parameters: { to: Dock } }
+    - { task: tell, type: alert, roles: [doctor], parameters: { message: it is here, level: info, at: Dock } }
+    - { task: warn, type: alert, roles: [doctor], parameters: { message: it stands, level: warning, at: Dock } }
+    - { task: call, type: alert, roles: [doctor], parameters: { message: it is hot, level: urgent, at: Dock } }
+";
+
 /// Fills the form of the first open request with a pulse. Expects that the page shows it.
 fn fill(page: &str, pulse: u32) -> String {
     format!(
@@ -228,7 +242,7 @@ fn a_person_signs_in_with_a_token_and_answers() {
 }
 
 #[test]
-fn a_new_request_is_notified_once() {
+fn a_new_request_is_notified_once_and_as_its_level_demands() {
     let folder = Folder::new();
     let Some(browser) = Browser::start(&folder) else { return };
     let port = free_port();
@@ -263,6 +277,27 @@ fn a_new_request_is_notified_once() {
         );
         expected.push(json!(["New request", "sign at Dock", id]));
         assert_eq!(browser.value("window.shown"), json!(expected), "each request once, and no other");
+    }
+    assert_eq!(browser.value("window.tones"), 2, "a tone for each new request");
+
+    // Each alert states its level as a text; people are notified of a warning, and more clearly of an urgent alert.
+    fleet.run(&["answer", "signature-3.1", "--done", "--by", "Ria"], "station-2").expect(0);
+    let alerts = folder.write("alerts.yaml", ALERTS).display().to_string();
+    let mission = fleet.run(&["submit", &alerts], "station-2").expect(0).stdout.trim().to_owned();
+    let levels = [("tell", "info", 2), ("warn", "warning", 3), ("call", "urgent", 6)];
+    for (number, (task, level, tones)) in levels.into_iter().enumerate() {
+        let id = format!("{mission}.{}", number + 1);
+        browser.wait_until("the alert", &format!("document.querySelector('#open form').dataset.request === '{id}'"));
+        let card = browser.text("#open form");
+        assert!(card.contains(&format!("Level: {level}")) && !card.contains("level:"), "{card}");
+        assert_eq!(browser.text("#announce"), format!("New request, {level}: {task} at Dock"), "to screen readers");
+        if level != "info" {
+            expected.push(json!([format!("New request, {level}"), format!("{task} at Dock"), id]));
+        }
+        assert_eq!(browser.value("window.shown"), json!(expected), "{level}");
+        assert_eq!(browser.value("window.tones"), tones, "{level}");
+        check_access(&browser, level);
+        fleet.run(&["answer", &id, "--done", "--by", "Ria"], "station-2").expect(0);
     }
     fleet.stop();
 }

@@ -1,12 +1,17 @@
 // The page for people: requests of missions, answers, missions of their own, and calls for robots.
 
-import { byId, make, setText, readable } from './dom.js';
+import { byId, make, setText, readable, state as mark } from './dom.js';
 import { givenParameters, parameterFields, placesOf } from './mission_form.js';
 import { newRequest, send as requestOnce } from './request.js';
 import { admitted } from './session.js';
 
 /** Polling interval in milliseconds, and the time without a reply after which the page says so. */
 const [POLL, SILENCE] = [1500, 5000];
+
+/** Levels of alerts: the colour, and the tones that announce a new one. An alert without a tone is not notified. */
+const LEVELS = { info: { colour: 'work', tones: 0 }, warning: { colour: 'warn', tones: 1 }, urgent: { colour: 'bad', tones: 3 } };
+/** Tones that announce a new request that is no alert. */
+const TONES = 1;
 
 const store = {
   get: (key) => { try { return localStorage.getItem(`consort-${key}`) ?? ''; } catch { return ''; } },
@@ -26,6 +31,7 @@ const role = () => byId('role').value;
 const isOpen = (request) => request.phase.open !== undefined;
 const escalatedTo = (request) => (request.escalated_at_ms ? request.escalates_to : undefined);
 const isMine = (request) => role() === '' || request.role === role() || escalatedTo(request) === role();
+const levelOf = ({ parameters: { level } }) => (Object.hasOwn(LEVELS, level) ? level : undefined);
 const time = (ms) => new Date(ms).toLocaleTimeString([], { hour: '2-digit', minute: '2-digit' });
 
 /** Sends a request. If the token has expired, the page first asks for another one. */
@@ -114,8 +120,7 @@ function drawOpen(open) {
     const expires = request.expires_at_ms ? `Expires at ${time(request.expires_at_ms)}.` : '';
     setText(card.querySelector('.when'), `Asked at ${time(request.asked_at_ms)}. ${until}${escalated}${expires}`);
     setText(card.querySelector('.where'), request.place ?? '');
-    const { level } = request.parameters;
-    card.firstElementChild.classList.toggle('urgent', level === 'urgent' || Boolean(others));
+    card.firstElementChild.classList.toggle('urgent', levelOf(request) === 'urgent' || Boolean(others));
     if (!card.isConnected) list.append(card);
   }
   for (const gone of cards.values()) {
@@ -127,7 +132,9 @@ function drawOpen(open) {
 
 function newCard(request) {
   const { request: id, task, mission, robots, parameters, form, role: of } = request;
-  const shown = Object.entries(parameters).filter(([, value]) => value !== request.place && !(value in robots));
+  const level = levelOf(request);
+  const isShown = ([key, value]) => value !== request.place && !(value in robots) && !(level && key === 'level');
+  const shown = Object.entries(parameters).filter(isShown);
   const fields = Object.entries(form).map(([result, kind]) => field(result, kind));
   const problem = make('p', { className: 'problem', role: 'alert', hidden: true });
   const note = make('input', { autocomplete: 'off', maxLength: 200 });
@@ -138,6 +145,7 @@ function newCard(request) {
   };
   const card = make('form', { className: 'card', 'data-request': id },
     make('h3', {}, readable(task)),
+    level ? make('p', { className: 'level' }, mark(LEVELS[level].colour, `Level: ${level}`)) : null,
     make('p', { className: 'where' }),
     make('p', { className: 'muted' }, `${readable(of)} – ${mission}`,
       Object.keys(robots).length > 0 ? ` – with ${Object.values(robots).join(', ')}` : ''),
@@ -223,30 +231,39 @@ function say(text) {
   setText(byId('announce'), text);
 }
 
-/** Announces new requests: to screen readers, by a sound, and by a notification if allowed. */
+/** Announces new requests: to screen readers, and as their level demands by a sound, and by a notification if allowed. */
 function announceNew(open) {
   const ids = new Set(open.map((request) => request.request));
   const fresh = known ? open.filter((request) => !known.has(request.request)) : [];
   known = ids;
   document.title = open.length > 0 ? `(${open.length}) Requests – Consort` : 'Requests – Consort';
-  for (const request of fresh) {
-    const text = `${readable(request.task)}${request.place ? ` at ${request.place}` : ''}`;
-    say(`New request: ${text}`);
-    if (globalThis.Notification?.permission === 'granted') new Notification('New request', { body: text, tag: request.request });
-  }
-  if (fresh.length > 0 && sound) beep();
+  const announced = fresh.map((request) => {
+    const level = levelOf(request);
+    const title = level ? `New request, ${level}` : 'New request';
+    const body = `${readable(request.task)}${request.place ? ` at ${request.place}` : ''}`;
+    const tones = level ? LEVELS[level].tones : TONES;
+    if (tones > 0 && globalThis.Notification?.permission === 'granted') {
+      new Notification(title, { body, tag: request.request, requireInteraction: level === 'urgent' });
+    }
+    return { text: `${title}: ${body}`, tones };
+  });
+  if (announced.length > 0) say(announced.map(({ text }) => text).join('; '));
+  if (sound) beep(Math.max(0, ...announced.map(({ tones }) => tones)));
 }
 
 let sound;
 
-function beep() {
-  const tone = sound.createOscillator();
-  const gain = sound.createGain();
-  gain.gain.value = 0.1;
-  tone.frequency.value = 880;
-  tone.connect(gain).connect(sound.destination);
-  tone.start();
-  tone.stop(sound.currentTime + 0.25);
+function beep(tones) {
+  for (let number = 0; number < tones; number += 1) {
+    const tone = sound.createOscillator();
+    const gain = sound.createGain();
+    const start = sound.currentTime + number * 0.4;
+    gain.gain.value = 0.1;
+    tone.frequency.value = 880;
+    tone.connect(gain).connect(sound.destination);
+    tone.start(start);
+    tone.stop(start + 0.25);
+  }
 }
 
 byId('notify').onclick = async () => {
