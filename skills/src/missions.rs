@@ -208,6 +208,23 @@ mod tests {
         }
     }
 
+    /// An alert without an answer is escalated; then the mission fails, which frees its robots.
+    #[test]
+    fn a_fever_alerts_the_nurse_and_then_the_head_nurse() {
+        let mission = shipped()["vital-signs"].instantiate(&BTreeMap::new(), &hospital()).unwrap();
+        let of_nurse = mission.elementary().into_iter().filter(|(_, spec)| spec.names(&RoleId::new("nurse").unwrap()));
+        let mut alerts = 0;
+        for (task, spec) in of_nurse {
+            let escalation = spec.escalation.as_deref().unwrap();
+            assert_eq!((spec.task_type.as_str(), escalation.to.as_str()), ("alert", "head_nurse"), "{task}");
+            assert_eq!(spec.parameters["level"], "urgent", "{task}");
+            assert!(spec.patience_s.is_some_and(|patience_s| escalation.after_s < patience_s), "{task}");
+            assert!(spec.conditions.iter().any(|condition| condition.contains("temperature_c > 38.0")), "{task}");
+            alerts += 1;
+        }
+        assert_eq!(alerts, 4);
+    }
+
     /// The place of a loss is known only after the loss.
     #[test]
     fn recovery_branches_are_valid_on_a_map() {
