@@ -67,6 +67,8 @@ pub(crate) struct AssumedFleet {
     pub charging: Option<Arc<ChargingSettings>>,
     /// Limits of what its robots promise.
     pub promises: PromiseTerms,
+    /// Time to wait for an answer of people, in seconds, where the mission states none; `None` for no limit.
+    pub patience_s: Option<u32>,
     /// Its ensembles. `None`: every worker is a member of every ensemble.
     pub ensembles: Option<Arc<Ensembles>>,
 }

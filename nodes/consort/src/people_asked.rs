@@ -78,9 +78,18 @@ impl fmt::Display for ExpectedRequest {
     }
 }
 
-/// Returns the requests of a mission, in the order of its tasks.
-pub(crate) fn expected_requests(mission: &Mission, library: &SkillLibrary) -> Vec<ExpectedRequest> {
-    mission.elementary().into_iter().flat_map(|(task, spec)| requests_of(mission, library, task, spec)).collect()
+/// Returns the requests of a mission, in the order of its tasks. Those that state no time limit have `patience_s`.
+pub(crate) fn expected_requests(
+    mission: &Mission,
+    library: &SkillLibrary,
+    patience_s: Option<u32>,
+) -> Vec<ExpectedRequest> {
+    let requests = mission.elementary().into_iter().flat_map(|(task, spec)| requests_of(mission, library, task, spec));
+    let with_limit = |request: ExpectedRequest| ExpectedRequest {
+        patience_s: request.patience_s.or(patience_s.map(StatedSeconds::Known)),
+        ..request
+    };
+    requests.map(with_limit).collect()
 }
 
 fn requests_of(mission: &Mission, library: &SkillLibrary, task: &TaskId, spec: &TaskSpec) -> Vec<ExpectedRequest> {
@@ -112,7 +121,7 @@ fn requests_of(mission: &Mission, library: &SkillLibrary, task: &TaskId, spec: &
 /// Returns the problems of escalations of questions that are certain before the mission begins.
 /// Those of tasks of people are problems of the mission.
 pub(crate) fn question_problems(mission: &Mission, library: &SkillLibrary) -> Vec<String> {
-    let requests = expected_requests(mission, library);
+    let requests = expected_requests(mission, library, None);
     let problem = |request: &ExpectedRequest| {
         let question = request.question.as_ref()?;
         let to = RoleId::new(request.escalate_to.as_deref()?).ok()?;

@@ -15,7 +15,7 @@ use consort_bus::zenoh_bus::{LinkTrust, Mode};
 use consort_dashboard::loaded_map::LoadedMap;
 use consort_driver::{Contract, DriverEndpoint, DriverSetting, EndpointError, ProcessDriver, RobotStart};
 use consort_fleet::autopilot;
-use consort_fleet::coordinator::{CandidateSettings, RequestLimits};
+use consort_fleet::coordinator::CandidateSettings;
 use consort_fleet::node::{DevicePart, DriverServerPart, FleetSettings, NodeSettings, RobotPart};
 use consort_protocol::auction::{BidLimits, OptimalAssignment};
 use consort_protocol::ensemble::Ensembles;
@@ -169,7 +169,7 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
         limits: limits(config),
         charging,
         promises: config.auction.promise_terms(),
-        request_limits: RequestLimits { missions_max: config.requests.missions, requests_per_s: config.requests.per_s },
+        request_limits: config.requests.limits(),
         history_limits: config.history.limits(),
         allocator: Arc::new(OptimalAssignment),
         candidates,

@@ -340,6 +340,20 @@ impl Mission {
         }
     }
 
+    /// Sets `patience_s` of the tasks of people that state none.
+    pub fn set_default_patience(&mut self, patience_s: u32) {
+        let Mission { roles, tasks, .. } = self;
+        let is_person = |role: &RoleId| roles.get(role).is_some_and(|role| role.kind == RoleKind::Unmanaged);
+        let specs = tasks.iter_mut().filter_map(|node| match &mut node.body {
+            // The tasks of alternatives belong to robots.
+            TaskBody::Elementary(spec) => Some(spec),
+            TaskBody::Abstract(_) => None,
+        });
+        for spec in specs.filter(|spec| spec.roles.iter().all(is_person)) {
+            spec.patience_s.get_or_insert(patience_s);
+        }
+    }
+
     /// Returns the elementary tasks, depth first and in the order of the file, without those of
     /// alternatives. Terminates for an unchecked mission, too: each task is visited at most once.
     pub fn elementary(&self) -> Vec<(&TaskId, &TaskSpec)> {

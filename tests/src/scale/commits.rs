@@ -83,7 +83,8 @@ pub fn measure_commits(setup: CommitSetup, progress: impl Fn(&str)) -> CommitFig
     let figures = runtimes.block_on(async {
         progress("starts");
         let adjust = move |settings: &mut NodeSettings| {
-            settings.fleet.request_limits = RequestLimits { missions_max: 0, requests_per_s: 0 };
+            settings.fleet.request_limits =
+                RequestLimits { missions_max: 0, requests_per_s: 0, ..RequestLimits::default() };
             settings.fleet.snapshot_every = SNAPSHOT_EVERY;
             if setup.missions > LIMITED_MAX {
                 settings.supported_versions = settings.supported_versions.up_to(2);

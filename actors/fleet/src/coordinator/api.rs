@@ -5,6 +5,7 @@ use super::last_known_place::last_known_places;
 use super::no_leader::{RETRY_AFTER_MS, busy_reply};
 use super::open_replies::{OpenReplies, OpenReply};
 use super::people::{PeopleHost, removals};
+use super::rate_limit::RequestLimits;
 use super::submission::{self, Definitions, ScheduleError, SubmitError};
 use crate::events::EventPublisher;
 use crate::recurrence::schedule_view;
@@ -63,8 +64,8 @@ pub(super) struct ApiHandler {
     pub(super) request_number: u64,
     /// Verified author of the request, in a closed fleet.
     pub(super) requester: Option<Requester>,
-    /// Maximum number of active missions; 0 for no limit.
-    pub(super) missions_max: usize,
+    /// Limits of requests and missions.
+    pub(super) limits: RequestLimits,
     pub(super) open_replies: OpenReplies,
     /// The reply to a submission, before it is sent.
     pub(super) open_reply: OnceLock<OpenReply>,
@@ -179,7 +180,7 @@ impl ApiHandler {
     }
 
     fn definitions(&self) -> Definitions<'_> {
-        Definitions { missions: &self.missions, domain: &self.domain }
+        Definitions { missions: &self.missions, domain: &self.domain, limits: self.limits }
     }
 
     /// Checks whether the signer may submit a mission, in a closed fleet. A request that names the mission contains
@@ -219,9 +220,10 @@ impl ApiHandler {
     /// Returns an error if the fleet accepts no new missions. A repeated request for an accepted
     /// mission still gets its reply.
     fn overload(&self, ledger: &Ledger, request: &RequestId) -> Option<ApiError> {
-        let is_full = self.missions_max > 0 && ledger.has_active(self.missions_max);
+        let missions_max = self.limits.missions_max;
+        let is_full = missions_max > 0 && ledger.has_active(missions_max);
         (is_full && !ledger.remembers(request)).then(|| ApiError {
-            text: format!("{} missions are active, the maximum of this fleet", self.missions_max),
+            text: format!("{missions_max} missions are active, the maximum of this fleet"),
             may_retry: true,
         })
     }

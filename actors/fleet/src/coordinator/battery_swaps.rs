@@ -121,7 +121,8 @@ fn submission(
     now_ms: u64,
 ) -> Result<Submission, SubmitError> {
     let settings = &context.settings;
-    let definitions = Definitions { missions: &settings.missions, domain: &settings.domain };
+    let (missions, domain, limits) = (&settings.missions, &settings.domain, settings.request_limits);
+    let definitions = Definitions { missions, domain, limits };
     let mut request = SubmitRequest::of(MissionSource::Named(mission.to_owned()));
     request.parameters.insert(ROBOT.to_owned(), robot.to_string());
     request.priority = PRIORITY;

@@ -1,4 +1,4 @@
-//! Rate limit: the number of requests and missions that a coordinator accepts.
+//! Limits of requests: the number of requests and missions that a coordinator accepts, and the time that they may take.
 
 use consort_protocol::units::NodeTime;
 use governor::clock::{Clock as _, FakeRelativeClock};
@@ -21,12 +21,18 @@ pub struct RequestLimits {
     /// Steady rate of requests per second, with bursts of 5 times as many; 0 for no limit. Raised:
     /// a client that sends requests without end uses more of the coordinator's time.
     pub requests_per_s: u32,
+    /// Time to wait for an answer of people, in seconds, for tasks and questions that state none; `None` for no limit.
+    /// Raised: robots wait for longer for an answer that does not come.
+    pub patience_s: Option<u32>,
+    /// Bound on the time of missions that state none; `None` for no bound. Raised: a mission that cannot go on keeps its
+    /// robots for longer.
+    pub time_limit: Option<Duration>,
 }
 
 impl Default for RequestLimits {
-    /// 1000 missions, 200 requests per second.
+    /// 1000 missions, 200 requests per second, an hour for an answer, and no bound on the time of missions.
     fn default() -> Self {
-        RequestLimits { missions_max: 1000, requests_per_s: 200 }
+        RequestLimits { missions_max: 1000, requests_per_s: 200, patience_s: Some(3600), time_limit: None }
     }
 }
 
@@ -80,7 +86,7 @@ mod tests {
 
     #[test]
     fn without_a_limit_every_request_is_accepted() {
-        let mut limiter = RequestLimiter::new(RequestLimits { missions_max: 0, requests_per_s: 0 }, at(0));
+        let mut limiter = RequestLimiter::new(RequestLimits { requests_per_s: 0, ..RequestLimits::default() }, at(0));
         assert!((0..10_000).all(|_| limiter.try_acquire(at(0)).is_ok()));
     }
 }

@@ -90,7 +90,7 @@ impl Requests {
             time_ms,
             request_number: self.count,
             requester,
-            missions_max: context.settings.request_limits.missions_max,
+            limits: context.settings.request_limits,
             open_replies: context.open_replies.clone(),
             open_reply: OnceLock::new(),
         }

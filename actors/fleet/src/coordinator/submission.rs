@@ -1,5 +1,6 @@
 //! Validation of a request to submit a mission, up to the command for the ledger.
 
+use super::rate_limit::RequestLimits;
 use crate::recurrence::{Recurrence, RecurrenceError};
 use consort_protocol::api::{MissionSource, RequestError, ScheduleRequest, StartTime, SubmitRequest};
 use consort_protocol::codec::{self, CodecError};
@@ -121,13 +122,15 @@ pub(crate) enum ScheduleError {
     Id(#[from] NameError),
 }
 
-/// Definitions that a request refers to.
+/// Definitions that a request refers to, and the bounds of missions that state none.
 #[derive(Clone, Copy)]
 pub(super) struct Definitions<'a> {
     /// The missions, by name.
     pub(super) missions: &'a NamedMissions,
     /// The task types.
     pub(super) domain: &'a Domain,
+    /// The bounds.
+    pub(super) limits: RequestLimits,
 }
 
 /// Checks a request for a schedule, with its mission. `by` is the person that asks.
@@ -185,13 +188,17 @@ pub(crate) fn document(request: &SubmitRequest, missions: &NamedMissions) -> Res
 /// The request is invalid in itself or does not match the domain.
 pub(super) fn prepare(
     request_fields: SubmitRequest,
-    Definitions { missions, domain }: Definitions<'_>,
+    Definitions { missions, domain, limits }: Definitions<'_>,
     at_ms: u64,
     default_id: String,
     by: String,
 ) -> Result<Submission, SubmitError> {
     let document = document(&request_fields, missions)?;
-    let (mission, recovery) = document.instantiate_with_recovery(&request_fields.parameters, domain)?;
+    let (mut mission, mut recovery) = document.instantiate_with_recovery(&request_fields.parameters, domain)?;
+    if let Some(patience_s) = limits.patience_s {
+        let branches = std::iter::once(&mut mission).chain(&mut recovery);
+        branches.for_each(|branch| branch.set_default_patience(patience_s));
+    }
     let division = divide_and_check(&mission)?;
     let recovery = match recovery {
         None => None,
@@ -217,7 +224,7 @@ pub(super) fn prepare(
         return Err(SubmitError::DeadlineBeforeStart { deadline_s, starts_s });
     }
     let starts_ms = not_before_ms.unwrap_or_default().max(at_ms);
-    let limit_ms = document.time_limit().map(|limit| later_ms(starts_ms, limit));
+    let limit_ms = document.time_limit().or(limits.time_limit).map(|limit| later_ms(starts_ms, limit));
     let deadline_ms = [requested_ms, limit_ms].into_iter().flatten().min();
     let request = match request_fields.request {
         Some(request) => request,
@@ -289,4 +296,52 @@ fn forms<'a>(
         }
     }
     forms
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_skills::domain::hospital;
+    use serde_json::{Value, json};
+
+    /// Returns the `patience_s` of all tasks and the deadline of a mission that is requested at 1000 ms. Each branch begins with a
+    /// task of a robot; its other tasks are those of a clerk.
+    fn bounds(limits: RequestLimits, time_limit_s: Option<u32>) -> (Vec<Option<u32>>, Option<u64>) {
+        let wait = |task: &str, role: &str| {
+            let parameters = json!({ "seconds": "1" });
+            json!({ "task": task, "type": "wait", "roles": [role], "parameters": parameters })
+        };
+        let patient = json!({ "task": "patient", "type": "deposit", "roles": ["clerk"], "patience_s": 60,
+            "parameters": { "into_role": "r1" }, "acquires": { "parcel": "r1" } });
+        let tasks = json!([wait("stay", "r1"), patient, wait("other", "clerk")]);
+        let after_loss = json!([wait("come", "r1"), wait("late", "clerk")]);
+        let mut mission = json!({
+            "mission": "meet",
+            "roles": { "r1": { "kind": "managed" }, "clerk": { "kind": "unmanaged" } },
+            "root": { "task": "all", "method": "sequential", "tasks": tasks },
+            "recovery": { "task": "again", "method": "sequential", "tasks": after_loss },
+        });
+        if let Some(seconds) = time_limit_s {
+            mission["time_limit_s"] = json!(seconds);
+        }
+        let Value::Object(file) = mission else { panic!("an object") };
+        let (missions, domain) = (NamedMissions::default(), hospital());
+        let definitions = Definitions { missions: &missions, domain: &domain, limits };
+        let request = SubmitRequest::of(MissionSource::File(file));
+        let submission = prepare(request, definitions, 1000, "one".to_owned(), "Nia".to_owned()).unwrap();
+        let branches = [&submission.mission, &submission.recovery.as_ref().unwrap().mission];
+        let specs = branches.into_iter().flat_map(Mission::elementary);
+        (specs.map(|(_, spec)| spec.patience_s).collect(), submission.deadline_ms)
+    }
+
+    #[test]
+    fn missions_get_the_bounds_of_the_fleet_that_they_do_not_state() {
+        let none = RequestLimits { patience_s: None, time_limit: None, ..RequestLimits::default() };
+        assert_eq!(bounds(none, None), (vec![None, Some(60), None, None, None], None));
+        let (patience_s, time_limit) = (Some(900), Some(Duration::from_secs(10)));
+        let limits = RequestLimits { patience_s, time_limit, ..none };
+        let patience = vec![None, Some(60), Some(900), None, Some(900)];
+        assert_eq!(bounds(limits, None), (patience.clone(), Some(11_000)));
+        assert_eq!(bounds(limits, Some(5)), (patience, Some(6_000)));
+    }
 }

@@ -482,6 +482,7 @@ impl Assembly {
             // 20 bits of goal ids per incarnation; incarnations start at least 1 ms apart.
             first_goal: incarnation << 20,
             heartbeat_interval: Duration::from_millis(300),
+            patience_s: self.fleet.request_limits.patience_s,
         };
         let driver = RobotDriver::connect(client, &self.root.get_cell()).await?.with_exchanges(self.exchanges.clone());
         let driver = driver.with_ways(SharedWays::new(Arc::clone(&self.fleet.devices)));

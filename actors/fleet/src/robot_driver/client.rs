@@ -48,6 +48,8 @@ pub struct DriverClientSettings {
     /// An idle driver gets a command only when the last reply is 0.8 s old. Raised: a lost command
     /// is repeated later. Default 300 ms.
     pub heartbeat_interval: Duration,
+    /// Time to wait for an answer of people, in seconds, of questions that state none; `None` for no limit.
+    pub patience_s: Option<u32>,
 }
 
 /// Driver of a robot. Clones share the same goal tracker; each clone has its own copy of the
@@ -321,7 +323,7 @@ impl Actor for DriverClient {
         let driver = RobotDriver {
             tracker: Arc::new(Mutex::new(GoalTracker::new(settings.first_goal))),
             requests: myself.clone(),
-            question: OpenQuestion::default(),
+            question: OpenQuestion::new(settings.patience_s),
             exchanges: SharedExchanges::default(),
             clock: settings.clock,
             ways: SharedWays::default(),

@@ -8,7 +8,7 @@ use consort_protocol::message::QuestionAnswer;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The open question. Clones share it.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(crate) struct OpenQuestion(Arc<Mutex<State>>);
 
 #[derive(Debug, Default)]
@@ -24,9 +24,16 @@ struct State {
     answer: Option<Result<String, String>>,
     /// A question was asked or closed since the last report.
     is_changed: bool,
+    /// Time to wait for an answer, in seconds, of questions that state none; `None` for no limit.
+    default_patience_s: Option<u32>,
 }
 
 impl OpenQuestion {
+    /// Creates the state without a question. `patience_s` is the time to wait for an answer of questions that state none.
+    pub(super) fn new(patience_s: Option<u32>) -> OpenQuestion {
+        OpenQuestion(Arc::new(Mutex::new(State { default_patience_s: patience_s, ..State::default() })))
+    }
+
     /// Begins an attempt at a task. Further attempts at the same task continue to count its questions:
     /// an answer counts once.
     pub(crate) fn begin_attempt(&self, epoch: Epoch, task: &TaskId) {
@@ -75,7 +82,8 @@ impl OpenQuestion {
         let mut state = self.lock();
         state.is_changed = false;
         let (of, task) = state.task.clone()?;
-        let question = state.latest.clone().filter(|_| of == epoch)?;
+        let mut question = state.latest.clone().filter(|_| of == epoch)?;
+        question.patience_s = question.patience_s.or(state.default_patience_s);
         Some(TaskQuestion { task, number: state.asked, question, is_open: state.is_open })
     }
 
@@ -113,13 +121,25 @@ mod tests {
     }
 
     fn begun() -> OpenQuestion {
-        let open = OpenQuestion::default();
+        let open = OpenQuestion::new(None);
         open.begin_attempt(AWARD, &"visit".parse().unwrap());
         open
     }
 
     fn answer(number: u32, text: &str) -> QuestionAnswer {
         QuestionAnswer { task: "visit".parse().unwrap(), number, is_answered: true, text: text.to_owned() }
+    }
+
+    #[test]
+    fn a_question_without_a_time_limit_is_reported_with_that_of_the_fleet() {
+        for (stated, reported) in [(None, Some(3600)), (Some(60), Some(60))] {
+            let open = OpenQuestion::new(Some(3600));
+            open.begin_attempt(AWARD, &"visit".parse().unwrap());
+            let question = PersonQuestion { patience_s: stated, ..question("may I enter?") };
+            // The skill repeats the question until it is answered.
+            assert_eq!([open.ask(&question), open.ask(&question)], [None, None]);
+            assert_eq!(open.take_report(AWARD).unwrap().question.patience_s, reported);
+        }
     }
 
     #[test]

@@ -154,8 +154,8 @@ fn assumed_fleet(args: &Args, extensions: Extensions) -> Result<(AssumedFleet, A
         }
         None => (None, None, Arc::default()),
     };
-    let promises = config.auction.promise_terms();
-    Ok((AssumedFleet { equipment, limits, charging, promises, ensembles }, missions))
+    let (promises, patience_s) = (config.auction.promise_terms(), config.requests.limits().patience_s);
+    Ok((AssumedFleet { equipment, limits, charging, promises, patience_s, ensembles }, missions))
 }
 
 fn mission(
@@ -169,7 +169,7 @@ fn mission(
     let (mission, division) = divide(template, &fleet.equipment.domain, given)?;
     let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, || mission.managed_roles().cloned().collect())?;
     let result = simulate_auction(&mission, &division, &roles, &workers, fleet);
-    let people = expected_requests(&mission, &fleet.equipment.library);
+    let people = expected_requests(&mission, &fleet.equipment.library, fleet.patience_s);
     if args.json {
         let roles = result.bids.iter().map(|(role, bids)| RoleLine {
             role,

@@ -13,8 +13,8 @@ use consort_protocol::auction::{BidLimits, Objective, PromiseTerms};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue, private_attribute_problems};
 use consort_protocol::ids::{AlarmId, EnsembleId, FleetId, PlaceId, TaskType, ZoneId};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::{HistoryLimits, Zone};
-use consort_protocol::mission::Domain;
+use consort_protocol::ledger::{HistoryLimits, TIME_AHEAD_MAX, Zone};
+use consort_protocol::mission::{Domain, PATIENCE_MAX_S};
 use consort_protocol::pose::Pose;
 use consort_protocol::timing::{Timing, TimingParameters};
 use consort_protocol::units::{BatteryShare, Seconds};
@@ -139,6 +139,26 @@ pub struct RequestsConfig {
     /// Maximum sustained number of requests (submit, cancel, resolve) per second, with bursts of
     /// five times as many; 0 for no limit. Default 200.
     pub per_s: u32,
+    /// Time to wait for an answer of people, in seconds, for tasks and questions of robots that state no `patience_s`; 0 for
+    /// no limit. Without an answer the mission fails, or the tree of the robot goes on. Longer: robots wait for longer for an answer
+    /// that does not come. Default 3600.
+    pub patience_s: u32,
+    /// Bound on the time of missions whose files state no `time_limit_s`, in seconds from the request, or from the
+    /// earliest start; 0 for no bound. Default 0.
+    pub time_limit_s: u32,
+}
+
+impl RequestsConfig {
+    /// Returns the limits of requests and missions.
+    pub(crate) fn limits(&self) -> RequestLimits {
+        let bound = |seconds: u32| (seconds > 0).then_some(seconds);
+        RequestLimits {
+            missions_max: self.missions,
+            requests_per_s: self.per_s,
+            patience_s: bound(self.patience_s),
+            time_limit: bound(self.time_limit_s).map(|seconds| Duration::from_secs(seconds.into())),
+        }
+    }
 }
 
 /// `[history]`: what the fleet remembers of ended missions.
@@ -301,8 +321,14 @@ impl AuctionConfig {
 
 impl Default for RequestsConfig {
     fn default() -> Self {
-        let RequestLimits { missions_max: missions, requests_per_s } = RequestLimits::default();
-        RequestsConfig { missions, per_s: requests_per_s }
+        let RequestLimits { missions_max: missions, requests_per_s, patience_s, time_limit } = RequestLimits::default();
+        let seconds = |time: Duration| u32::try_from(time.as_secs()).expect("a default of seconds");
+        RequestsConfig {
+            missions,
+            per_s: requests_per_s,
+            patience_s: patience_s.unwrap_or(0),
+            time_limit_s: time_limit.map_or(0, seconds),
+        }
     }
 }
 
@@ -403,6 +429,8 @@ impl ConfigFile for FleetConfig {
         within("stall_after_s", self.stall_after_s, 0, 604_800);
         within("requests.missions", self.requests.missions as u64, 0, 1_000_000);
         within("requests.per_s", self.requests.per_s.into(), 0, 1_000_000);
+        within("requests.patience_s", self.requests.patience_s.into(), 0, PATIENCE_MAX_S.into());
+        within("requests.time_limit_s", self.requests.time_limit_s.into(), 0, TIME_AHEAD_MAX.as_secs());
         let largest = HistoryConfig::of(HistoryLimits::LARGEST);
         within("history.missions", self.history.missions.into(), 1, largest.missions.into());
         within("history.outcomes_h", self.history.outcomes_h.into(), 1, largest.outcomes_h.into());

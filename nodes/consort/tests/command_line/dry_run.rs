@@ -253,7 +253,7 @@ fn the_requests_to_people_are_shown_with_their_escalation() {
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     let people = "\n  people\n    call asks clerk, waits 600 s, escalates to head after 300 s\n    \
         see of r1 asks nurse \"may I enter?\", waits 60 s, escalates to head after 30 s\n    \
-        see of r1 asks nurse \"which bed?\", waits without limit\n  r1\n";
+        see of r1 asks nurse \"which bed?\", waits 3600 s\n  r1\n";
     assert!(ran.out.contains(people), "{}", ran.out);
     let ran = run(&[&args[..], &["--json"]].concat());
     let asked = &lines(&ran.out)[0]["people"];

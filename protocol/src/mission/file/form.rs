@@ -104,7 +104,7 @@ pub(super) struct MissionFile {
     pub(super) energy_max: Option<EnergyLimit>,
     /// Bound on its time, in seconds from the request, or from its earliest start. It has the effect of a
     /// deadline: the mission fails, and its robots are free again. If the request has a deadline, too, the
-    /// earlier of the two counts. Default: no bound.
+    /// earlier of the two counts. Default: that of the fleet file.
     #[serde(default, deserialize_with = "time_limit")]
     #[schemars(range(min = 1, max = TIME_LIMIT_MAX_S))]
     pub(super) time_limit_s: Option<u32>,
@@ -223,7 +223,7 @@ pub(super) struct TaskFile {
     #[serde(default, deserialize_with = "attempts")]
     #[schemars(range(min = 1, max = ATTEMPTS_MAX))]
     pub(super) attempts: Option<u8>,
-    /// Task of a person: seconds to wait for an answer before the mission fails. Default: no limit.
+    /// Task of a person: seconds to wait for an answer before the mission fails. Default: that of the fleet file.
     #[serde(default)]
     #[schemars(range(min = 1, max = PATIENCE_MAX_S))]
     pub(super) patience_s: Option<u32>,

@@ -115,7 +115,8 @@ async fn driver(bus: &ZenohBus) -> RobotDriver {
     let (supervisor, _) = Actor::spawn(None, ClientOwner, ()).await.unwrap();
     let (bus, heartbeat_interval) = (Arc::new(bus.clone()), Duration::from_millis(300));
     let clock = Clock::real();
-    let link = DriverClientSettings { robot: ada(), keys: keys(), bus, clock, first_goal: 1, heartbeat_interval };
+    let (keys, patience_s) = (keys(), None);
+    let link = DriverClientSettings { robot: ada(), keys, bus, clock, first_goal: 1, heartbeat_interval, patience_s };
     let driver = RobotDriver::connect(link, &supervisor.get_cell()).await.unwrap();
     driver.allow_until(Some(clock.now() + 10 * LIMIT));
     driver
