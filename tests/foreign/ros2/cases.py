@@ -1,162 +1,15 @@
-"""The cases of run.sh. Each prints `pass NAME`, `fail NAME: why` or `skip NAME: why`. `--list` prints the names; arguments select."""
-import json, os, pathlib, queue, re, shutil, signal, socket, subprocess, sys, tempfile, threading, time, traceback
+"""The cases of run.sh. `--list` prints their names; arguments select."""
+import json, os, pathlib, re, signal, sys, time
 
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
-V, CONSORT, ROS2 = (os.environ.get(name, "") for name in ("V", "CONSORT", "CONSORT_ROS2"))
-LIMIT = 40.0
-CASES = []
+sys.path.insert(0, str(HERE.parent / "common"))
+from processes import free_port, wait_for
+from suite import Suite, check
+from world import CONSORT, LIMIT, ROS2, V, Process, World, is_event
 
-
-class Failed(Exception):
-    pass
-
-
-def case(run):
-    CASES.append(run)
-    return run
-
-
-def check(holds, why):
-    if not holds:
-        raise Failed(why)
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def until(what, holds, limit=LIMIT):
-    end = time.monotonic() + limit
-    while time.monotonic() < end:
-        if (found := holds()):
-            return found
-        time.sleep(0.05)
-    raise Failed(f"not within {limit:.0f} s: {what}")
-
-
-class Process:
-    """A process whose lines are read; killed at the end of the case."""
-
-    def __init__(self, world, words, env=None, stdin=True):
-        self.words = words
-        self.log = open(world.folder / f"{len(world.processes)}-{pathlib.Path(words[0]).name}.log", "w+", encoding="utf-8")
-        self.child = subprocess.Popen(words, stdin=subprocess.PIPE if stdin else subprocess.DEVNULL, stdout=subprocess.PIPE,
-                                      stderr=self.log, text=True, env={**world.env, **(env or {})}, cwd=world.folder)
-        self.lines, self.seen = queue.Queue(), []
-        threading.Thread(target=self.read, daemon=True).start()
-        world.processes.append(self)
-
-    def read(self):
-        for line in self.child.stdout:
-            self.lines.put(line)
-        self.lines.put(None)
-
-    def next(self, limit):
-        line = self.lines.get(timeout=max(limit, 0.01))
-        if line is None:
-            self.lines.put(None)
-            raise Failed(f"{self.words[0]} has ended: {self.errors()[-400:]}")
-        return line
-
-    def errors(self):
-        return pathlib.Path(self.log.name).read_text(encoding="utf-8")
-
-    def message(self, what, fits, limit=LIMIT):
-        """Returns the next JSON line that fits."""
-        end = time.monotonic() + limit
-        while time.monotonic() < end:
-            try:
-                line = self.next(end - time.monotonic())
-            except queue.Empty:
-                break
-            try:
-                message = json.loads(line)
-            except ValueError:
-                # The Zenoh library of rmw_zenoh logs to the standard output. A driver writes messages only.
-                if self.words[0] == ROS2:
-                    raise Failed(f"no JSON: {line!r}") from None
-                continue
-            self.seen.append(message)
-            if fits(message):
-                return message
-        raise Failed(f"not within {limit:.0f} s: {what}; the last lines are {self.seen[-3:]}; {self.errors()[-300:]}")
-
-    def send(self, kind, **fields):
-        self.child.stdin.write(json.dumps({"type": kind, **fields}) + "\n")
-        self.child.stdin.flush()
-
-    def stop(self, sign=signal.SIGTERM):
-        self.child.send_signal(sign)
-        return self.child.wait(timeout=10)
-
-
-class World:
-    """The router, the processes and the files of a case."""
-
-    def __init__(self, name):
-        self.folder = pathlib.Path(tempfile.mkdtemp(prefix=f"consort-{name}-"))
-        self.processes, self.port = [], free_port()
-        self.env = {**os.environ, "CONSORT_ROS_ROUTER": f"tcp/127.0.0.1:{self.port}", "ROS_DOMAIN_ID": "0"}
-        self.env.pop("RUST_LOG", None)
-        listen = f'listen/endpoints=["tcp/127.0.0.1:{self.port}"]'
-        self.router = Process(self, [f"{V}/lib/rmw_zenoh_cpp/rmw_zenohd"], {"ZENOH_CONFIG_OVERRIDE": listen}, stdin=False)
-        until("the router listens", self.router_listens)
-
-    def router_listens(self):
-        with socket.socket() as probe:
-            return probe.connect_ex(("127.0.0.1", self.port)) == 0
-
-    def ros(self, script, *arguments):
-        connect = f'connect/endpoints=["tcp/127.0.0.1:{self.port}"]'
-        return Process(self, [f"{V}/bin/python", str(HERE / script), *arguments],
-                       {"ZENOH_CONFIG_OVERRIDE": connect, "LD_PRELOAD": os.environ["ROS_PRELOAD"]})
-
-    def robot(self, *arguments, script="robot.py"):
-        robot = self.ros(script, *arguments)
-        robot.message("the robot is ready", is_event("ready"))
-        return robot
-
-    def file(self, name, text):
-        path = self.folder / name
-        path.write_text(text, encoding="utf-8")
-        return str(path)
-
-    def run(self, *words, limit=LIMIT):
-        return subprocess.run(words, capture_output=True, text=True, timeout=limit, env=self.env, cwd=self.folder)
-
-    def driver(self, file, robot="ada"):
-        return Driver(self, file, robot)
-
-    def close(self):
-        for process in reversed(self.processes):
-            process.child.kill()
-            process.child.wait()
-
-
-class Driver(Process):
-    """`consort-ros2 driver` as its node sees it."""
-
-    def __init__(self, world, file, robot):
-        super().__init__(world, [ROS2, "driver", file])
-        self.send("start", protocol=1, robot=robot, place="Dock", pose={"x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0})
-        self.hello = self.message("the hello", lambda message: message["type"] == "hello")
-
-    def goal(self, id, action, /, resumed=False, keep_for_ms=600000, **parameters):
-        self.send("goal", id=str(id), action=action, parameters=parameters, keep_for_ms=keep_for_ms, resumed=resumed)
-
-    def result(self, id, limit=LIMIT):
-        return self.message(f"the result of {id}", lambda sent: sent["type"] == "result" and sent["id"] == str(id), limit)
-
-    def ready(self, id, is_ready):
-        self.message(f"ready is {is_ready}", lambda sent: sent["type"] == "feedback" and sent["id"] == str(id)
-                     and sent["values"] == {"ready": is_ready})
-
-    def do(self, id, action, /, **parameters):
-        self.goal(id, action, **parameters)
-        return self.result(id)
+SUITE = Suite("ros2", prefix="ros2_")
+case = SUITE.case
 
 
 ROBOT = """
@@ -179,10 +32,6 @@ actions:
 
 def pose(x, y):
     return {"x_m": x, "y_m": y, "yaw_rad": 0.0}
-
-
-def is_event(kind, **fields):
-    return lambda event: event["event"] == kind and all(event.get(key) == value for key, value in fields.items())
 
 
 @case
@@ -245,7 +94,7 @@ def pose_by_transforms(world):
 @case
 def cancel_and_permission(world):
     """A cancel and the end of the permission stop the robot."""
-    robot = world.robot("--slow")
+    robot = world.robot("--drive-s", "60")
     driver = world.driver(world.file("robot.yaml", ROBOT))
     driver.goal(1, "navigate_to_pose", pose=pose(9.0, 0.0))
     robot.message("the goal", is_event("goal", action="navigate_to_pose"))
@@ -259,7 +108,7 @@ def cancel_and_permission(world):
 @case
 def sigterm_cancels_goals(world):
     """SIGTERM cancels the goal in Nav2, and the driver ends with 0."""
-    robot = world.robot("--slow")
+    robot = world.robot("--drive-s", "60")
     driver = world.driver(world.file("robot.yaml", ROBOT))
     driver.goal(1, "navigate_to_pose", pose=pose(9.0, 0.0))
     robot.message("the goal", is_event("goal", action="navigate_to_pose"))
@@ -270,7 +119,7 @@ def sigterm_cancels_goals(world):
 @case
 def a_restart_resumes_or_cancels(world):
     """After SIGKILL the next process continues a resumed goal by its id, and cancels one that is not resumed."""
-    robot, file = world.robot("--slow"), world.file("robot.yaml", ROBOT)
+    robot, file = world.robot("--drive-s", "60"), world.file("robot.yaml", ROBOT)
     first = world.driver(file)
     first.goal(7, "navigate_to_pose", pose=pose(9.0, 0.0))
     begun = robot.message("the goal", is_event("goal", action="navigate_to_pose"))
@@ -382,7 +231,7 @@ def doctor(world):
     def found():
         ran = world.run(ROS2, "doctor", wrong, "--wait", "2")
         return ran.returncode == 1 and all(part in ran.stdout for part in parts)
-    until(f"the findings {parts}", found)
+    wait_for(f"the findings {parts}", found, LIMIT)
 
 
 @case
@@ -432,7 +281,7 @@ def the_lab_mission(world):
     def request():
         ran = world.run(CONSORT, "requests", *at)
         return re.search(r"lab-samples-1\.\d+", ran.stdout)
-    answer = world.run(CONSORT, "answer", until("a request to the nurse", request, 120).group(), "--done", "--by", "Ana", *at)
+    answer = world.run(CONSORT, "answer", wait_for("a request to the nurse", request, 120).group(), "--done", "--by", "Ana", *at)
     check(answer.returncode == 0, f"consort answer: {answer.stderr[-300:]}")
     check(waiting.child.wait(timeout=150) == 0, f"the mission fails: {waiting.errors()[-400:]}")
     ada.message("the drawer was closed at the end", is_event("drawer", open=False))
@@ -467,35 +316,8 @@ def the_tutorial(world):
     check(played >= 3, f"{played} commands")
 
 
-def main():
-    selected = [name for name in sys.argv[1:] if not name.startswith("--")]
-    if "--list" in sys.argv:
-        print("\n".join(run.__name__ for run in CASES))
-        return 0
-    failures = 0
-    for run in CASES:
-        name = f"ros2_{run.__name__}"
-        if selected and run.__name__ not in selected:
-            continue
-        world = None
-        try:
-            world = World(run.__name__)
-            run(world)
-            print(f"pass {name}", flush=True)
-        except Exception as problem:  # the next case is independent
-            failures += 1
-            why = " ".join(str(problem).split()) or type(problem).__name__
-            if not isinstance(problem, Failed):
-                why = f"{type(problem).__name__}: {why}"
-                traceback.print_exc()
-            print(f"fail {name}: {why[:600]} (files: {world.folder if world else '-'})", flush=True)
-        else:
-            shutil.rmtree(world.folder, ignore_errors=True)
-        finally:
-            if world:
-                world.close()
-    return 1 if failures else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    if "--list" in sys.argv:
+        SUITE.print_names()
+    else:
+        sys.exit(SUITE.run(sys.argv[1:], World))

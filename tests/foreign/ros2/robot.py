@@ -1,7 +1,7 @@
 """Genuine rclpy nodes that play a robot under ROS 2: Nav2, docking, drawer, gripper, battery, odometry, diagnostics.
 
 Writes an event as a JSON line for each request that arrives. Options: --namespace NS, --lifecycle (the navigator is a
-lifecycle node), --slow (a drive takes 60 s), --clock (publishes /clock), --x and --y (the position at the start).
+lifecycle node), --drive-s S (the duration of a drive), --clock (publishes /clock), --x and --y (the position at the start).
 """
 import argparse, json, math, os, sys, threading, time
 import rclpy
@@ -29,7 +29,7 @@ except ImportError:
 options = argparse.ArgumentParser()
 options.add_argument("--namespace", default="")
 options.add_argument("--lifecycle", action="store_true")
-options.add_argument("--slow", action="store_true")
+options.add_argument("--drive-s", type=float)
 options.add_argument("--clock", action="store_true")
 options.add_argument("--x", type=float, default=0.0)
 options.add_argument("--y", type=float, default=0.0)
@@ -104,7 +104,7 @@ class Robot:
             feedback = NavigateToPose.Feedback(distance_remaining=left * (1 - share))
             feedback.current_pose.pose.position.x, feedback.current_pose.pose.position.y = self.x, self.y
             goal.publish_feedback(feedback)
-        if not self.work(goal, 60.0 if options.slow else min(left / self.speed, 3.0) + 0.2, step):
+        if not self.work(goal, options.drive_s or min(left / self.speed, 3.0) + 0.2, step):
             return NavigateToPose.Result()
         self.x, self.y = to.position.x, to.position.y
         self.yaw = 2 * math.atan2(to.orientation.z, to.orientation.w)

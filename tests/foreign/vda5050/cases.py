@@ -6,20 +6,15 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
-import traceback
 from pathlib import Path
 
-CASES = []
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "common"))
+from processes import free_port, is_listening, wait_for
+from suite import Skip, Suite
 
-
-class Skip(Exception):
-    """A case cannot run here."""
-
-
-def case(function):
-    CASES.append(function)
-    return function
+SUITE = Suite("vda5050")
+case = SUITE.case
 
 
 def starts(listener, kind):
@@ -142,7 +137,7 @@ def messages_of_3_0_fit_the_official_schemas(case):
 
 @case
 def a_foreign_fleet_control_drives_a_simulated_vehicle(case):
-    from kit import HERE, Process, wait_for
+    from kit import Process
     broker = case.broker()
     listener = case.listener(broker)
     vehicles = case.vehicles(broker)
@@ -180,7 +175,6 @@ def ten_vehicles_drive_at_the_same_time(case):
 
 @case
 def a_drive_survives_a_restart_of_the_broker(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     case.agv(broker, speed=0.8)
@@ -197,7 +191,6 @@ def a_drive_survives_a_restart_of_the_broker(case):
 
 @case
 def repeated_and_late_messages_change_nothing(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     case.agv(broker)
@@ -220,7 +213,6 @@ def repeated_and_late_messages_change_nothing(case):
 
 @case
 def a_vehicle_that_restarts_in_a_drive_drives_again(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     agv = case.agv(broker, speed=0.5)
@@ -237,7 +229,6 @@ def a_vehicle_that_restarts_in_a_drive_drives_again(case):
 
 @case
 def a_vehicle_that_restarts_in_an_action_does_not_repeat_it(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     agv = case.agv(broker)
@@ -253,7 +244,6 @@ def a_vehicle_that_restarts_in_an_action_does_not_repeat_it(case):
 
 @case
 def a_vehicle_and_a_driver_that_restart_do_not_repeat_an_action(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     agv = case.agv(broker)
@@ -272,7 +262,6 @@ def a_vehicle_and_a_driver_that_restart_do_not_repeat_an_action(case):
 
 @case
 def a_vehicle_that_loses_its_connection_continues(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     agv = case.agv(broker, speed=0.8)
@@ -287,7 +276,6 @@ def a_vehicle_that_loses_its_connection_continues(case):
 
 @case
 def a_robot_is_out_of_service_while_its_vehicle_is_offline(case):
-    from kit import wait_for
     broker = case.broker()
     agv = case.agv(broker)
     driver = case.driver(broker)
@@ -325,7 +313,6 @@ def a_restarted_node_takes_the_end_of_an_action_from_the_vehicle(case):
 
 @case
 def a_killed_driver_continues_its_action_without_repeating_it(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     case.agv(broker)
@@ -351,7 +338,6 @@ def a_killed_driver_continues_its_action_without_repeating_it(case):
 
 @case
 def a_restarted_node_continues_the_drive_under_way(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     case.agv(broker, speed=0.8)
@@ -367,7 +353,6 @@ def a_restarted_node_continues_the_drive_under_way(case):
 
 @case
 def a_cancel_and_the_end_of_the_input_stop_the_vehicle(case):
-    from kit import wait_for
     broker = case.broker()
     listener = case.listener(broker)
     case.agv(broker, speed=0.8)
@@ -470,7 +455,6 @@ def a_broker_with_tls_and_passwords_is_used(case):
     subprocess.run(["mosquitto_passwd", "-b", "-c", "users", "consort", "secret"], cwd=folder, check=True, capture_output=True)
     (folder / "password").write_text("secret\n")
     (folder / "wrong").write_text("guess\n")
-    from kit import free_port
     plain = free_port()
     broker = case.broker([f"cafile {folder}/ca.pem", f"certfile {folder}/broker.pem", f"keyfile {folder}/broker.key",
                           f"password_file {folder}/users", "allow_anonymous false"], scheme="mqtts")
@@ -492,12 +476,11 @@ def a_broker_with_tls_and_passwords_is_used(case):
 
 @case
 def the_broker_of_vda_5050_cli_is_used(case):
-    from kit import Process, free_port, wait_for
-    import socket
+    from kit import Process
     port = free_port()
     command = [case.kit / "node_modules/.bin/vda-5050", "broker", "-q", "-p", port, "--ws-port", free_port()]
     case.keep(Process(command, case.folder / "cli.log", stdout=subprocess.DEVNULL))
-    wait_for("the broker listens", lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, 20)
+    wait_for("the broker listens", lambda: is_listening(port), 20)
     url = f"mqtt://127.0.0.1:{port}"
     case.agv(url)
     driver = case.driver(url)
@@ -553,34 +536,11 @@ def main():
     parser.add_argument("names", nargs="*")
     arguments = parser.parse_args()
     if arguments.list:
-        print("\n".join(function.__name__ for function in CASES))
-        return
-    sys.path.insert(0, str(Path(__file__).parent))
-    import kit
-    base = Path(tempfile.mkdtemp(prefix="vda5050-"))
-    failed = False
-    for function in CASES:
-        name = function.__name__
-        if arguments.names and name not in arguments.names:
-            continue
-        case = kit.Case(str(Path(arguments.program).resolve()), Path(arguments.kit).resolve(), base / name)
-        try:
-            note = function(case)
-            print(f"pass {name}" + (f": {note}" if note else ""), flush=True)
-        except Skip as reason:
-            print(f"skip {name}: {reason}", flush=True)
-        except Exception as problem:  # every problem of a case is its failure
-            failed = True
-            where = traceback.extract_tb(problem.__traceback__)
-            line = next((frame.lineno for frame in reversed(where) if frame.filename == __file__), 0)
-            text = " ".join(str(problem).split())[:600] or type(problem).__name__
-            print(f"fail {name}: line {line}: {text}", flush=True)
-        finally:
-            case.end()
-    if not failed:
-        shutil.rmtree(base, ignore_errors=True)
-    sys.exit(1 if failed else 0)
+        SUITE.print_names()
+        return 0
+    from kit import Case  # needs the installed packages
+    return SUITE.run(arguments.names, lambda folder: Case(arguments.program, arguments.kit, folder))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

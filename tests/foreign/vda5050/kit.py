@@ -4,7 +4,6 @@ import os
 import queue
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -13,23 +12,9 @@ from pathlib import Path
 
 import paho.mqtt.client as mqtt
 
-HERE = Path(__file__).parent
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def wait_for(what, condition, limit_s=30.0):
-    """Polls a condition; its first true value is returned."""
-    until = time.monotonic() + limit_s
-    while time.monotonic() < until:
-        if value := condition():
-            return value
-        time.sleep(0.02)
-    raise AssertionError(f"not within {limit_s:.0f} s: {what}")
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "common"))
+from processes import free_port, is_listening, wait_for
 
 
 class Process:
@@ -62,7 +47,7 @@ class Broker:
 
     def start(self):
         self.process = Process(["mosquitto", "-c", self.file], self.folder / "broker.log", stdout=subprocess.DEVNULL)
-        wait_for("the broker listens", lambda: socket.socket().connect_ex(("127.0.0.1", self.port)) == 0, 10)
+        wait_for("the broker listens", lambda: is_listening(self.port), 10)
 
     def kill(self):
         self.process.kill()
@@ -152,8 +137,7 @@ class Case:
     """A folder, and what has to end with the case."""
 
     def __init__(self, program, kit, folder):
-        self.program, self.kit, self.folder, self.open = program, kit, folder, []
-        folder.mkdir(parents=True, exist_ok=True)
+        self.program, self.kit, self.folder, self.open = str(Path(program).resolve()), Path(kit).resolve(), folder, []
 
     def keep(self, part):
         self.open.append(part)
@@ -234,7 +218,7 @@ class Case:
         file = self.file(broker, serial, **options)
         return self.keep(Driver(self.program, file, self.folder / f"driver-{serial}.log"))
 
-    def end(self):
+    def close(self):
         for part in reversed(self.open):
             try:
                 part.kill()

@@ -5,7 +5,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-from kit import free_port
+from processes import free_port
 
 PAGE = Path(__file__).resolve().parents[3] / "docs/tutorials/vda5050.md"
 
