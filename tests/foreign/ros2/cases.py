@@ -253,7 +253,7 @@ def simulated_robots_for_ros_2(world):
 @case
 def the_lab_mission(world):
     """The whole lab mission: carrier and arm are robots under ROS 2 that files describe, behind a door of Open-RMF; a person answers."""
-    ada, arm = world.robot("--namespace", "/ada"), world.robot("--namespace", "/arm", "--x", "50")
+    ada, arm = world.robot("--namespace", "/ada"), world.robot("--namespace", "/arm", "--x", "13.5", "--y", "11")
     building = world.robot("--door", "lab-door", script="building.py")
     base = ROBOT.split("readings:")[0] + ROBOT[ROBOT.index("actions:"):]
     base = "".join(line for line in base.splitlines(True) if not re.match(r"  (jam|say|release):", line))
