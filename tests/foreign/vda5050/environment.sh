@@ -17,6 +17,7 @@ if [ -z "$vda5050_program" ]; then
     cargo build --quiet --locked --manifest-path "$root/Cargo.toml" -p consort-vda5050 >&2 || exit
     vda5050_program=$target/debug/consort-vda5050
 fi
+[ -x "$vda5050_program" ] || skip_all "$vda5050_program is not a program"
 
 mkdir -p "$vda5050_kit"
 if [ ! -d "$vda5050_kit/node_modules/vda-5050-cli" ]; then
