@@ -105,7 +105,7 @@ def a_mission_of_three_kinds_survives_its_coordinator(site):
     mission = fleet.json(*request)["mission"]
     wait_for("the vehicle drives", lambda: any(state["driving"] for state in listener.of("state")))
     porter.message("the robot under ROS 2 drives", is_event("goal", action="navigate_to_pose"))
-    wait_for("the simulated robot looks", lambda: "seen_share" in json.dumps(fleet.json("fleet")["feedback"].get("scout")))
+    wait_for("the simulated robot looks", lambda: "seen_share" in json.dumps((fleet.json("fleet") or {}).get("feedback", {}).get("scout")))
     fleet.kill(coordinator)
 
     def next_coordinator():
