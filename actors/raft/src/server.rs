@@ -90,6 +90,8 @@ pub(super) struct RaftServer<S: StateMachine> {
     pub(super) machine: StateMachineStore<S>,
     /// Snapshot that is being received.
     pub(super) received_snapshot: Mutex<ReceivedSnapshot>,
+    /// Held while this node's snapshot is cut: a repeated request waits for its blocks, and does not cut it as well.
+    pub(super) cutting: tokio::sync::Mutex<()>,
 }
 
 impl<S: StateMachine> RaftServer<S> {
@@ -206,10 +208,13 @@ impl<S: StateMachine> RaftServer<S> {
         if vote < known {
             return encode_reply(&RaftReply::Done(BlocksReply { vote: known, missing: vec![] }));
         }
-        let begins = offset == 0 && !self.received_snapshot().is_of(&id);
-        if begins {
-            let own = self.machine.own_blocks().await;
-            self.received_snapshot().begin(&id, own);
+        if offset == 0 {
+            let _cutting = self.cutting.lock().await;
+            let needs_own_blocks = self.received_snapshot().needs_own_blocks(&id);
+            if needs_own_blocks {
+                let own = self.machine.own_blocks().await;
+                self.received_snapshot().begin(&id, own);
+            }
         }
         let added = self.received_snapshot().add_blocks(&id, offset, &blocks);
         match added {

@@ -132,6 +132,7 @@ impl<S: StateMachine> Replica<S> {
             followed: OnceLock::new(),
             machine: machine.clone(),
             received_snapshot: Mutex::default(),
+            cutting: tokio::sync::Mutex::default(),
         };
         let server_task = Task::spawn(server.run(queries));
         let (proposals, proposal_queue) = mpsc::unbounded_channel();

@@ -116,6 +116,11 @@ impl OwnBlocks {
         OwnBlocks { snapshot: Some(snapshot), offsets }
     }
 
+    /// Checks whether there is no block.
+    pub(super) fn is_empty(&self) -> bool {
+        self.offsets.is_empty()
+    }
+
     /// Returns the content of a block, if the snapshot contains it.
     pub(super) fn get(&self, block: &Block) -> Option<&[u8]> {
         let offset = *self.offsets.get(block)?;

@@ -25,8 +25,14 @@ pub(crate) struct ReceivedSnapshot {
 
 impl ReceivedSnapshot {
     /// Checks whether the snapshot with this id is being received.
-    pub(crate) fn is_of(&self, id: &str) -> bool {
+    fn is_of(&self, id: &str) -> bool {
         self.id == id
+    }
+
+    /// Checks whether a request with blocks needs the blocks of this replica: the snapshot has not begun, or a chunk
+    /// has begun it. An id without a checksum needs none, since its blocks are rejected.
+    pub(crate) fn needs_own_blocks(&self, id: &str) -> bool {
+        has_checksum(id) && (!self.is_of(id) || self.own.is_empty())
     }
 
     /// Begins to receive a snapshot, unless it is being received. The parts of another are discarded. Blocks are copied from
@@ -34,6 +40,8 @@ impl ReceivedSnapshot {
     pub(crate) fn begin(&mut self, id: &str, own: OwnBlocks) {
         if !self.is_of(id) {
             *self = ReceivedSnapshot { id: id.to_owned(), state: vec![], own };
+        } else if self.own.is_empty() {
+            self.own = own;
         }
     }
 
@@ -169,6 +177,22 @@ mod tests {
             let expected = if damage { Err(PartError::Damaged) } else { Ok(Some(state.clone())) };
             assert!(received.add(&id, state.len() as u64, &[], true) == expected, "damage: {damage}");
         }
+    }
+
+    #[test]
+    fn own_blocks_are_found_of_a_snapshot_that_began_with_a_chunk() {
+        let [former, state] = states();
+        let id = snapshot_id("T1-N2-3", STORE, &state);
+        let blocks = blocks_of(&state);
+        let mut received = ReceivedSnapshot::default();
+        assert!(!received.needs_own_blocks("T1-N2-3@0000000000000000000000000000002a"), "an id of an earlier release");
+        assert_eq!(received.add(&id, 0, &state[..100], false), Ok(None));
+        assert!(received.needs_own_blocks(&id));
+        received.begin(&id, own(former));
+        assert!(!received.needs_own_blocks(&id));
+        let missing = received.add_blocks(&id, 0, &blocks).unwrap();
+        assert!(missing.contains(&false), "{} blocks", missing.len());
+        assert!(received.needs_own_blocks(&snapshot_id("T1-N2-4", STORE, &state)), "another snapshot");
     }
 
     #[test]

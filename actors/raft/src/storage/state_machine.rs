@@ -144,9 +144,9 @@ impl<S: StateMachine> StateMachineStore<S> {
     }
 
     async fn install(&self, stored: StoredSnapshot) -> Result<(), StorageError> {
-        let state: S = decode_record(&stored.state).map_err(reading_snapshot)?;
+        let state: S = compute(|| decode_record(&stored.state)).map_err(reading_snapshot)?;
         let (cluster, last) = (state.cluster(), stored.meta.last_log_id);
-        let record = encode_record(&stored).map_err(writing_snapshot)?;
+        let record = compute(|| encode_record(&stored)).map_err(writing_snapshot)?;
         let _exclusive = self.snapshots.lock().await;
         self.log_store.install_snapshot(record).await.map_err(writing_snapshot)?;
         let former = {
