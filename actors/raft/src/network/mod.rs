@@ -67,7 +67,7 @@ pub(super) struct RaftClient {
 impl RaftClient {
     /// Returns the client for `target`.
     pub(super) fn peer(&self, target: RaftId) -> PeerClient {
-        PeerClient { client: self.clone(), target }
+        PeerClient { client: self.clone(), target, knows_blocks: AtomicBool::default() }
     }
 
     /// Sends a request to all `targets` concurrently, adds those with a positive reply to
@@ -110,6 +110,8 @@ impl<S: StateMachine> RaftNetworkFactory<TypeConfig<S>> for RaftClient {
 pub(super) struct PeerClient {
     client: RaftClient,
     target: RaftId,
+    /// The target has replied to a request with blocks of a snapshot.
+    knows_blocks: AtomicBool,
 }
 
 /// Reply of a leader whose presence is in doubt.

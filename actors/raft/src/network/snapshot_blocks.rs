@@ -24,6 +24,7 @@ use openraft::raft::{InstallSnapshotRequest, InstallSnapshotResponse};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::ops::Range;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// Number of times that a request is sent while there is no reply, as openraft does with chunks.
@@ -80,8 +81,8 @@ impl PeerClient {
                 return Ok(Some(reply.vote));
             }
         }
-        // The end is not repeated: the target may be installing the snapshot. openraft begins anew, and then the target has
-        // all blocks.
+        // The end is not repeated: the target may be installing the snapshot. openraft begins anew, and the target replies
+        // once it has installed the snapshot. Then it has all blocks.
         let Ok(end) = self.encode(&chunk(state.len()..state.len(), true)) else { return Ok(None) };
         let sent_at = BootInstant::now();
         match self.send::<InstallSnapshotResponse<RaftId>>(RaftCall::Snapshot, end, limit).await? {
@@ -106,13 +107,15 @@ impl PeerClient {
         let sent_at = BootInstant::now();
         let reply: Option<BlocksReply> = self.send_part(RaftCall::SnapshotBlocks, vote, &request, limit).await?;
         let Some(reply) = reply else { return Ok(None) };
+        self.knows_blocks.store(true, Ordering::Relaxed);
         self.record_snapshot_reply(vote, reply.vote, sent_at);
         let is_usable = reply.vote > vote || reply.missing.len() == blocks.len();
         Ok(is_usable.then_some(reply))
     }
 
     /// Sends a part of a snapshot, again if there is no reply. `None` if the target rejects the part, or replies to
-    /// heartbeats only; an error if it does not reply at all.
+    /// heartbeats only and may not know blocks; an error if it does not reply at all. A target that knows blocks is
+    /// busy: its core waits while it installs a snapshot, and the whole in chunks would wait as well.
     async fn send_part<A: DeserializeOwned>(
         &self,
         call: RaftCall,
@@ -136,6 +139,9 @@ impl PeerClient {
             }
             tokio::time::sleep(self.client.retry_interval).await;
         };
+        if self.knows_blocks.load(Ordering::Relaxed) {
+            return Err(error);
+        }
         match self.heartbeat(vote, self.client.retry_interval).await {
             Some(_) => Ok(None),
             None => Err(error),
