@@ -10,7 +10,8 @@ use std::ops::Range;
 pub(super) struct EarlierProcesses {
     /// The first goal of this process.
     first_goal: Option<u64>,
-    /// State before the first order of this process: it shows the latest order of an earlier process.
+    /// State before the first order of this process, or before this process has the vehicle forget instant actions:
+    /// it shows the latest order of an earlier process.
     before: Option<VehicleState>,
     /// Works that an earlier process may have begun, and that this process has continued or begun.
     taken_over: BTreeSet<u32>,
@@ -31,7 +32,7 @@ impl EarlierProcesses {
         self.taken_over.insert(work);
     }
 
-    /// Keeps the state before the first order of this process.
+    /// Keeps the state before this process displaces reports of earlier processes for the first time.
     pub(super) fn keep_state(&mut self, state: &VehicleState) {
         self.before.get_or_insert_with(|| state.clone());
     }

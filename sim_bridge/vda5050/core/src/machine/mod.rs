@@ -231,6 +231,9 @@ impl OrderMachine {
         let is_due = self.cleared_at.is_none_or(|at| now.saturating_sub(at) >= CLEAR_INTERVAL);
         if is_full && is_due && !is_needed {
             self.cleared_at = Some(now);
+            if let Some(state) = self.view.ready_state() {
+                self.earlier.keep_state(state);
+            }
             commands.push(self.instant("clearInstantActions"));
         }
     }
@@ -319,10 +322,12 @@ impl OrderMachine {
             && matches!(goal.work, Work::Act { .. })
         {
             // The earlier process may have sent the action just before its end, or the vehicle has
-            // restarted since.
-            if now.saturating_sub(goal.waiting_since) < self.settings.retry_after {
+            // restarted since: only a state that is younger than the goal shows it.
+            let is_early = now.saturating_sub(goal.waiting_since) < self.settings.retry_after;
+            if is_early || !self.has_answered(goal.waiting_since) {
                 self.request_state(now, commands);
-                return None;
+                let text = "the vehicle does not report its state, which shows whether the action was begun";
+                return waits_too_long.then(|| aborted("timed_out", text.to_owned()))?;
             }
             if !self.earlier.was_not_begun(goal.fingerprint, earlier, &state) {
                 let text = "an earlier process may have begun the action, which the vehicle does not report; it is \
@@ -337,8 +342,10 @@ impl OrderMachine {
     /// Continues what an earlier process began for this goal. Returns false if there is nothing.
     fn adopt(&mut self, goal: &mut ActiveGoal, state: &VehicleState) -> bool {
         if let Work::Act { is_instant: true, .. } = goal.work {
-            let is_same = |id: &&str| OrderId::of_action(id).is_ok_and(|order| goal.includes(order));
-            let run = state.action_ids().find(is_same).and_then(|id| ActionRun::adopt(id.to_owned(), state));
+            let of_goal = |id: &str| OrderId::of_action(id).ok().filter(|order| goal.includes(*order));
+            // The earlier process knew the ends of all but the latest.
+            let latest = state.action_ids().filter_map(of_goal).max();
+            let run = latest.and_then(|order| ActionRun::adopt(order.action(0), state));
             let is_known = run.is_some();
             goal.phase = run.map_or(Phase::Waiting, Phase::Action);
             return is_known;
@@ -364,8 +371,10 @@ impl OrderMachine {
             Work::Act { .. } => state.action(&order.action(0)).is_some(),
         };
         if state.is_idle() && !at_end {
-            // The order ended early; nothing of it has happened that must not be repeated.
-            goal.attempt = order.attempt + 1;
+            // A drive that ended early is ordered again. An action without a report may have happened.
+            if !has_action || goal.earlier.is_none() {
+                goal.attempt = order.attempt + 1;
+            }
             return false;
         }
         self.stray = None;

@@ -440,6 +440,48 @@ fn an_action_that_may_have_happened_is_not_repeated() {
         // The vehicle has restarted.
         refused(&mut machine(1), &mut FakeVehicle::at("a"), NEXT, is_instant, 1);
     }
+    // The vehicle has its latest order, but does not report the action.
+    let (mut next, mut vehicle) = (machine(1), after_goals(&[(7, pick(false))]));
+    vehicle.actions.clear();
+    refused(&mut next, &mut vehicle, NEXT, false, 1);
+    // This process has let the vehicle forget ended instant actions.
+    let (mut next, mut vehicle) = (machine(1), after_goals(&[(7, drive("b")), (8, pick(true))]));
+    vehicle.instants = INSTANTS_MAX;
+    send(&mut next, &mut vehicle, goal(NEXT, drive("b")), 1);
+    assert!(result(&exchange(&mut next, &mut vehicle, 2)).is_some());
+    assert!(vehicle.executed.contains(&"clearInstantActions".to_owned()), "{vehicle:?}");
+    (vehicle.instants, vehicle.actions) = (0, vec![]);
+    exchange(&mut next, &mut vehicle, 3);
+    refused(&mut next, &mut vehicle, NEXT + 1, true, 4);
+}
+
+#[test]
+fn an_old_state_does_not_show_that_an_action_was_not_begun() {
+    for answers in [true, false] {
+        let (mut next, mut vehicle) = (machine(1), after_goals(&[(6, drive("b"))]));
+        exchange(&mut next, &mut vehicle, 1);
+        send(&mut next, &mut vehicle, begun_since(7, NEXT, pick(false)), 2);
+        let waiting = send(&mut next, &mut vehicle, Event::Tick, 8);
+        assert_eq!((orders(&waiting), result(&waiting)), (vec![], None), "it may be under way");
+        if answers {
+            assert_eq!(orders(&exchange(&mut next, &mut vehicle, 9)).len(), 1);
+        } else {
+            let late = send(&mut next, &mut vehicle, Event::Tick, 12);
+            assert!(matches!(result(&late), Some(GoalStatus::Aborted(cause)) if cause.code == "timed_out"), "{late:?}");
+        }
+        assert_eq!(acted(&vehicle), usize::from(answers), "{vehicle:?}");
+    }
+}
+
+#[test]
+fn the_latest_of_several_earlier_attempts_at_an_action_counts() {
+    let (mut next, mut vehicle) = (machine(1), after_goals(&[(7, pick(true)), (8, pick(true))]));
+    let first = vehicle.actions.iter_mut().find(|action| action.id.starts_with("consort-7-"));
+    first.unwrap().status = ActionStatus::Failed;
+    send(&mut next, &mut vehicle, begun_since(7, NEXT, pick(true)), 1);
+    let commands = [2, 3].map(|time| exchange(&mut next, &mut vehicle, time)).concat();
+    assert!(matches!(result(&commands), Some(GoalStatus::Succeeded(_))), "{commands:?}");
+    assert_eq!(acted(&vehicle), 2, "the second attempt had succeeded");
 }
 
 #[test]
