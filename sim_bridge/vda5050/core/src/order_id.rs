@@ -22,6 +22,9 @@ pub struct OrderId {
     /// Number of earlier orders for the goal. A vehicle that lost an order in a restart receives
     /// another.
     pub attempt: u32,
+    /// Goal and work of the latest action that was sent before the order, so that the vehicle stores them during
+    /// later drives. `None` for an order with an action, and for a drive before which they are unknown.
+    pub acted: Option<(u64, u32)>,
 }
 
 /// First part of the text of an id.
@@ -32,6 +35,12 @@ impl OrderId {
     /// repeats no action.
     pub fn action(&self, index: usize) -> String {
         format!("{self}-a{index}")
+    }
+
+    /// Returns goal and work of the latest action that may have been sent. An order that does not name them
+    /// counts as an action itself.
+    pub(crate) fn latest_act(&self) -> (u64, u32) {
+        self.acted.unwrap_or((self.goal, self.work))
     }
 
     /// Returns the order of an action, from the id of the action.
@@ -45,7 +54,8 @@ impl OrderId {
 
 impl fmt::Display for OrderId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{PREFIX}-{}-{:08x}-{}", self.goal, self.work, self.attempt)
+        write!(f, "{PREFIX}-{}-{:08x}-{}", self.goal, self.work, self.attempt)?;
+        self.acted.map_or(Ok(()), |(goal, work)| write!(f, "-{goal}-{work:08x}"))
     }
 }
 
@@ -59,12 +69,18 @@ impl FromStr for OrderId {
 
     fn from_str(text: &str) -> Result<OrderId, OrderIdError> {
         let parts: Vec<&str> = text.split('-').collect();
-        let [PREFIX, goal, work, attempt] = parts[..] else { return Err(OrderIdError) };
-        let id = OrderId {
-            goal: goal.parse().map_err(|_| OrderIdError)?,
-            work: u32::from_str_radix(work, 16).map_err(|_| OrderIdError)?,
-            attempt: attempt.parse().map_err(|_| OrderIdError)?,
+        let [PREFIX, goal, work, attempt, ref acted @ ..] = parts[..] else { return Err(OrderIdError) };
+        let goal_and_work = |goal: &str, work: &str| -> Result<(u64, u32), OrderIdError> {
+            let goal = goal.parse().map_err(|_| OrderIdError)?;
+            Ok((goal, u32::from_str_radix(work, 16).map_err(|_| OrderIdError)?))
         };
+        let acted = match acted {
+            [] => None,
+            [goal, work] => Some(goal_and_work(goal, work)?),
+            _ => return Err(OrderIdError),
+        };
+        let (goal, work) = goal_and_work(goal, work)?;
+        let id = OrderId { goal, work, attempt: attempt.parse().map_err(|_| OrderIdError)?, acted };
         // Another spelling of the same numbers is the id of another program.
         if id.to_string() == text { Ok(id) } else { Err(OrderIdError) }
     }
@@ -81,12 +97,17 @@ mod tests {
 
     #[test]
     fn an_id_is_read_back_from_its_text() {
-        let id = OrderId { goal: 1 << 60, work: fingerprint("vacuum"), attempt: 2 };
+        let id = OrderId { goal: 1 << 60, work: fingerprint("vacuum"), attempt: 2, acted: None };
         assert_eq!(id.to_string().parse(), Ok(id));
+        let drive = OrderId { acted: Some((7, 1)), ..id };
+        assert_eq!(drive.to_string(), format!("{id}-7-00000001"));
+        assert_eq!(drive.to_string().parse(), Ok(drive));
+        assert_eq!((id.latest_act(), drive.latest_act()), ((id.goal, id.work), (7, 1)));
         assert_eq!(id.action(0), format!("{id}-a0"));
         assert_eq!(OrderId::of_action(&id.action(0)), Ok(id));
         assert_eq!(OrderId::of_action(&id.to_string()), Err(OrderIdError));
-        for foreign in ["", "order-7", "consort-7-1", "consort-7-0000000G-0", "consort-07-00000001-0"] {
+        let parts = ["consort-7-1", "consort-7-0000000G-0", "consort-07-00000001-0", "consort-7-00000001-0-6"];
+        for foreign in ["", "order-7", "consort-7-00000001-0-06-00000001"].into_iter().chain(parts) {
             assert_eq!(foreign.parse::<OrderId>(), Err(OrderIdError), "{foreign}");
         }
     }

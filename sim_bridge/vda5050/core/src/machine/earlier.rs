@@ -38,13 +38,23 @@ impl EarlierProcesses {
     }
 
     /// Checks whether the latest order of an earlier process shows that the action was begun with none of the goals.
-    /// A vehicle reports its actions until it receives the next order. So the order has to be older than the first of the
-    /// goals, or to be for that goal with other work. `state` is the latest state.
+    /// The order contains the latest action that may have been sent. This action has to be older than the first of
+    /// the goals, or to be for that goal with other work. `state` is the latest state.
     pub(super) fn was_not_begun(&self, work: u32, goals: &Range<u64>, state: &VehicleState) -> bool {
         let before = self.before.as_ref().unwrap_or(state);
         let is_same = |order: OrderId| order.work == work && goals.contains(&order.goal);
-        let is_other = |latest: OrderId| latest.goal < goals.start || latest.goal == goals.start && latest.work != work;
+        let is_other = |order: OrderId| {
+            let (acted_goal, acted_work) = order.latest_act();
+            acted_goal < goals.start || acted_goal == goals.start && acted_work != work
+        };
         let is_reported = before.action_ids().any(|id| OrderId::of_action(id).is_ok_and(is_same));
         !is_reported && before.order.parse::<OrderId>().is_ok_and(is_other)
     }
+}
+
+/// Returns goal and work of the latest action that may have been sent; `None` if the order of the state does not show it.
+pub(super) fn latest_act(state: &VehicleState) -> Option<(u64, u32)> {
+    let order = state.order.parse::<OrderId>().ok()?;
+    let reported = state.action_ids().filter_map(|id| OrderId::of_action(id).ok());
+    reported.chain([order]).map(|order| order.latest_act()).max()
 }

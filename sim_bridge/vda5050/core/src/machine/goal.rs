@@ -41,8 +41,11 @@ pub(super) struct Stop {
 }
 
 impl ActiveGoal {
-    pub(super) fn order_id(&self) -> OrderId {
-        OrderId { goal: self.id, work: self.fingerprint, attempt: self.attempt }
+    /// Returns the id of the order for this attempt, after the latest action with its goal and work.
+    pub(super) fn order_id(&self, acted: Option<(u64, u32)>) -> OrderId {
+        let is_drive = matches!(self.work, Work::Drive { .. });
+        let acted = acted.filter(|(goal, _)| is_drive && *goal != self.id);
+        OrderId { goal: self.id, work: self.fingerprint, attempt: self.attempt, acted }
     }
 
     /// Checks whether an order is for the work, and for this goal or a goal with which an earlier process may

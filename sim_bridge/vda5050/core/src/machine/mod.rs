@@ -31,7 +31,7 @@ use crate::cause::{Cause, ErrorLevel, VehicleError};
 use crate::incoming::VehicleState;
 use crate::order_id::OrderId;
 use crate::outgoing::{BlockingType, VehicleAction};
-use earlier::EarlierProcesses;
+use earlier::{EarlierProcesses, latest_act};
 use execution::{ActionRun, DriveStart, OrderRun, Verdict};
 use goal::{ActiveGoal, Phase, Stop};
 use serde_json::Value;
@@ -62,6 +62,9 @@ pub struct OrderMachine {
     ended: Option<(u64, GoalStatus)>,
     stray: Option<Stray>,
     earlier: EarlierProcesses,
+    /// Goal and work of the latest action that this or an earlier process may have sent; `None` before this process has
+    /// sent anything.
+    acted: Option<(u64, u32)>,
     instants_sent: u64,
     cleared_at: Option<Duration>,
     is_shut_down: bool,
@@ -95,6 +98,7 @@ impl OrderMachine {
             ended: None,
             stray: None,
             earlier: EarlierProcesses::default(),
+            acted: None,
             instants_sent: 0,
             cleared_at: None,
             is_shut_down: false,
@@ -389,7 +393,7 @@ impl OrderMachine {
         now: Duration,
         commands: &mut Vec<Command>,
     ) -> Option<GoalStatus> {
-        let id = goal.order_id();
+        let id = goal.order_id(self.acted.max(latest_act(state)));
         let (target, speed_max_mps, action) = match &goal.work {
             Work::Drive { to, speed_max_mps } => (Some(to.as_str()), *speed_max_mps, None),
             Work::Act { kind, blocking, parameters, is_instant } => {
@@ -400,6 +404,7 @@ impl OrderMachine {
                     parameters: parameters.clone(),
                 };
                 if *is_instant {
+                    self.acted = Some(id.latest_act());
                     commands.push(Command::SendInstant(action.clone()));
                     goal.phase = Phase::Action(ActionRun::sent(action, state, now));
                     return None;
@@ -416,6 +421,7 @@ impl OrderMachine {
             return Some(GoalStatus::Succeeded(String::new()));
         }
         self.earlier.keep_state(state);
+        self.acted = Some(id.latest_act());
         let run = OrderRun::new(id, stops, action, speed_max_mps, self.settings.release_ahead, state, now);
         commands.push(Command::SendOrder(run.message(&self.settings.map)));
         goal.phase = Phase::Order(run);

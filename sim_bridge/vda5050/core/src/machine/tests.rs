@@ -164,8 +164,12 @@ fn drive(to: &str) -> Work {
     Work::Drive { to: to.to_owned(), speed_max_mps: None }
 }
 
+fn act(kind: &str, is_instant: bool) -> Work {
+    Work::Act { kind: kind.to_owned(), blocking: BlockingType::Hard, parameters: BTreeMap::new(), is_instant }
+}
+
 fn pick(is_instant: bool) -> Work {
-    Work::Act { kind: "pick".to_owned(), blocking: BlockingType::Hard, parameters: BTreeMap::new(), is_instant }
+    act("pick", is_instant)
 }
 
 fn goal(id: u64, work: Work) -> Event {
@@ -415,6 +419,35 @@ fn the_same_action_of_the_next_task_is_executed() {
 }
 
 #[test]
+fn an_action_after_the_drives_and_actions_of_its_task_is_executed() {
+    let executed = |vehicle: &mut FakeVehicle, first: u64, id: u64, is_instant: bool| {
+        let (mut next, before) = (machine(1), acted(vehicle));
+        send(&mut next, vehicle, begun_since(first, id, pick(is_instant)), 1);
+        let commands = [2, 3].map(|time| exchange(&mut next, vehicle, time)).concat();
+        assert_eq!((result(&commands), acted(vehicle)), (None, before + 1), "{vehicle:?}");
+    };
+    for is_instant in [false, true] {
+        // A drive is a goal for each leg. An earlier task may have had the same action.
+        let legs = [(7, drive("b")), (8, drive("c"))];
+        executed(&mut after_goals(&legs), 7, NEXT, is_instant);
+        let earlier = [[(6, pick(is_instant))].as_slice(), &legs].concat();
+        executed(&mut after_goals(&earlier), 7, NEXT, is_instant);
+        // The task begins with another action.
+        for undock in [act("undock", false), act("undock", true)] {
+            executed(&mut after_goals(&[(7, undock), (8, drive("b"))]), 7, NEXT, is_instant);
+        }
+        // The node, or the driver, has restarted twice during the task.
+        let mut vehicle = after_goals(&legs);
+        let mut second = machine(3);
+        exchange(&mut second, &mut vehicle, 1);
+        send(&mut second, &mut vehicle, goal(NEXT, drive("d")), 2);
+        vehicle.step();
+        assert!(result(&exchange(&mut second, &mut vehicle, 3)).is_some());
+        executed(&mut vehicle, 7, NEXT + 1, is_instant);
+    }
+}
+
+#[test]
 fn an_action_that_may_have_happened_is_not_repeated() {
     let refused = |next: &mut OrderMachine, vehicle: &mut FakeVehicle, id: u64, is_instant: bool, time: u64| {
         let before = acted(vehicle);
@@ -430,6 +463,13 @@ fn an_action_that_may_have_happened_is_not_repeated() {
         let (mut next, mut vehicle) = (machine(1), after_goals(&goals));
         refused(&mut next, &mut vehicle, NEXT, is_instant, 1);
         refused(&mut next, &mut vehicle, NEXT + 1, is_instant, 5);
+        // Two processes have driven since.
+        let mut second = machine(3);
+        exchange(&mut second, &mut vehicle, 1);
+        send(&mut second, &mut vehicle, goal(NEXT + 2, drive("d")), 2);
+        vehicle.step();
+        assert!(result(&exchange(&mut second, &mut vehicle, 3)).is_some());
+        refused(&mut machine(1), &mut vehicle, NEXT + 3, is_instant, 1);
         // An order of this process has displaced it.
         let (mut next, mut vehicle) = (machine(3), after_goals(&goals[..2]));
         exchange(&mut next, &mut vehicle, 1);
