@@ -1,5 +1,8 @@
 //! What earlier processes may have begun for the goals of this process.
 
+use super::execution::{ActionRun, Verdict};
+use super::goal::ActiveGoal;
+use crate::cause::CauseTable;
 use crate::incoming::VehicleState;
 use crate::order_id::OrderId;
 use std::collections::BTreeSet;
@@ -37,18 +40,22 @@ impl EarlierProcesses {
         self.before.get_or_insert_with(|| state.clone());
     }
 
-    /// Checks whether the latest order of an earlier process shows that the action was begun with none of the goals.
-    /// The order contains the latest action that may have been sent. This action has to be older than the first of
-    /// the goals, or to be for that goal with other work. `state` is the latest state.
-    pub(super) fn was_not_begun(&self, work: u32, goals: &Range<u64>, state: &VehicleState) -> bool {
+    /// Compares a goal with the reports of an earlier process: `Absent` if it has not begun the action, and `None` if
+    /// that is unknown. `state` is the latest state.
+    ///
+    /// The latest order contains the latest action that may have been sent. If this action is older than the first of the
+    /// goals, or is for that goal with other work, the action was not begun.
+    pub(super) fn verdict(&self, goal: &ActiveGoal, state: &VehicleState, causes: &CauseTable) -> Option<Verdict> {
         let before = self.before.as_ref().unwrap_or(state);
-        let is_same = |order: OrderId| order.work == work && goals.contains(&order.goal);
-        let is_other = |order: OrderId| {
-            let (acted_goal, acted_work) = order.latest_act();
-            acted_goal < goals.start || acted_goal == goals.start && acted_work != work
-        };
-        let is_reported = before.action_ids().any(|id| OrderId::of_action(id).is_ok_and(is_same));
-        !is_reported && before.order.parse::<OrderId>().is_ok_and(is_other)
+        let begun = before.action_ids().map(OrderId::of_action).chain([before.order.parse::<OrderId>()]);
+        let latest = begun.filter_map(Result::ok).filter(|order| goal.includes(*order)).max();
+        if let Some(latest) = latest {
+            return ActionRun::adopt(latest.action(0), before).map(|mut run| run.judge(before, causes));
+        }
+        let since = goal.earlier.as_ref()?.start;
+        let (acted_goal, acted_work) = before.order.parse::<OrderId>().ok()?.latest_act();
+        let is_absent = acted_goal < since || acted_goal == since && acted_work != goal.fingerprint;
+        is_absent.then_some(Verdict::Absent)
     }
 }
 

@@ -14,8 +14,8 @@
 //!   earlier goal with the same work: the node restarted. Any other unfinished order of Consort is
 //!   cancelled. Orders of other masters are not touched.
 //! - An action that an earlier process may have begun, and that the vehicle reports, is not ordered
-//!   again: its end is the result of the goal. If the vehicle does not report it, the goal fails, unless
-//!   the latest order of the vehicle shows that the action was not begun.
+//!   again: its end is the result of the goal, also if an order of this process has displaced the report. If
+//!   the end is unknown, the goal fails, unless the latest order of the vehicle shows that the action was not begun.
 //! - A vehicle that restarts loses its order. A drive is ordered again from where the vehicle is; an
 //!   action is not, since it may have happened.
 
@@ -321,10 +321,7 @@ impl OrderMachine {
         if let Some(error) = state.errors.iter().find(prevents) {
             return Some(GoalStatus::Aborted(self.settings.causes.cause(error)));
         }
-        if let Some(earlier) = &goal.earlier
-            && goal.attempt == 0
-            && matches!(goal.work, Work::Act { .. })
-        {
+        if goal.earlier.is_some() && goal.attempt == 0 && matches!(goal.work, Work::Act { .. }) {
             // The earlier process may have sent the action just before its end, or the vehicle has
             // restarted since: only a state that is younger than the goal shows it.
             let is_early = now.saturating_sub(goal.waiting_since) < self.settings.retry_after;
@@ -333,12 +330,20 @@ impl OrderMachine {
                 let text = "the vehicle does not report its state, which shows whether the action was begun";
                 return waits_too_long.then(|| aborted("timed_out", text.to_owned()))?;
             }
-            if !self.earlier.was_not_begun(goal.fingerprint, earlier, &state) {
-                let text = "an earlier process may have begun the action, which the vehicle does not report; it is \
-                            not repeated";
-                return aborted("failed", text.to_owned());
-            }
+            let ended = match self.earlier.verdict(goal, &state, &self.settings.causes) {
+                Some(Verdict::Absent) => None,
+                Some(Verdict::Succeeded(result)) => Some(GoalStatus::Succeeded(result)),
+                Some(Verdict::Ended(cause)) => Some(GoalStatus::Aborted(cause)),
+                Some(Verdict::Continues | Verdict::Fails(_)) | None => {
+                    let text =
+                        "an earlier process may have begun the action, and its end is unknown; it is not repeated";
+                    return aborted("failed", text.to_owned());
+                }
+            };
             self.earlier.take_over(goal.fingerprint);
+            if ended.is_some() {
+                return ended;
+            }
         }
         self.start(goal, &state, now, commands)
     }

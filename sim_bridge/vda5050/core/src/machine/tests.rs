@@ -470,13 +470,6 @@ fn an_action_that_may_have_happened_is_not_repeated() {
         vehicle.step();
         assert!(result(&exchange(&mut second, &mut vehicle, 3)).is_some());
         refused(&mut machine(1), &mut vehicle, NEXT + 3, is_instant, 1);
-        // An order of this process has displaced it.
-        let (mut next, mut vehicle) = (machine(3), after_goals(&goals[..2]));
-        exchange(&mut next, &mut vehicle, 1);
-        send(&mut next, &mut vehicle, goal(NEXT, drive("c")), 2);
-        (0..3).for_each(|_| vehicle.step());
-        assert!(result(&exchange(&mut next, &mut vehicle, 3)).is_some());
-        refused(&mut next, &mut vehicle, NEXT + 1, is_instant, 4);
         // The vehicle has restarted.
         refused(&mut machine(1), &mut FakeVehicle::at("a"), NEXT, is_instant, 1);
     }
@@ -484,6 +477,35 @@ fn an_action_that_may_have_happened_is_not_repeated() {
     let (mut next, mut vehicle) = (machine(1), after_goals(&[(7, pick(false))]));
     vehicle.actions.clear();
     refused(&mut next, &mut vehicle, NEXT, false, 1);
+}
+
+#[test]
+fn an_end_that_this_process_has_displaced_is_the_result_once() {
+    let reported = |next: &mut OrderMachine, vehicle: &mut FakeVehicle, is_instant: bool, is_failed: bool| {
+        let before = acted(vehicle);
+        send(next, vehicle, begun_since(7, NEXT + 1, pick(is_instant)), 4);
+        let status = result(&[5, 6].map(|time| exchange(next, vehicle, time)).concat());
+        let is_end = |status: &GoalStatus| match status {
+            GoalStatus::Aborted(cause) => is_failed && cause.message.contains("the action failed"),
+            other => !is_failed && matches!(other, GoalStatus::Succeeded(_)),
+        };
+        assert!(status.as_ref().is_some_and(is_end), "{status:?}");
+        assert_eq!(acted(vehicle), before, "{vehicle:?}");
+        // The node has the result. A further goal is a new request.
+        send(next, vehicle, begun_since(7, NEXT + 2, pick(is_instant)), 7);
+        assert_eq!(acted(vehicle), before + 1, "{vehicle:?}");
+    };
+    for (is_instant, is_failed) in [(false, false), (false, true), (true, false), (true, true)] {
+        let (mut next, mut vehicle) = (machine(3), after_goals(&[(6, drive("b")), (7, pick(is_instant))]));
+        if is_failed {
+            vehicle.actions.iter_mut().for_each(|action| action.status = ActionStatus::Failed);
+        }
+        exchange(&mut next, &mut vehicle, 1);
+        send(&mut next, &mut vehicle, goal(NEXT, drive("c")), 2);
+        (0..3).for_each(|_| vehicle.step());
+        assert!(result(&exchange(&mut next, &mut vehicle, 3)).is_some());
+        reported(&mut next, &mut vehicle, is_instant, is_failed);
+    }
     // This process has let the vehicle forget ended instant actions.
     let (mut next, mut vehicle) = (machine(1), after_goals(&[(7, drive("b")), (8, pick(true))]));
     vehicle.instants = INSTANTS_MAX;
@@ -492,7 +514,7 @@ fn an_action_that_may_have_happened_is_not_repeated() {
     assert!(vehicle.executed.contains(&"clearInstantActions".to_owned()), "{vehicle:?}");
     (vehicle.instants, vehicle.actions) = (0, vec![]);
     exchange(&mut next, &mut vehicle, 3);
-    refused(&mut next, &mut vehicle, NEXT + 1, true, 4);
+    reported(&mut next, &mut vehicle, true, false);
 }
 
 #[test]
