@@ -47,7 +47,7 @@ impl Traffic {
     }
 }
 
-/// Bus whose snapshots are counted and damaged.
+/// A bus that counts the bytes of snapshots, and damages a part of one.
 struct SnapshotBus {
     inner: SharedBus,
     traffic: Arc<Traffic>,
