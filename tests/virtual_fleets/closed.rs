@@ -20,7 +20,7 @@ use consort_protocol::message::{
 use consort_protocol::trust::NodeRole;
 use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent, slug};
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -249,6 +249,12 @@ pub(crate) async fn replies(bus: &SharedBus, key: &str, payload: Bytes, attachme
     all
 }
 
+/// Returns a request for a schedule with no occurrence during a test.
+fn yearly(schedule: &str) -> Value {
+    let submit = json!({ "mission": "lab-samples", "parameters": { "room": ROOM } });
+    json!({ "schedule": schedule, "action": "add", "cron": "0 12 1 6 *", "submit": submit })
+}
+
 #[test]
 fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
     for_each_seed(SEEDS, async |seed| {
@@ -273,6 +279,7 @@ fn the_key_of_a_robot_changes_neither_missions_nor_nodes() {
             (keys.write(&Key::Api(ApiCall::Reassign)), json!({ "mission": mission, "role": "r1" })),
             (keys.write(&Key::Api(ApiCall::Resolve)), cancel),
             (keys.write(&Key::Api(ApiCall::Answer)), json!({ "request": format!("{mission}.1"), "answer": "done" })),
+            (keys.write(&Key::Api(ApiCall::Schedule)), yearly("stolen")),
             (keys.write(&Key::Api(ApiCall::Hold)), json!({ "robots": "all" })),
             (keys.write(&Key::Api(ApiCall::Release)), json!({ "robots": "all" })),
             (
@@ -335,6 +342,35 @@ fn a_copy_of_a_cancelation_cancels_nothing_at_the_next_coordinator() {
             assert!(!reply.contains("canceled"), "seed {seed}: {reply}");
         }
         fleet.assert_completes(&later).await;
+    });
+}
+
+/// The ledger keeps no ids of changes of schedules: the next coordinator executes only those that were signed in its time.
+#[test]
+fn a_copy_of_a_pause_pauses_nothing_at_the_next_coordinator() {
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        fleet.wait_for_audit_trail().await;
+        let StolenKey { signing: _signing, plain } = stolen(&fleet, "fern", NodeRole::Robot).await;
+        let change = |action: &str| json!({ "schedule": "rounds", "action": action, "by": "Nia" });
+        request(&fleet, ApiCall::Schedule, &yearly("rounds")).await;
+        let mut relayed = plain.serve("consort/ward/api/schedule").await.expect("a network");
+        // A node that has received the request would drop a copy of it.
+        for other in ["basil", "clove", "gorse", "lab-arm"] {
+            fleet.network.block_queries(slug(other), "consort/ward/api/schedule");
+        }
+        request(&fleet, ApiCall::Schedule, &change("pause")).await;
+        fleet.network.heal();
+        let signed = relayed.recv().await.expect("a request");
+        fleet.kill_coordinator().await;
+        fleet.wait_for_coordinator().await;
+        // The person has changed their mind, and signs a request of its own.
+        request(&fleet, ApiCall::Schedule, &change("resume")).await;
+        let copied = replies(&plain, &signed.key, signed.payload.clone(), signed.attachment.clone()).await;
+        let is_paused = |ledger: &Ledger| ledger.schedule(&slug("rounds")).map(|entry| entry.pause.is_some());
+        assert_eq!(fleet.ledger(is_paused).flatten(), Some(false), "seed {seed}: {copied:?}");
+        let is_put_off = |reply: &String| reply.contains("signed before") && reply.contains("retry_after_ms");
+        assert!(copied.iter().any(is_put_off), "seed {seed}: {copied:?}");
     });
 }
 

@@ -1,7 +1,7 @@
 //! Requests of clients during a session.
 
 use super::api::ApiHandler;
-use super::no_leader::busy_reply;
+use super::no_leader::{RETRY_AFTER_MS, busy_reply};
 use super::people::PeopleHost;
 use super::rate_limit::RequestLimiter;
 use super::session_context::SessionContext;
@@ -10,6 +10,7 @@ use consort_bus::{Query, RequestAuthority, Requester, reply};
 use consort_protocol::api::ErrorReply;
 use consort_protocol::keys::{ApiCall, Key};
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 use tracing::info;
 
 /// Requests of clients, counted and limited.
@@ -50,6 +51,16 @@ impl Requests {
                 return;
             }
         };
+        if let Some(requester) = &requester
+            && !is_remembered(call)
+            && requester.signed_at_ms < session_start_ms(context)
+        {
+            let text = "the request was signed before this node became coordinator, by its clock: sign it again, and \
+                        compare the clocks if that does not help";
+            let reply = busy_reply(text, Duration::from_millis(RETRY_AFTER_MS));
+            reply::json_in(&mut context.tasks, query, reply);
+            return;
+        }
         if let Err(after) = self.limiter.try_acquire(context.now()) {
             let reply = busy_reply("too many requests per second", after);
             reply::json_in(&mut context.tasks, query, reply);
@@ -95,4 +106,40 @@ impl Requests {
             open_reply: OnceLock::new(),
         }
     }
+}
+
+/// Checks whether the ledger shows that a request was executed: by its id, or because it has ended its mission. An
+/// earlier coordinator may have executed any other request, and a copy would be executed again.
+fn is_remembered(call: ApiCall) -> bool {
+    match call {
+        ApiCall::Submit
+        | ApiCall::Cancel
+        | ApiCall::CancelMissions
+        | ApiCall::Priority
+        | ApiCall::Reassign
+        | ApiCall::Resolve
+        | ApiCall::Hold
+        | ApiCall::Release
+        | ApiCall::Maintenance
+        | ApiCall::Close
+        | ApiCall::Open
+        | ApiCall::Limit
+        | ApiCall::Alarm => true,
+        ApiCall::Answer | ApiCall::Schedule | ApiCall::Backup | ApiCall::Upgrade => false,
+        // Reads are not signed.
+        ApiCall::Get
+        | ApiCall::List
+        | ApiCall::Requests
+        | ApiCall::Schedules
+        | ApiCall::Audit
+        | ApiCall::Explain
+        | ApiCall::Help => true,
+    }
+}
+
+/// Returns the start of the session in milliseconds since 1970, by the node's clock as it is now: it may have been
+/// corrected since.
+fn session_start_ms(context: &SessionContext) -> u64 {
+    let age_ms = u64::try_from(context.now().since(context.since).as_millis()).unwrap_or(u64::MAX);
+    context.settings.parts.clock.wall_ms().saturating_sub(age_ms)
 }
