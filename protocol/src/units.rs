@@ -281,6 +281,11 @@ impl NodeTime {
         self.0.as_millis() as u64
     }
 
+    /// Returns the instant this long before, or the start of the node if that is later.
+    pub const fn earlier_by(self, time: Duration) -> NodeTime {
+        NodeTime(self.0.saturating_sub(time))
+    }
+
     /// Returns the time since `earlier`; zero if `earlier` is later.
     pub const fn since(self, earlier: NodeTime) -> Duration {
         self.0.saturating_sub(earlier.0)

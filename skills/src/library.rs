@@ -49,17 +49,19 @@ use crate::environment::Environment;
 use crate::names::join_names;
 use crate::skill::{KnownValues, SkillContext, StatedQuestion, TaskContext, register_leaves, stated_questions};
 use consort_protocol::cause::CauseClass;
-use consort_protocol::ids::TaskType;
+use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::mission::{DomainReference, OtherDomain, TaskSpec};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::WorldTime;
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// Skills by task type. Built once when a node starts, then shared.
 pub struct SkillLibrary {
     environment: Environment,
     registry: Registry<TaskContext>,
     skills: BTreeMap<TaskType, Skill>,
+    cancel_times: BTreeMap<ActionName, Duration>,
 }
 
 /// A skill.
@@ -118,7 +120,7 @@ pub enum SkillError {
 impl SkillLibrary {
     /// Creates a library without skills, with an environment for its leaves.
     pub fn empty(environment: Environment) -> SkillLibrary {
-        SkillLibrary { environment, registry: Registry::new(), skills: BTreeMap::new() }
+        SkillLibrary { environment, registry: Registry::new(), skills: BTreeMap::new(), cancel_times: BTreeMap::new() }
     }
 
     /// Creates a library without skills, with the leaves that are written in Rust.
@@ -184,6 +186,16 @@ impl SkillLibrary {
         add: impl FnOnce(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
     ) -> Result<(), RegistryError> {
         add(&mut self.registry)
+    }
+
+    /// Adds the time from the cancel of a goal to its end, for actions that declare it.
+    pub(crate) fn declare_cancel_times<'a>(&mut self, times: impl Iterator<Item = (&'a ActionName, Duration)>) {
+        self.cancel_times.extend(times.map(|(action, time)| (action.clone(), time)));
+    }
+
+    /// Returns the time from the cancel of a goal to its end, by action, for actions that declare it.
+    pub fn cancel_times(&self) -> &BTreeMap<ActionName, Duration> {
+        &self.cancel_times
     }
 
     /// The registered leaves.

@@ -3,7 +3,7 @@
 
 use crate::config::{
     self, BusConfig, ChargerConfig, ChargingConfig, DeviceDriverConfig, FleetConfig, LinkRole, RobotConfig,
-    StationConfig, WorldConfig, zone_problems,
+    StationConfig, WorldConfig, cancel_problems, zone_problems,
 };
 use crate::diagnostic::{Diagnostic, Diagnostics};
 use crate::domains;
@@ -138,7 +138,9 @@ pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Re
     };
     let candidates = candidates(config, &floor, extensions);
     let TopologicalMap { places, edges } = floor.topology;
+    let cancel_times = extensions.files().flat_map(DomainFile::cancel_times);
     let wrong = zone_problems(&config.zones, &places).into_iter();
+    let wrong = wrong.chain(cancel_problems(&config.lease, cancel_times));
     Diagnostics::into_result(wrong.map(|problem| Diagnostic::for_file("", problem)).collect())?;
     let domain = extensions.domain();
     let ensembles =

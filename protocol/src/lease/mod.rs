@@ -21,7 +21,7 @@ mod terms;
 pub use acting_time::{keep_for, stop_at};
 pub use award::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
 pub use monitor::LeaseMonitor;
-pub use terms::{CLOCK_DRIFT_MAX, LEASE_REACTION, LeaseTerms};
+pub use terms::{CLOCK_DRIFT_MAX, LEASE_REACTION, LeaseTerms, stop_lead};
 
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::plan::StepIndex;

@@ -8,15 +8,27 @@ use std::time::Duration;
 /// a robot under Nav2).
 pub(super) const STOP_LATENESS: Duration = Duration::from_millis(100);
 
-/// Longest time in which a body comes to rest after the order to stop. A guess, which every robot of
-/// a fleet must meet: 0.5 m at 2 m/s. A robot that needs longer needs a driver that limits its
-/// speed.
+/// Longest time in which a body comes to rest after the order to stop, for an action that declares no
+/// longer time. A guess, which every robot of a fleet must meet: 0.5 m at 2 m/s. A robot that needs
+/// longer needs a driver that limits its speed. The 3 s after which a driver that does not end a canceled
+/// goal is killed are no such declaration: the body must rest within this time.
 pub(super) const STOPPING_TIME: Duration = Duration::from_millis(500);
 
 /// Longest time from the end of a lease until the robot is at rest. The client timeout of driver
 /// servers is not part of it: a command carries the [time](super::keep_for) for which it may be
 /// acted on, which ends with the lease.
 pub const LEASE_REACTION: Duration = STOP_LATENESS.saturating_add(STOPPING_TIME);
+
+/// Time after the renewal of a lease in which the next command of the robot's node reaches its driver:
+/// the interval at which the robot checks its lease, that of commands, and the delay of replies.
+const RENEWAL_LATENESS: Duration = Duration::from_secs(1);
+
+/// Returns the time by which the permission of a goal ends before the lease, if the body may need
+/// `cancel_within` from the cancel of the goal until it is at rest: the part of this time that
+/// [`LEASE_REACTION`] does not cover. So a body that stops slowly is at rest as early as all others.
+pub fn stop_lead(cancel_within: Duration) -> Duration {
+    cancel_within.saturating_sub(STOPPING_TIME)
+}
 
 /// Largest relative difference between the rates of two clocks of a fleet. Quartz clocks differ by
 /// less than 0.01 %, and time synchronisation adds at most 0.05 %.
@@ -35,7 +47,8 @@ pub const CLOCK_DRIFT_MAX: f64 = 0.01;
 ///
 /// - The robot sends a report at `s`. If the report is answered and no later report is, no command
 ///   lets its driver server act after `s + L`, whatever happens to the robot's node and to the links
-///   (derived in [`keep_for`](super::keep_for)). The body is at rest by `s + L + r`.
+///   (derived in [`keep_for`](super::keep_for)). The body is at rest by `s + L + r`. A goal whose
+///   cancel may take longer is stopped [earlier](stop_lead) by the difference.
 /// - The coordinator replies at `a`, and `a >= s`. A majority had followed it at most `G / 2`
 ///   before.
 /// - A later coordinator was elected by a majority. At least one node of that majority had followed
@@ -83,6 +96,24 @@ impl LeaseTerms {
         let (lease, reaction) = (lease.as_secs_f64(), LEASE_REACTION.as_secs_f64());
         let half = (reaction + CLOCK_DRIFT_MAX * (lease + reaction)) / (1.0 - CLOCK_DRIFT_MAX);
         Duration::from_millis((2.0 * half * 1e3).ceil() as u64)
+    }
+
+    /// Returns the longest time that a body may need from the cancel of a goal until it is at rest. The
+    /// permission of such a goal ends [before the lease](stop_lead). What is left must outlast the time
+    /// between two renewals, which is a quarter of the lease; otherwise the goal would be stopped although
+    /// the coordinator renews the lease.
+    pub fn cancel_within_max(lease: Duration) -> Duration {
+        STOPPING_TIME + (lease - lease / 4).saturating_sub(RENEWAL_LATENESS)
+    }
+
+    /// Returns the smallest lease with which a body may need `cancel_within` from the cancel of a goal
+    /// until it is at rest, rounded up to milliseconds: [`cancel_within_max`](LeaseTerms::cancel_within_max), solved
+    /// for the lease.
+    pub fn lease_min(cancel_within: Duration) -> Duration {
+        match stop_lead(cancel_within) {
+            Duration::ZERO => Duration::ZERO,
+            lead => Duration::from_millis(((lead + RENEWAL_LATENESS).as_secs_f64() / 0.75 * 1e3).ceil() as u64),
+        }
     }
 
     /// Returns the largest relative clock drift between the slowest and the fastest clock at which

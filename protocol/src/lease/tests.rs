@@ -1,3 +1,4 @@
+use super::terms::STOP_LATENESS;
 use super::*;
 use crate::plan::LocalPlan;
 use std::time::Duration;
@@ -173,44 +174,80 @@ fn the_smallest_grace_allows_a_drift_of_one_percent() {
 }
 
 /// Returns the instant at which a driver server stops its robot, in seconds of the slowest clock, if
-/// the robot's report was sent at 0. A state is sent, received, and named by a command that arrives;
+/// the robot's report was sent at 0 and its body rests `cancel_within` after a cancel. A state is sent, received, and named by a command that arrives;
 /// the clocks of client and server run `rates` times as fast as the slowest clock.
-fn stops_at(terms: LeaseTerms, [sent, received, commanded, arrives]: [f64; 4], rates: [f64; 2]) -> Option<f64> {
+fn stops_at(
+    terms: LeaseTerms,
+    cancel_within: Duration,
+    [sent, received, commanded, arrives]: [f64; 4],
+    rates: [f64; 2],
+) -> Option<f64> {
     let client_timeout = Duration::from_secs(3);
     let clocks = rates.map(|rate| move |at: f64| NodeTime::at(Duration::from_secs_f64(100.0 + at * rate)));
     let (client, server) = (&clocks[0], &clocks[1]);
     let lease_end = client(0.0) + terms.lease;
-    let keep_for = keep_for(lease_end, client_timeout, client(received), client(commanded))?;
+    let allowed_until = lease_end.earlier_by(stop_lead(cancel_within));
+    let keep_for = keep_for(allowed_until, client_timeout, client(received), client(commanded))?;
     let stop = stop_at(keep_for, client_timeout, server(sent), server(arrives))?;
     Some(stop.since(server(0.0)).as_secs_f64() / rates[1])
 }
 
-#[test]
-fn no_delay_of_a_message_lets_a_driver_act_after_the_lease() {
-    let (terms, fast) = (LeaseTerms::default(), 1.0 + CLOCK_DRIFT_MAX);
-    let lease = terms.lease.as_secs_f64();
+/// Returns the latest instant at which a driver server stops its robot, over many delays and clocks.
+fn latest_stop(terms: LeaseTerms, cancel_within: Duration) -> f64 {
+    let fast = 1.0 + CLOCK_DRIFT_MAX;
     let delays = [0.0, 0.002, 0.7, 2.0, 3.9, 9.0];
     let mut latest: f64 = 0.0;
-    let mut check = |times: [f64; 4]| {
-        for rates in [[1.0, 1.0], [fast, 1.0], [1.0, fast], [fast, fast]] {
-            let Some(stop) = stops_at(terms, times, rates) else { continue };
-            assert!(stop <= lease + 1e-6, "{times:?} {rates:?}: stops at {stop}");
-            latest = latest.max(stop);
-        }
+    let mut add = |times: [f64; 4]| {
+        let stop = |rates| stops_at(terms, cancel_within, times, rates);
+        let stops = [[1.0, 1.0], [fast, 1.0], [1.0, fast], [fast, fast]].into_iter().filter_map(stop);
+        latest = stops.fold(latest, f64::max);
     };
     for sent in [0.0, 0.3, 2.5, 3.99] {
         for received in delays.map(|delay| sent + delay) {
             for commanded in delays.map(|pause| received + pause) {
                 for arrives in delays.map(|delay| commanded + delay) {
-                    check([sent, received, commanded, arrives]);
+                    add([sent, received, commanded, arrives]);
                 }
             }
         }
     }
+    latest
+}
+
+#[test]
+fn no_delay_of_a_message_lets_a_driver_act_after_the_lease() {
+    let terms = LeaseTerms::default();
+    let (latest, lease) = (latest_stop(terms, Duration::ZERO), terms.lease.as_secs_f64());
+    assert!(latest <= lease + 1e-6, "stops at {latest}");
     assert!((latest - lease).abs() < 1e-6, "without delays the lease is used up: {latest}");
-    assert_eq!(stops_at(terms, [0.0, 0.1, 4.1, 4.2], [1.0, 1.0]), None, "sent after the lease");
-    assert_eq!(stops_at(terms, [3.0, 3.1, 3.2, 4.2], [1.0, 1.0]), None, "arrives after the lease");
-    assert_eq!(stops_at(terms, [0.0, 0.0, 0.5, 0.5], [1.0, 1.0]), Some(3.5), "the client timeout");
+    let stops_at = |times| stops_at(terms, Duration::ZERO, times, [1.0, 1.0]);
+    assert_eq!(stops_at([0.0, 0.1, 4.1, 4.2]), None, "sent after the lease");
+    assert_eq!(stops_at([3.0, 3.1, 3.2, 4.2]), None, "arrives after the lease");
+    assert_eq!(stops_at([0.0, 0.0, 0.5, 0.5]), Some(3.5), "the client timeout");
+}
+
+#[test]
+fn a_body_that_stops_slowly_rests_no_later_than_others() {
+    let terms = LeaseTerms::default();
+    let rests_by = (terms.lease + LEASE_REACTION).as_secs_f64();
+    for cancel_within in [0.1, 0.5, 0.6, 1.5, 2.5] {
+        let stop = latest_stop(terms, Duration::from_secs_f64(cancel_within));
+        let rest = stop + STOP_LATENESS.as_secs_f64() + cancel_within;
+        assert!(rest <= rests_by + 1e-6, "{cancel_within} s: at rest at {rest}");
+    }
+    let lead = |ms| stop_lead(Duration::from_millis(ms));
+    assert_eq!([lead(500), lead(3_000)], [Duration::ZERO, Duration::from_millis(2_500)]);
+}
+
+#[test]
+fn a_lease_leaves_a_body_that_stops_slowly_time_to_act() {
+    let (ms, longest) = (Duration::from_millis, LeaseTerms::cancel_within_max);
+    assert_eq!([1_000, 2_000, 4_000, 6_000].map(|lease| longest(ms(lease))), [500, 1_000, 2_500, 4_000].map(ms));
+    assert_eq!([500, 3_000].map(|cancel| LeaseTerms::lease_min(ms(cancel))), [0, 4_667].map(ms));
+    for cancel_within in [501, 1_000, 3_000, 60_000].map(ms) {
+        let lease = LeaseTerms::lease_min(cancel_within);
+        assert!(longest(lease) >= cancel_within && longest(lease - ms(2)) < cancel_within, "{cancel_within:?}");
+    }
 }
 
 #[test]

@@ -15,7 +15,7 @@
 //!       effects: { tank_l: { add: -0.5 } }
 //!   load:                                      # a goal that hands an item over
 //!     hands_over: true
-//!     cancel: { within_s: 5 }
+//!     cancel: { within_s: 2 }
 //!     simulate: { moves: { from: table, to: container } }
 //! readings:                                    # what a driver publishes
 //!   tank_l: { type: number, unit: l, minimum: 0, maximum: 5, simulate: { value: 5 } }
@@ -64,6 +64,7 @@ use goal_problems::{cancel_problem, feedback_problems, move_problems};
 use reading_problems::{effect_problems, reading_problems, value_problem};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::time::Duration;
 
 /// System of the simulator that plays people.
 const PEOPLE: &str = "people";
@@ -229,6 +230,15 @@ impl DomainFile {
         self.form.actions.iter()
     }
 
+    /// Returns the actions of robots that declare the time from the cancel of a goal to its end, with this time.
+    pub fn cancel_times(&self) -> impl Iterator<Item = (&ActionName, Duration)> {
+        let of_robots = self.form.actions.iter().filter(|(_, action)| !action.by_people);
+        of_robots.filter_map(|(name, action)| {
+            let CancelForm { within_s } = action.cancel.as_ref()?;
+            Some((name, Duration::from_secs_f64(*within_s)))
+        })
+    }
+
     /// Returns the readings that drivers publish.
     pub fn reading_forms(&self) -> impl Iterator<Item = (&String, &ReadingForm)> {
         self.form.readings.iter()
@@ -266,6 +276,7 @@ impl DomainFile {
             let added = library.extend(|registry| action_leaf::register(registry, name, action));
             added.map_err(|error| problem(format!("actions.{name}"), error.to_string()))?;
         }
+        library.declare_cancel_times(self.cancel_times());
         for (name, reading) in &self.form.readings {
             let added = library.extend(|registry| reading_leaf::register(registry, name, &reading.value));
             added.map_err(|error| problem(format!("readings.{name}"), error.to_string()))?;

@@ -483,6 +483,7 @@ impl Assembly {
             first_goal: incarnation << 20,
             heartbeat_interval: Duration::from_millis(300),
             patience_s: self.fleet.request_limits.patience_s,
+            cancel_times: part.library.cancel_times().clone(),
         };
         let driver = RobotDriver::connect(client, &self.root.get_cell()).await?.with_exchanges(self.exchanges.clone());
         let driver = driver.with_ways(SharedWays::new(Arc::clone(&self.fleet.devices)));

@@ -137,7 +137,16 @@ impl DriverLink {
 
     /// Returns whether the robot is at rest, as far as is known.
     pub(super) fn activity(&self) -> DriverActivity {
-        DriverActivity { is_idle: self.driver.is_idle(), silent_for: self.silent_for() }
+        DriverActivity {
+            is_idle: self.driver.is_idle(),
+            silent_for: self.silent_for(),
+            stop_lead: self.driver.stop_lead(),
+        }
+    }
+
+    /// Returns the time by which the permission of the goals in progress ends before the lease.
+    pub(super) fn stop_lead(&self) -> Duration {
+        self.driver.stop_lead()
     }
 
     /// Lets the robot act until this time; `None` forbids it.

@@ -1,6 +1,7 @@
 //! Release of a role that the robot cannot complete.
 
 use crate::robot_driver::CLIENT_TIMEOUT;
+use consort_protocol::lease::CLOCK_DRIFT_MAX;
 use consort_protocol::message::TaskFailure;
 use consort_protocol::units::NodeTime;
 use std::time::Duration;
@@ -9,7 +10,7 @@ use std::time::Duration;
 /// driver server's clock.
 const CLIENT_TIMEOUT_MARGIN: Duration = Duration::from_secs(1);
 
-/// Time after the last permission for its goals at which a robot is at rest.
+/// Time after the last permission for its goals at which a robot is at rest, if no goal takes longer to stop.
 const REST_AFTER: Duration = CLIENT_TIMEOUT.saturating_add(CLIENT_TIMEOUT_MARGIN);
 
 /// Activity of a driver as known to the robot's node.
@@ -19,6 +20,8 @@ pub(super) struct DriverActivity {
     pub(super) is_idle: bool,
     /// Time since the latest state of the driver.
     pub(super) silent_for: Duration,
+    /// Time that its goals in progress may need to stop beyond that of the robot's reaction.
+    pub(super) stop_lead: Duration,
 }
 
 /// Reason for the release, and whether it was reported. The robot may not act from the beginning of
@@ -39,7 +42,8 @@ impl PendingRelease {
     /// A driver that still reports a goal in progress is not at rest, however long ago the release
     /// began.
     pub(super) fn due(&self, driver: DriverActivity, now: NodeTime) -> Option<&TaskFailure> {
-        let is_stopped_by_server = driver.silent_for >= REST_AFTER && now.since(self.since) >= REST_AFTER;
+        let rest_after = REST_AFTER + driver.stop_lead.mul_f64(1.0 + CLOCK_DRIFT_MAX);
+        let is_stopped_by_server = driver.silent_for >= rest_after && now.since(self.since) >= rest_after;
         (driver.is_idle || is_stopped_by_server).then_some(&self.failure)
     }
 
@@ -59,17 +63,18 @@ impl PendingRelease {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::lease::{CLOCK_DRIFT_MAX, LEASE_REACTION};
+    use consort_protocol::lease::LEASE_REACTION;
     use consort_protocol::message::FailureKind;
 
     fn at(ms: u64) -> NodeTime {
         NodeTime::default() + Duration::from_millis(ms)
     }
 
-    const IDLE: DriverActivity = DriverActivity { is_idle: true, silent_for: Duration::ZERO };
+    const IDLE: DriverActivity =
+        DriverActivity { is_idle: true, silent_for: Duration::ZERO, stop_lead: Duration::ZERO };
 
     fn busy(silent_for_ms: u64) -> DriverActivity {
-        DriverActivity { is_idle: false, silent_for: Duration::from_millis(silent_for_ms) }
+        DriverActivity { is_idle: false, silent_for: Duration::from_millis(silent_for_ms), ..IDLE }
     }
 
     fn pending() -> PendingRelease {
@@ -93,6 +98,14 @@ mod tests {
         assert!(!release.must_report(busy(3_999), at(9_000)), "it was at work 4 s ago");
         assert!(release.must_report(busy(4_000), at(5_000)));
         assert!(CLIENT_TIMEOUT_MARGIN > LEASE_REACTION + REST_AFTER.mul_f64(CLOCK_DRIFT_MAX));
+    }
+
+    #[test]
+    fn an_unreachable_body_that_stops_slowly_counts_as_stopped_later() {
+        let slow = |ms| DriverActivity { stop_lead: Duration::from_secs(10), ..busy(ms) };
+        assert_eq!(pending().due(slow(14_099), at(60_000)), None);
+        assert_eq!(pending().due(slow(60_000), at(15_099)), None);
+        assert!(pending().due(slow(14_101), at(15_101)).is_some());
     }
 
     #[test]

@@ -12,7 +12,7 @@ use consort_bus::tasks::{Forwarded, Tasks};
 use consort_bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::codec;
 use consort_protocol::ensemble::ExchangedValue;
-use consort_protocol::ids::{EnsembleId, PlaceId, RobotId};
+use consort_protocol::ids::{ActionName, EnsembleId, PlaceId, RobotId};
 use consort_protocol::keys::{DriverCall, Key, Keys};
 use consort_protocol::ledger::PersonQuestion;
 use consort_protocol::scalar::Scalar;
@@ -50,6 +50,9 @@ pub struct DriverClientSettings {
     pub heartbeat_interval: Duration,
     /// Time to wait for an answer of people, in seconds, of questions that state none; `None` for no limit.
     pub patience_s: Option<u32>,
+    /// Time from the cancel of a goal to its end, by action, for actions that declare it. The permission of such
+    /// goals ends before the lease.
+    pub cancel_times: BTreeMap<ActionName, Duration>,
 }
 
 /// Driver of a robot. Clones share the same goal tracker; each clone has its own copy of the
@@ -192,8 +195,14 @@ impl RobotDriver {
         self.lock().is_idle()
     }
 
+    /// Returns the time by which the permission of the goals in progress ends before the lease.
+    pub(crate) fn stop_lead(&self) -> Duration {
+        self.lock().stop_lead()
+    }
+
     /// Lets the robot act until this time of the node's clock; `None` forbids it, as at the start.
-    /// The driver server stops the robot at that time. A goal that is sent meanwhile waits.
+    /// The driver server stops the robot at that time, and earlier by its
+    /// [lead](consort_protocol::lease::stop_lead) if it may take long to stop. A goal that is sent meanwhile waits.
     pub fn allow_until(&self, until: Option<NodeTime>) {
         self.lock().allow_until(until);
     }
@@ -320,8 +329,9 @@ impl Actor for DriverClient {
         myself: ActorRef<Self::Msg>,
         (settings, driver_sender): Self::Arguments,
     ) -> Result<Self::State, ActorProcessingErr> {
+        let tracker = GoalTracker::new(settings.first_goal).with_cancel_times(&settings.cancel_times);
         let driver = RobotDriver {
-            tracker: Arc::new(Mutex::new(GoalTracker::new(settings.first_goal))),
+            tracker: Arc::new(Mutex::new(tracker)),
             requests: myself.clone(),
             question: OpenQuestion::new(settings.patience_s),
             exchanges: SharedExchanges::default(),

@@ -11,7 +11,7 @@ use consort_fleet::autopilot;
 use consort_fleet::coordinator::{CandidateSettings, RequestLimits};
 use consort_protocol::auction::{BidLimits, Objective, PromiseTerms};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec, ExchangedValue, private_attribute_problems};
-use consort_protocol::ids::{AlarmId, EnsembleId, FleetId, PlaceId, TaskType, ZoneId};
+use consort_protocol::ids::{ActionName, AlarmId, EnsembleId, FleetId, PlaceId, TaskType, ZoneId};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{HistoryLimits, TIME_AHEAD_MAX, Zone};
 use consort_protocol::mission::{Domain, PATIENCE_MAX_S};
@@ -498,6 +498,25 @@ impl ConfigFile for FleetConfig {
         validate.extend(private_attribute_problems(&compiled).iter().map(ToString::to_string));
         validate
     }
+}
+
+/// Returns the problems of actions whose cancel takes so long that the lease leaves no time for their goals.
+pub(crate) fn cancel_problems<'a>(
+    lease: &LeaseConfig,
+    actions: impl Iterator<Item = (&'a ActionName, Duration)>,
+) -> Vec<String> {
+    let lease_ms = lease.lease_ms;
+    let most = LeaseTerms::cancel_within_max(Duration::from_millis(lease_ms));
+    let too_long = actions.filter(|(_, within)| *within > most);
+    let problem = |(action, within): (&ActionName, Duration)| {
+        let (within_s, most_s) = (within.as_secs_f64(), most.as_secs_f64());
+        let lease_min_ms = LeaseTerms::lease_min(within).as_millis();
+        format!(
+            "actions.{action}.cancel.within_s is {within_s}, allowed with lease.lease_ms {lease_ms} is {most_s} or \
+             less, and it is allowed with lease.lease_ms {lease_min_ms} or more: the robot stops before the lease ends"
+        )
+    };
+    too_long.map(problem).collect()
 }
 
 /// Returns the problems of zones on a map with these places: their places are on the map, and their names are not.

@@ -42,7 +42,7 @@ pub use charging::{ChargerConfig, ChargingConfig, SwapConfig};
 pub(crate) use devices::devices;
 pub use devices::{DeviceConfig, DeviceDriverConfig};
 pub use fleet::{AuctionConfig, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, ObjectiveName, RequestsConfig};
-pub(crate) use fleet::{DEFAULT_FLEET, zone_problems};
+pub(crate) use fleet::{DEFAULT_FLEET, cancel_problems, zone_problems};
 pub use node::{CommonConfig, NodeFile};
 pub(crate) use read::load_unchecked;
 pub use read::{ConfigFile, from_text, join_normalized, load, resolve_path, to_toml};

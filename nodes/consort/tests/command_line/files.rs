@@ -233,6 +233,22 @@ fn a_lease_that_lets_two_robots_act_is_rejected() {
 }
 
 #[test]
+fn a_lease_that_leaves_no_time_for_an_action_is_rejected() {
+    test_file("slow_press.yaml", "domain: presses\nactions:\n  press: { cancel: { within_s: 3 } }\n");
+    let check = |name: &str, lease_ms: u32| {
+        let text = format!("domains = [\"slow_press.yaml\"]\n[lease]\nlease_ms = {lease_ms}\n");
+        let ran = run(&["check", &test_file(name, &text)]);
+        (ran.code, format!("{}{}", ran.out, ran.err))
+    };
+    let (code, text) = check("lease_4000.toml", 4000);
+    let expected = "actions.press.cancel.within_s is 3, allowed with lease.lease_ms 4000 is 2.5 or less, and it is \
+                    allowed with lease.lease_ms 4667 or more";
+    assert!(code == Some(1) && text.contains(expected), "{text}");
+    let (code, text) = check("lease_4667.toml", 4667);
+    assert_eq!(code, Some(0), "{text}");
+}
+
+#[test]
 fn a_flag_value_is_validated_like_a_file_value() {
     let file = crate_file("../../examples/station.toml");
     let ran = run(&["station", "--config", &file, "--print-config", "--lease-ms", "1"]);

@@ -116,7 +116,9 @@ async fn driver(bus: &ZenohBus) -> RobotDriver {
     let (bus, heartbeat_interval) = (Arc::new(bus.clone()), Duration::from_millis(300));
     let clock = Clock::real();
     let (keys, patience_s) = (keys(), None);
-    let link = DriverClientSettings { robot: ada(), keys, bus, clock, first_goal: 1, heartbeat_interval, patience_s };
+    let (robot, first_goal, cancel_times) = (ada(), 1, BTreeMap::new());
+    let link =
+        DriverClientSettings { robot, keys, bus, clock, first_goal, heartbeat_interval, patience_s, cancel_times };
     let driver = RobotDriver::connect(link, &supervisor.get_cell()).await.unwrap();
     driver.allow_until(Some(clock.now() + 10 * LIMIT));
     driver

@@ -52,7 +52,7 @@ fn a_failed_task_is_retried_after_the_pause_and_then_released() {
     start_task(&mut active, at(600));
     let effect = active.recover(failure(FailureKind::Task), delay, at(700));
     assert!(matches!(effect, Some(RecoveryEffect::Release(EventKind::TaskFailed { .. }))), "{effect:?}");
-    let driver = |is_idle| DriverActivity { is_idle, silent_for: Duration::ZERO };
+    let driver = |is_idle| DriverActivity { is_idle, silent_for: Duration::ZERO, stop_lead: Duration::ZERO };
     let needs_report = |is_idle| active.needs_report(driver(is_idle), at(700));
     assert!(active.is_releasing() && needs_report(true) && !needs_report(false));
     assert_eq!(active.next_action(at(9_000)), None);

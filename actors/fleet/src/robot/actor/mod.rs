@@ -185,7 +185,9 @@ impl RobotState {
     async fn tick(&mut self) -> Result<(), ActorProcessingErr> {
         let now = self.now();
         self.sense(now);
-        self.handle_lease_event(Event::Tick, now).await?;
+        // The role is suspended when the permission of the goals in progress ends.
+        let lead = self.lease.acts_until().map_or(Duration::ZERO, |_| self.driver.stop_lead());
+        self.handle_lease_event(Event::Tick, now + lead).await?;
         let driver = self.driver.activity();
         let needs_report = self.execution.plan.as_ref().is_some_and(|active| active.needs_report(driver, now));
         let asks = self.execution.plan.is_some() && self.driver.question().must_report();

@@ -3,7 +3,8 @@
 use super::CLIENT_TIMEOUT;
 use super::messages::{DriverCommand, DriverState, GoalRequest, Permit, feedback_of};
 use super::state_order::StateOrder;
-use consort_protocol::lease::keep_for;
+use consort_protocol::ids::ActionName;
+use consort_protocol::lease::{keep_for, stop_lead};
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalId, GoalResult, GoalStatus, Telemetry};
@@ -34,6 +35,10 @@ pub(super) struct GoalTracker {
     attempt: Attempt,
     /// Goals of this incarnation that may move items.
     moving: BTreeSet<GoalId>,
+    /// Time by which the permission of a goal ends before the lease, by action, where it is not zero.
+    stop_leads: BTreeMap<ActionName, Duration>,
+    /// The same by goal of this incarnation.
+    slow: BTreeMap<GoalId, Duration>,
     /// First goal of this incarnation.
     first: GoalId,
     /// Requests without a reply, in the order of sending.
@@ -80,10 +85,35 @@ impl GoalTracker {
             done: BTreeMap::new(),
             attempt: Attempt::default(),
             moving: BTreeSet::new(),
+            stop_leads: BTreeMap::new(),
+            slow: BTreeMap::new(),
             first: GoalId(next),
             pending: vec![],
             changed: watch::Sender::new(0),
         }
+    }
+
+    /// Stops goals of these actions before the end of the lease. The times are those from the cancel of a goal to
+    /// its end.
+    pub(super) fn with_cancel_times(self, times: &BTreeMap<ActionName, Duration>) -> GoalTracker {
+        let leads = times.iter().map(|(action, time)| (action.clone(), stop_lead(*time)));
+        GoalTracker { stop_leads: leads.filter(|(_, lead)| !lead.is_zero()).collect(), ..self }
+    }
+
+    /// Returns the time by which the permission of the goals in progress ends before the lease. A goal of a
+    /// previous incarnation may be of any action, and may be in progress before the first state.
+    pub(super) fn stop_lead(&self) -> Duration {
+        let longest = || self.stop_leads.values().max().copied().unwrap_or_default();
+        if self.latest.is_none() {
+            return longest();
+        }
+        let lead = |id: &GoalId| match self.slow.get(id) {
+            Some(lead) => *lead,
+            None if *id < self.first => longest(),
+            None => Duration::ZERO,
+        };
+        let in_progress = self.goals.iter().filter(|(_, status)| !status.is_final());
+        in_progress.map(|(id, _)| lead(id)).max().unwrap_or_default()
     }
 
     /// Returns a counter of received states, which notifies its receivers of each new state.
@@ -135,6 +165,8 @@ impl GoalTracker {
         while self.goals.len() > GOALS_KEPT {
             self.goals.pop_first();
         }
+        self.slow.retain(|id, _| self.goals.contains_key(id));
+        self.slow.extend(self.stop_leads.get(&goal.action).map(|lead| (id, *lead)));
         if goal.may_move_items() {
             self.moving.insert(id);
         }
@@ -197,6 +229,7 @@ impl GoalTracker {
 
     fn permit(&self, now: NodeTime) -> Option<Permit> {
         let (until, latest) = (self.allowed_until?, self.latest.as_ref()?);
+        let until = until.earlier_by(self.stop_lead());
         let keep_for = keep_for(until, CLIENT_TIMEOUT, latest.arrived_at, now)?;
         let in_progress = self.goals.iter().filter(|(id, status)| !status.is_final() && !self.canceled.contains(id));
         Some(Permit {

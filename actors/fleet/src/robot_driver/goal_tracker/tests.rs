@@ -56,6 +56,28 @@ fn no_goal_starts_without_a_permission() {
     assert_eq!(tracker.command(None, at(1_500)), heartbeat);
 }
 
+#[test]
+fn the_permission_of_a_goal_that_stops_slowly_ends_before_the_lease() {
+    let seconds = Duration::from_secs;
+    let times = BTreeMap::from([("pick_up".parse().unwrap(), seconds(3)), ("press".parse().unwrap(), seconds(4))]);
+    let mut tracker = GoalTracker::new(100).with_cancel_times(&times);
+    assert_eq!(tracker.stop_lead(), Duration::from_millis(3_500), "it is not known which goals are in progress");
+    tracker.apply_state(state(1, &[]), at(500));
+    tracker.allow_until(Some(at(4_500)));
+    let id = tracker.start_goal(Goal::from(Wait { time: Seconds::ZERO }));
+    assert_eq!(tracker.command(None, at(2_000)).permit.keep_for_ms, 4_000, "its action declares no time");
+    tracker.apply_state(state(2, &[(id.0, GoalStatus::succeeded())]), at(600));
+    let id = tracker.start_goal(pick_up("birch"));
+    assert_eq!(tracker.command(None, at(1_000)).permit.keep_for_ms, 1_400, "2.5 s before the lease");
+    assert_eq!(tracker.command(None, at(2_000)).permit, Permit::default());
+    tracker.cancel(id);
+    assert_eq!(tracker.stop_lead(), Duration::from_millis(2_500), "it comes to rest");
+    tracker.apply_state(state(3, &[(id.0, GoalStatus::Canceled)]), at(700));
+    assert_eq!(tracker.stop_lead(), Duration::ZERO);
+    tracker.apply_state(state(4, &[(7, executing())]), at(800));
+    assert_eq!(tracker.stop_lead(), Duration::from_millis(3_500), "a goal of a previous incarnation");
+}
+
 /// A role ended while the client waited for the reply to an earlier request, and the robot acts without a role now.
 #[test]
 fn a_canceled_goal_does_not_start_under_a_later_permission() {
