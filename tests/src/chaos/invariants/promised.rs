@@ -212,7 +212,9 @@ impl Invariant for Promised {
             return Ok(());
         }
         self.due = at + INTERVAL;
-        for robot in fleet.world.robots() {
+        // The hostile node bids, too, and has no body in the world.
+        let promised = self.promises.values().map(|promise| promise.robot.clone());
+        for robot in fleet.world.robots().into_iter().chain(promised) {
             if !can_take_role(fleet, &robot) || lacks_charge(fleet, &self.reference.ledger, &robot) {
                 self.unfit_at.insert(robot, at);
             }

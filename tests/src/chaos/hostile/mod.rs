@@ -5,7 +5,12 @@
 //! them), makes requests with its own and with captured signatures, sends texts of great length (as a
 //! robot, in its refusals to bid), and floods. In a fleet with the settings of a large one it also states the motion of other
 //! robots. Signed messages are attempted with its own key, and without one.
+//!
+//! Well-formed forgeries of every kind, and its bids, are in [`forgeries`].
 
+mod forgeries;
+
+use self::forgeries::{Sources, answer_clock_readings};
 use super::generate::is_large;
 use crate::{Fleet, StolenKey, report_of_all_steps, signals_sent, slug};
 use bytes::Bytes;
@@ -90,6 +95,7 @@ impl HostileNode {
     pub(super) async fn start(fleet: &Fleet, role: Option<NodeRole>, seed: u64, date_ms: u64) -> Option<HostileNode> {
         let key = StolenKey::of(fleet, HOSTILE, role, date_ms).await?;
         let mut chance = ChaCha8Rng::seed_from_u64(seed);
+        let signer = key.signing.record_signer();
         let attacker = Arc::new(Attacker {
             refuses_all: chance.random_bool(0.5),
             in_cluster: key.in_cluster(fleet),
@@ -111,12 +117,20 @@ impl HostileNode {
                 attacks.spawn(Arc::clone(&attacker).answer(queries));
             }
         }
+        for bus in [&attacker.signing, &attacker.plain] {
+            let readings = bus.serve(&below(&attacker.keys, "wire/clock/*")).await.expect("a virtual bus");
+            attacks.spawn(answer_clock_readings(readings, seed));
+        }
+        let calls = attacker.in_cluster.serve(&attacker.keys.any_bid()).await.expect("a virtual bus");
+        attacks.spawn(Arc::clone(&attacker).bid(calls, seed));
         let base = fleet.nodes.values().next().map(|node| node.knowledge.clone());
         attacks.spawn(Arc::clone(&attacker).lie_about_members(base.clone(), seed, date_ms));
         if is_large(fleet.seed) {
-            attacks.spawn(Arc::clone(&attacker).forge_motion(base, seed));
+            attacks.spawn(Arc::clone(&attacker).forge_motion(base.clone(), seed));
         }
-        let replicas = fleet.nodes.values().filter_map(|node| node.replica.clone()).collect();
+        let replicas: Vec<_> = fleet.nodes.values().filter_map(|node| node.replica.clone()).collect();
+        let sources = Sources { replicas: replicas.clone(), known: base, world: fleet.world.clone(), signer };
+        attacks.spawn(Arc::clone(&attacker).forge(sources, seed));
         attacks.spawn(attacker.attack(replicas));
         Some(HostileNode { _attacks: attacks })
     }
@@ -310,11 +324,14 @@ impl Attacker {
         }
     }
 
-    /// Reports the end of steps, and sends the signals, of a role of others.
+    /// Reports the end of steps, and sends the signals, of a role of others. In a role that it has won it may do both.
     async fn take_part_in_a_mission(&self, replicas: &[Replica<Ledger>]) {
         let missions: Vec<MissionEntry> = latest(replicas, |ledger| ledger.missions().cloned().collect());
         let Some(entry) = self.draw(|chance| missions.choose(chance).cloned()) else { return };
-        for role in entry.roles.keys() {
+        for (role, state) in &entry.roles {
+            if state.holder.as_ref().is_some_and(|holder| holder.robot.as_str() == HOSTILE) {
+                continue;
+            }
             let Some(plan) = entry.plan(role) else { continue };
             let Some(report) = report_of_all_steps(slug(HOSTILE), &entry, role) else { continue };
             let key = self.keys.write(&Key::Report(self.victim()));
