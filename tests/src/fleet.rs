@@ -64,6 +64,8 @@ pub struct Fleet {
     followers: BTreeMap<String, AbortHandle>,
     /// Nodes with a disk that cannot be written; each may end by itself.
     pub(crate) unwritable: BTreeSet<String>,
+    /// Nodes that a person has asked to leave the fleet during a run of chaos.
+    pub(crate) asked_to_leave: BTreeSet<NodeId>,
     /// Certificates of the nodes, if the fleet is closed.
     pub credentials: Option<Credentials>,
     /// Signing buses of the nodes of a closed fleet.
@@ -342,6 +344,7 @@ impl Fleet {
             options,
             followers: BTreeMap::new(),
             unwritable: BTreeSet::new(),
+            asked_to_leave: BTreeSet::new(),
             credentials,
             signing_buses: BTreeMap::new(),
         };

@@ -192,6 +192,7 @@ impl ActionExecutor {
             }
             ChaosAction::Leave { node, .. } if fleet.nodes.contains_key(node) => {
                 let (client, node) = (self.client(fleet), node.clone());
+                fleet.asked_to_leave.insert(slug(&node));
                 self.leaving.insert(number, (node.clone(), false));
                 tokio::spawn(async move { client.leave(&slug(&node)).await });
             }
