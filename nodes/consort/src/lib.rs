@@ -30,7 +30,7 @@ pub(crate) mod rendering;
 mod service_manager;
 mod shutdown_signals;
 pub mod telemetry;
-pub(crate) mod trust;
+pub mod trust;
 pub(crate) mod tui;
 pub mod wiring;
 mod zenoh_panic;

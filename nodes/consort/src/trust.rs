@@ -124,7 +124,7 @@ fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
 ///
 /// # Errors
 /// [`Failure::Usage`] with the file and the problem.
-pub(crate) fn person_keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
+pub fn person_keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
     let files = trust_files(certs);
     let now_ms = clock.wall_ms();
     let keyring = files.open(fleet, Duration::from_millis(now_ms), now_ms);

@@ -544,7 +544,7 @@ fn display_map(fleet: &FleetConfig) -> Option<Arc<MapView>> {
 }
 
 /// Returns the credentials of links, from a folder of `consort cert`.
-pub(crate) fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
+pub fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
     LinkTrust { files: config::trust_files(certs), fleet: fleet.clone() }
 }
 

@@ -3,7 +3,7 @@
 use super::support::{run, test_file};
 use serde_json::Value;
 
-const COMMANDS: [&str; 7] = ["chaos", "test", "experiment", "allocate", "bench", "check", "schema"];
+const COMMANDS: [&str; 8] = ["chaos", "soak", "test", "experiment", "allocate", "bench", "check", "schema"];
 
 #[test]
 fn the_help_of_each_command_teaches_by_examples() {

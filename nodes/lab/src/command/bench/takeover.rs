@@ -1,7 +1,7 @@
 //! `consort-lab bench takeover`: measures takeovers of real processes, each on a host of its own.
 
 use super::run_in_namespaces;
-use crate::command::soak::fleet::{ProcessFleet, ROOMS, STATIONS, WORLD};
+use crate::command::soak::fleet::{FleetKind, ProcessFleet, ROOMS, STATIONS, WORLD};
 use clap::Args as ClapArgs;
 use consort_bus::{Sample, SharedBus, Stream};
 use consort_nodes::exit::Failure;
@@ -95,7 +95,8 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
         .map_err(|problem| Failure::Usage(format!("{} cannot be created: {problem}", folder.display())))?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(unsuccessful)?;
     let figures = runtime.block_on(async {
-        let mut fleet = ProcessFleet::start(&folder, &[], &UserParticipants::default()).await?;
+        let kind = FleetKind { open: true, large: false };
+        let mut fleet = ProcessFleet::start(&folder, kind, &[], &UserParticipants::default()).await?;
         let figures = measure(&mut fleet, args).await;
         fleet.stop();
         figures

@@ -1,10 +1,12 @@
 //! The processes of the fleet, each on its own host.
 
+use super::certificates::Certificates;
 use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_nodes::exit::Failure;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::{Key, Keys};
+use consort_protocol::trust::NodeRole;
 use consort_skills::extensions::LoadedDomain;
 use consort_tests::chaos::UserParticipants;
 use consort_tests::example_files::example;
@@ -56,10 +58,29 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(200);
 /// Signal of a process that ends after a panic in Zenoh.
 const SIGABRT: i32 = 6;
 
+/// Maximum number of robots that an auction of a large fleet asks first: fewer than there are robots.
+const CANDIDATES: i64 = 2;
+
+/// Planned nodes of a large fleet: with as many, nodes on battery power do not relay.
+const PLANNED_NODES: i64 = 30;
+
+/// Kind of a fleet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in super::super) struct FleetKind {
+    /// The nodes have no certificates.
+    pub(in super::super) open: bool,
+    /// The fleet has the settings of a large one: carriers are clients of the stations, which relay for them, and
+    /// auctions ask candidates first.
+    pub(in super::super) large: bool,
+}
+
 /// Fleet with a process for each node.
 pub(in super::super) struct ProcessFleet {
     pub(in super::super) network: HostNetwork,
     pub(in super::super) keys: Keys,
+    kind: FleetKind,
+    /// Certificates of a closed fleet.
+    certificates: Option<Certificates>,
     processes: BTreeMap<String, Child>,
     /// Processes that ended after a panic in Zenoh, and were started again.
     pub(super) failures_of_zenoh: u32,
@@ -73,13 +94,14 @@ fn unsuccessful(problem: impl std::fmt::Display) -> Failure {
 }
 
 impl ProcessFleet {
-    /// Starts all nodes with these domains, and waits until the robots are members of the ensemble. The carriers and
-    /// the people are also those of the missions of the user.
+    /// Starts all nodes of a fleet of this kind with these domains, and waits until the robots are members of the
+    /// ensemble. The carriers and the people are also those of the missions of the user.
     ///
     /// # Errors
     /// [`Failure`]: a process cannot be started, or the fleet is not complete in time.
     pub(in super::super) async fn start(
         folder: &Path,
+        kind: FleetKind,
         domains: &'static [LoadedDomain],
         participants: &UserParticipants,
     ) -> Result<ProcessFleet, Failure> {
@@ -95,9 +117,19 @@ impl ProcessFleet {
             network.add(host);
         }
         let id: FleetId = FLEET.parse().map_err(unsuccessful)?;
+        let keys = Keys::new(&id);
+        let certificates = if kind.open {
+            None
+        } else {
+            let nodes = STATIONS.map(|name| (name, NodeRole::Voter)).into_iter();
+            let nodes = nodes.chain(ROBOTS.map(|name| (name, NodeRole::Robot))).chain([(WORLD, NodeRole::Host)]);
+            Some(Certificates::issue(&folder.join("certs"), &keys, nodes)?)
+        };
         let mut fleet = ProcessFleet {
             network,
-            keys: Keys::new(&id),
+            keys,
+            kind,
+            certificates,
             processes: BTreeMap::new(),
             failures_of_zenoh: 0,
             program,
@@ -116,6 +148,12 @@ impl ProcessFleet {
         let mut fleet = example("fleet");
         fleet.insert("name".to_owned(), FLEET.into());
         fleet.insert("bootstrap_expect".to_owned(), (STATIONS.len() as i64).into());
+        if self.kind.large {
+            fleet.insert("planned_nodes".to_owned(), PLANNED_NODES.into());
+            if let Some(auction) = fleet.get_mut("auction").and_then(toml::Value::as_table_mut) {
+                auction.insert("candidates".to_owned(), CANDIDATES.into());
+            }
+        }
         self.write("fleet", &fleet)?;
         for station in STATIONS {
             self.write_node(station, example("station"), &STATIONS)?;
@@ -151,21 +189,43 @@ impl ProcessFleet {
             }
             node.insert("may_vote".to_owned(), false.into());
             node.insert("discharge_share_per_s".to_owned(), 0.0.into());
-            self.write_node(robot, node, &[&STATIONS[..], &[WORLD]].concat())?;
+            let mut neighbours = STATIONS.to_vec();
+            if !self.is_client(robot) {
+                neighbours.push(WORLD);
+            }
+            self.write_node(robot, node, &neighbours)?;
         }
         Ok(())
     }
 
     fn write_node(&self, name: &str, mut node: Table, neighbours: &[&str]) -> Result<(), Failure> {
         let others = neighbours.iter().filter(|other| **other != name);
-        let connect: Vec<String> = others.map(|other| address(&self.network, other)).collect();
+        let connect: Vec<String> = others.map(|other| self.address(other)).collect();
         let mut bus = Table::new();
-        bus.insert("listen".to_owned(), vec!["tcp/0.0.0.0:7447".to_owned()].into());
+        if !self.is_client(name) {
+            bus.insert("listen".to_owned(), vec![format!("{}/0.0.0.0:7447", self.protocol())].into());
+        }
+        if let Some(certificates) = &self.certificates {
+            bus.insert("certs".to_owned(), certificates.of_node(name).display().to_string().into());
+        }
         bus.insert("connect".to_owned(), connect.into());
         node.insert("name".to_owned(), name.into());
         node.insert("bus".to_owned(), bus.into());
         node.insert("data_dir".to_owned(), format!("data-{name}").into());
         self.write(name, &node)
+    }
+
+    /// Checks whether a node is a client of the stations.
+    fn is_client(&self, name: &str) -> bool {
+        self.kind.large && CARRIERS.contains(&name)
+    }
+
+    fn protocol(&self) -> &'static str {
+        if self.kind.open { "tcp" } else { "tls" }
+    }
+
+    fn address(&self, host: &str) -> String {
+        format!("{}/{}:7447", self.protocol(), self.network.address(host, ""))
     }
 
     fn write(&self, name: &str, table: &Table) -> Result<(), Failure> {
@@ -200,20 +260,26 @@ impl ProcessFleet {
     }
 
     /// Opens a client of these hosts: it uses the first that it reaches, and changes to another when it
-    /// loses the link.
+    /// loses the link. In a closed fleet it signs its requests as a person.
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if none is reached in time.
     pub(in super::super) async fn client(&self, hosts: &[&str]) -> Result<SharedBus, Failure> {
-        let connect: Vec<String> = hosts.iter().map(|host| address(&self.network, host)).collect();
-        let settings = ZenohSettings { mode: Mode::Client, connect, ..ZenohSettings::default() };
+        let connect: Vec<String> = hosts.iter().map(|host| self.address(host)).collect();
+        let link_trust = self.certificates.as_ref().map(Certificates::link_trust);
+        let settings = ZenohSettings { mode: Mode::Client, connect, link_trust, ..ZenohSettings::default() };
         let deadline = Instant::now() + START_LIMIT;
-        loop {
+        let bus = loop {
             match ZenohBus::open(settings.clone()).await {
-                Ok(bus) => return Ok(Arc::new(bus)),
+                Ok(bus) => break bus,
                 Err(problem) if Instant::now() >= deadline => return Err(unsuccessful(problem)),
                 Err(_) => tokio::time::sleep(LOOK_INTERVAL).await,
             }
+        };
+        let bus: SharedBus = Arc::new(bus);
+        match &self.certificates {
+            Some(certificates) => certificates.signing_bus(bus).await,
+            None => Ok(bus),
         }
     }
 
@@ -309,8 +375,4 @@ fn nurse(room: &str) -> Table {
     nurse.insert("place".to_owned(), room.into());
     nurse.insert("samples".to_owned(), samples.into());
     nurse
-}
-
-fn address(network: &HostNetwork, host: &str) -> String {
-    format!("tcp/{}:7447", network.address(host, ""))
 }

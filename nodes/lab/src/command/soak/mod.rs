@@ -1,5 +1,6 @@
 //! `consort-lab soak`: a fleet of real processes under random faults, with clients at work.
 
+mod certificates;
 mod faults;
 pub(super) mod fleet;
 mod occurrences;
@@ -18,7 +19,7 @@ use consort_skills::workload::Workload as UserWorkload;
 use consort_tests::chaos::UserParticipants;
 use consort_tests::history::History;
 use consort_tests::host_network::{INSIDE, is_inside, run_inside};
-use fleet::ProcessFleet;
+use fleet::{FleetKind, ProcessFleet};
 use std::path::PathBuf;
 use std::time::Duration;
 use workload::Workload;
@@ -34,6 +35,9 @@ const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
 /// partitioned. Meanwhile clients submit, cancel and read missions over Zenoh, a schedule submits one
 /// each minute, and a person holds robots and closes places. Then all faults end, and every mission must
 /// end.
+///
+/// The fleet is closed: each node has a certificate with the roles that it needs, and the clients sign their requests as
+/// a person. With an even seed it has the settings of a large fleet (`--large`).
 ///
 /// With `--mission` about half of the submitted missions are those of the user. The carriers have the skills
 /// for them, and there is a person on call for each role of people.
@@ -51,6 +55,7 @@ const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
 Examples:
   consort-lab soak --minutes 30
   consort-lab soak --minutes 5 --seed 7        # the same order of faults again; their effects vary
+  consort-lab soak --minutes 5 --large         # carriers are clients of the stations, and auctions ask candidates
   consort-lab soak --domain domain.yaml --mission mission.yaml
 
 Exit codes: 0 everything held; 1 something did not, and the logs are kept; 2 the flags are wrong or there can be no
@@ -62,6 +67,13 @@ pub(crate) struct Args {
     /// Source of the order of faults and requests [default: random]
     #[arg(long)]
     seed: Option<u64>,
+    /// No node has a certificate, and clients sign nothing
+    #[arg(long)]
+    open: bool,
+    /// Settings of a large fleet, also with an odd seed: 30 planned nodes, so carriers do not listen and are clients of
+    /// the stations, and auctions ask two robots first
+    #[arg(long)]
+    large: bool,
     #[command(flatten)]
     workload: WorkloadFlags,
     /// Print the verdict as JSON
@@ -91,7 +103,8 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let hindrance = |reason: String| Failure::Usage(format!("there can be no namespaces here: {reason}"));
     let (minutes, seed_text) = (args.minutes.to_string(), seed.to_string());
     let mut arguments = vec!["soak", "--minutes", &minutes, "--seed", &seed_text];
-    arguments.extend(args.json.then_some("--json"));
+    let flags = [(args.open, "--open"), (args.large, "--large"), (args.json, "--json")];
+    arguments.extend(flags.into_iter().filter_map(|(is_set, flag)| is_set.then_some(flag)));
     let files = args.workload.as_given();
     arguments.extend(files.iter().map(String::as_str));
     let status = run_inside(&arguments, &TOOLS, &std::process::id().to_string()).map_err(hindrance)?;
@@ -109,10 +122,13 @@ fn soak(args: &Args, seed: u64, own: UserWorkload, participants: &UserParticipan
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
     let verdict = runtime.block_on(async {
-        let mut fleet = ProcessFleet::start(&folder, own.extensions.domains, participants).await?;
+        let kind = FleetKind { open: args.open, large: args.large || seed.is_multiple_of(2) };
+        let mut fleet = ProcessFleet::start(&folder, kind, own.extensions.domains, participants).await?;
         let history = History::new(HistoryLimits::default().missions_max as usize);
         let workload = Workload::start(&fleet, &history, own, seed).await?;
-        output::note(format_args!("seed {seed}: the fleet works; faults for {} minutes", args.minutes));
+        let (access, size) = (if kind.open { "open" } else { "closed" }, if kind.large { "large" } else { "small" });
+        let minutes = args.minutes;
+        output::note(format_args!("seed {seed}: the {access}, {size} fleet works; faults for {minutes} minutes"));
         let faults = faults::inject(&mut fleet, seed, Duration::from_secs_f64(args.minutes * 60.0)).await;
         output::note("all faults are over; waiting for the end of all missions");
         let verdict = verdict::reach(&mut fleet, workload, &history, faults).await;

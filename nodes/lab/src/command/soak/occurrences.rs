@@ -97,9 +97,11 @@ impl Occurrences {
     }
 }
 
-/// Checks whether a mission is an occurrence of the schedule.
+/// Checks whether a mission is an occurrence of the schedule. A closed fleet also states the person of the certificate,
+/// before the schedule.
 pub(super) fn is_occurrence(mission: &MissionSummary) -> bool {
-    mission.brief.terms.by == format!("{BY}, schedule {SCHEDULE}")
+    let by = &mission.brief.terms.by;
+    by.starts_with(BY) && by.ends_with(&format!(", schedule {SCHEDULE}"))
 }
 
 #[cfg(test)]
