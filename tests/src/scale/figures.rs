@@ -66,9 +66,9 @@ pub struct ScaleFigures {
     pub trace: String,
     /// Most memory of the process so far, in MB.
     pub memory_mb: Option<f64>,
-    /// Duration of the measurement in seconds.
+    /// Duration of the measurement in seconds, of both fleets.
     pub wall_s: f64,
-    /// Duration of the measurement on virtual time, in seconds.
+    /// Duration of the measurement on virtual time in seconds, of both fleets.
     pub virtual_s: f64,
 }
 

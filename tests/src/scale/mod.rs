@@ -163,7 +163,7 @@ async fn measure_messages(setup: ScaleSetup, computing: Computing, progress: &im
         trace: format!("{:016x}", fleet.network.digest()),
         memory_mb: None,
         wall_s: 0.0,
-        virtual_s: began.elapsed().as_secs_f64(),
+        virtual_s: (computing.elapsed + began.elapsed()).as_secs_f64(),
     }
 }
 
@@ -173,6 +173,8 @@ struct Computing {
     robot_percent: f64,
     view_ms: Option<Percentiles>,
     latencies: Latencies,
+    /// Duration on virtual time.
+    elapsed: Duration,
 }
 
 /// Measures computing times, and latencies with them, in a fleet of its own: the offsets between its runtimes are
@@ -181,6 +183,7 @@ fn measure_computing(setup: ScaleSetup) -> Computing {
     let runtimes = Runtimes::new();
     let (coordinator, robot) = (runtimes.separate(), runtimes.separate());
     runtimes.block_on(async {
+        let began = tokio::time::Instant::now();
         let handles =
             BTreeMap::from([(STATIONS[0].to_owned(), coordinator.handle()), (SAMPLE.to_owned(), robot.handle())]);
         let (mut fleet, _) = start(setup, handles).await;
@@ -194,7 +197,7 @@ fn measure_computing(setup: ScaleSetup) -> Computing {
         let robot_percent = percent(robot.cpu(), before[1]);
         let view_ms = draw_views(&fleet, || coordinator.cpu()).await;
         let latencies = auctions(&mut fleet, setup.missions, || coordinator.cpu()).await;
-        Computing { coordinator_percent, robot_percent, view_ms, latencies }
+        Computing { coordinator_percent, robot_percent, view_ms, latencies, elapsed: began.elapsed() }
     })
 }
 

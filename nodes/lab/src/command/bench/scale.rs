@@ -31,9 +31,10 @@ Examples:
 With --json: an object for each size. Rates are per second of virtual time; percentages are of a core. auction_ms is the
 time from the commit of a request to the commit of the award, commit_ms from a client's request to the acknowledgement;
 both include the coordinator's computing time. view_ms is the computing time of the coordinator for view/fleet, with its
-other work meanwhile. takeover_ms is the time from the kill of the coordinator to the election of the next.
+other work meanwhile. takeover_ms is the time from the kill of the coordinator to the election of the next. wall_s and
+virtual_s are of the whole measurement; a ratio of 1 is real time.
 
-The same sizes and seed give the same messages on any machine. Computing times, wall_s and memory_mb depend on the
+The same sizes and seed give the same messages on any machine. Computing times, wall_s, virtual_s and memory_mb depend on the
 machine.")]
 pub(super) struct Args {
     /// Number of robots: a fleet for each number, from 2 to 2000
@@ -92,8 +93,8 @@ pub(super) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
 }
 
 const HEADER: &str = "\
-robots  moving  robot receives        coordinator receives  CPU of coordinator  messages/  auction ms  commit ms   takeover ms  join
-                kB/s    messages/s    kB/s    messages/s    % of a core         auction    p50    p95  p50    p95  p50    p95   kB";
+robots  moving  robot receives        coordinator receives  CPU of coordinator  messages/  auction ms  commit ms   takeover ms  join    wall/
+                kB/s    messages/s    kB/s    messages/s    % of a core         auction    p50    p95  p50    p95  p50    p95   kB      virtual";
 
 fn row(figures: &ScaleFigures) -> String {
     let pair = |percentiles: Option<Percentiles>, digits: usize| match percentiles {
@@ -101,7 +102,7 @@ fn row(figures: &ScaleFigures) -> String {
         None => format!("{:<6} {:<5}", "-", "-"),
     };
     format!(
-        "{:<7} {:<7} {:<7.1} {:<13.0} {:<7.1} {:<13.0} {:<19.1} {:<10.0} {} {} {} {:.0}",
+        "{:<7} {:<7} {:<7.1} {:<13.0} {:<7.1} {:<13.0} {:<19.1} {:<10.0} {} {} {} {:<7.0} {:.2}",
         figures.robots,
         if figures.moving { "yes" } else { "no" },
         figures.robot_received_bytes_per_s / 1000.0,
@@ -114,5 +115,6 @@ fn row(figures: &ScaleFigures) -> String {
         pair(figures.commit_ms, 1),
         pair(figures.takeover_ms, 0),
         figures.join_bytes as f64 / 1000.0,
+        figures.wall_s / figures.virtual_s,
     )
 }
