@@ -345,7 +345,8 @@ fn a_copy_of_a_cancelation_cancels_nothing_at_the_next_coordinator() {
     });
 }
 
-/// The ledger keeps no ids of changes of schedules: the next coordinator executes only those that were signed in its time.
+/// The ledger keeps no ids of changes of schedules: a coordinator executes only those that were signed
+/// after its session began.
 #[test]
 fn a_copy_of_a_pause_pauses_nothing_at_the_next_coordinator() {
     for_each_seed(SEEDS, async |seed| {
@@ -364,7 +365,7 @@ fn a_copy_of_a_pause_pauses_nothing_at_the_next_coordinator() {
         let signed = relayed.recv().await.expect("a request");
         fleet.kill_coordinator().await;
         fleet.wait_for_coordinator().await;
-        // The person has changed their mind, and signs a request of its own.
+        // The person resumes it with a request that is signed after the takeover.
         request(&fleet, ApiCall::Schedule, &change("resume")).await;
         let copied = replies(&plain, &signed.key, signed.payload.clone(), signed.attachment.clone()).await;
         let is_paused = |ledger: &Ledger| ledger.schedule(&slug("rounds")).map(|entry| entry.pause.is_some());

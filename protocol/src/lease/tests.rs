@@ -174,8 +174,9 @@ fn the_smallest_grace_allows_a_drift_of_one_percent() {
 }
 
 /// Returns the instant at which a driver server stops its robot, in seconds of the slowest clock, if
-/// the robot's report was sent at 0 and its body rests `cancel_within` after a cancel. A state is sent, received, and named by a command that arrives;
-/// the clocks of client and server run `rates` times as fast as the slowest clock.
+/// the robot's report was sent at 0 and its body rests `cancel_within` after a cancel. A state is sent,
+/// received, and named by a command that arrives; the clocks of client and server run `rates` times as
+/// fast as the slowest clock.
 fn stops_at(
     terms: LeaseTerms,
     cancel_within: Duration,
