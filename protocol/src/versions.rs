@@ -4,10 +4,10 @@
 //! A program reads a range of versions ([`VersionRange::OWN`]) and publishes the range in its
 //! node's record. It *writes* the version of the fleet, which is stored in the ledger and in every
 //! [`Beacon`](crate::message::Beacon); until it receives a later version, it writes the oldest
-//! version that it reads. The ledger's version is raised by a single step, once, after every known
-//! node reads the next version. So no node ever receives a message that it cannot read, and up to
-//! that moment each node can return to its previous program. A node with a program that does not
-//! read the fleet's version stops.
+//! version that it reads, and with certificates no version before 2, which has signed records. The
+//! ledger's version is raised by a single step, once, after every known node reads the next version.
+//! So no node ever receives a message that it cannot read, and up to that moment each node can return
+//! to its previous program. A node with a program that does not read the fleet's version stops.
 //!
 //! The first byte of a message is the version in which its layout was introduced
 //! ([`codec`](crate::codec)): most layouts are the same in all versions.

@@ -14,11 +14,13 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
-/// Wire version that a node writes: the oldest version that it reads, until it receives the version
+/// Wire version that a node writes: the oldest version that it writes, until it receives the version
 /// of its fleet. Clones share the value.
 #[derive(Debug, Clone)]
 pub struct WireVersion {
     written: Arc<watch::Sender<WrittenVersion>>,
+    /// Oldest version that the node writes.
+    oldest: u8,
     supported: VersionRange,
 }
 
@@ -39,15 +41,15 @@ impl Default for WireVersion {
 impl WireVersion {
     /// Creates the version of a node that reads `supported`.
     pub fn new(supported: VersionRange) -> WireVersion {
-        WireVersion::starting_at(supported.oldest, supported)
+        WireVersion::at_least(supported.oldest, supported)
     }
 
-    /// Creates the version of a node that reads `supported` and first writes `version`, as far as
-    /// it reads it.
-    pub fn starting_at(version: u8, supported: VersionRange) -> WireVersion {
-        let version = version.clamp(supported.oldest, supported.newest);
-        let first = WrittenVersion { cluster: None, version };
-        WireVersion { written: Arc::new(watch::Sender::new(first)), supported }
+    /// Creates the version of a node that reads `supported` and writes no version before `oldest`,
+    /// as far as it reads it, even if its fleet does.
+    pub fn at_least(oldest: u8, supported: VersionRange) -> WireVersion {
+        let oldest = oldest.clamp(supported.oldest, supported.newest);
+        let first = WrittenVersion { cluster: None, version: oldest };
+        WireVersion { written: Arc::new(watch::Sender::new(first)), oldest, supported }
     }
 
     /// Returns the versions that the node reads.
@@ -71,6 +73,8 @@ impl WireVersion {
     /// example after a partition.
     pub fn adopt(&self, cluster: Option<ClusterId>, version: Option<u8>) {
         let Some(version) = version else { return };
+        // A version that the node cannot read is adopted as it is, since it ends the node.
+        let version = if self.supported.contains(version) { version.max(self.oldest) } else { version };
         let changed = self.written.send_if_modified(|own| {
             let version = if own.cluster == cluster { version.max(own.version) } else { version };
             let before = std::mem::replace(own, WrittenVersion { cluster, version });
@@ -184,7 +188,9 @@ fn unsupported_advice(fleet: u8, own: VersionRange) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::codec::VersionedMessage as _;
     use consort_protocol::ids::NodeId;
+    use consort_protocol::message::Exchange;
     use std::collections::BTreeSet;
 
     #[tokio::test]
@@ -211,6 +217,21 @@ mod tests {
             "{}",
             unsupported_advice(0, VersionRange::OWN)
         );
+    }
+
+    #[test]
+    fn a_node_that_signs_records_returns_to_no_version_without_signatures() {
+        let wire = WireVersion::at_least(Exchange::SINCE, VersionRange::OWN);
+        assert_eq!(wire.get(), Exchange::SINCE);
+        // A beacon of a hostile voter, which names another cluster.
+        wire.adopt(Some(ClusterId(1)), Some(VersionRange::OWN.newest));
+        wire.adopt(Some(ClusterId(2)), Some(Exchange::SINCE - 1));
+        assert_eq!(wire.get(), Exchange::SINCE);
+        wire.adopt(Some(ClusterId(1)), Some(VersionRange::OWN.newest));
+        assert_eq!(wire.get(), VersionRange::OWN.newest);
+        let unsupported = VersionRange::OWN.oldest - 1;
+        wire.adopt(Some(ClusterId(3)), Some(unsupported));
+        assert_eq!(wire.get(), unsupported);
     }
 
     #[test]

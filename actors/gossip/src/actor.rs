@@ -128,16 +128,11 @@ impl Actor for Gossip {
         let to = myself.clone();
         let (alarm, running) = Alarm::new(clock, move || to.cast(Message::TimerFired).is_ok());
         tasks.spawn(running);
-        tasks.spawn(forward_version_changes(wire_version.clone(), myself.clone()));
+        tasks.spawn(forward_version_changes(wire_version, myself.clone()));
 
         let (now, reply_timeout, receives_motion) = (clock.now(), settings.reply_timeout, settings.receives_motion);
-        let inbox = Inbox {
-            node: settings.node.clone(),
-            keys: keys.clone(),
-            wire_version,
-            signer: signer.clone(),
-            shared: shared.clone(),
-        };
+        let inbox =
+            Inbox { node: settings.node.clone(), keys: keys.clone(), signer: signer.clone(), shared: shared.clone() };
         let start = GossiperStart { settings, knowledge, signer, rng };
         let (gossiper, actions) = Gossiper::new(start, &mut shared.lock(), now);
         let mut state = State {
@@ -191,7 +186,7 @@ impl Actor for Gossip {
                 state.alarm.reset();
                 Ok(Event::TimerFired)
             }
-            Message::VersionRaised => Ok(Event::VersionRaised { with_proofs: inbox.with_proofs() }),
+            Message::VersionRaised => Ok(Event::VersionRaised),
             Message::Closed(what) => return Err(format!("the bus closed the stream of {what}").into()),
         };
         let now = state.clock.now();

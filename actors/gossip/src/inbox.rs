@@ -5,9 +5,8 @@ use super::shared::SharedKnowledge;
 use super::swim::packet_sender;
 use consort_bus::Author;
 use consort_bus::record_signer::{ProofStatus, SharedRecordSigner};
-use consort_bus::wire_version::WireVersion;
 use consort_bus::{Presence, Sample};
-use consort_protocol::codec::{self, CodecError, VersionedMessage};
+use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::MotionUpdate;
@@ -41,24 +40,18 @@ pub(super) enum MessageError {
 pub(super) struct Inbox {
     pub(super) node: NodeId,
     pub(super) keys: Keys,
-    pub(super) wire_version: WireVersion,
     /// Verifier of forwarded records, if the fleet has certificates.
     pub(super) signer: Option<SharedRecordSigner>,
     pub(super) shared: SharedKnowledge,
 }
 
 impl Inbox {
-    /// Checks whether forwarded records carry proofs. While the fleet writes a version without
-    /// proofs, proofs cannot be required.
-    pub(super) fn with_proofs(&self) -> bool {
-        self.wire_version.get() >= Exchange::SINCE
-    }
-
-    /// Decodes a peer's exchange and removes the records without a valid proof of their owner.
+    /// Decodes a peer's exchange and removes the records without a valid proof of their owner. A record
+    /// that cannot be verified yet is removed, too, whatever version the fleet writes: the peer may have
+    /// forged it. The verification requests the missing certificate, and a later round repeats the record.
     pub(super) fn read_exchange(&self, bytes: &[u8]) -> Result<Exchange, MessageError> {
         let mut exchange: Exchange = codec::decode_any_version(bytes)?;
         let Some(signer) = &self.signer else { return Ok(exchange) };
-        let with_proofs = self.with_proofs();
         exchange.records.retain(|record| {
             // An older record changes nothing, so it is not verified.
             let is_stored = self
@@ -69,7 +62,7 @@ impl Inbox {
             }
             match signer.verify(record) {
                 ProofStatus::Valid => true,
-                ProofStatus::Unproven => !with_proofs,
+                ProofStatus::Unproven => false,
                 ProofStatus::Forged(problem) => {
                     self.count_malformed(&problem);
                     false
@@ -131,5 +124,76 @@ impl Inbox {
         } else {
             tracing::debug!(%node, count, problem, "dropped a malformed message");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_bus::record_signer::RecordSigner;
+    use consort_protocol::ids::FleetId;
+    use consort_protocol::knowledge::{Digest, DigestScope, Knowledge, Proof, Record, RecordStamp};
+    use consort_protocol::trust::{Fingerprint, SIGNATURE_BYTES};
+    use std::sync::Arc;
+
+    /// Certificate of Bob.
+    const OF_BOB: Fingerprint = Fingerprint([1; 16]);
+    /// A certificate that no node has.
+    const INVENTED: Fingerprint = Fingerprint([2; 16]);
+
+    fn proof(by: Fingerprint) -> Proof {
+        Proof::new(by, &[0; SIGNATURE_BYTES]).unwrap()
+    }
+
+    /// Signer of a node that has received a single certificate, Bob's.
+    struct KnowsBob;
+
+    impl RecordSigner for KnowsBob {
+        fn sign(&self, _: &Record) -> Proof {
+            proof(INVENTED)
+        }
+
+        fn verify(&self, record: &Record) -> ProofStatus {
+            match &record.proof {
+                Some(proof) if proof.by() == OF_BOB => match record.owner.as_str() {
+                    "bob" => ProofStatus::Valid,
+                    other => ProofStatus::Forged(format!("record of {other} is signed by bob")),
+                },
+                _ => ProofStatus::Unproven,
+            }
+        }
+    }
+
+    /// Returns a forwarded record.
+    fn record(owner: &str, proof: Option<Proof>) -> Record {
+        let stamp = RecordStamp { incarnation: 1, version: 1 };
+        Record { owner: NodeId::new(owner).unwrap(), stamp, knowledge: Knowledge::of(None), proof }
+    }
+
+    /// Returns the records of an exchange, encoded for a wire version, that a node of a closed fleet
+    /// which has just started accepts.
+    fn accepted(wire: u8, records: Vec<Record>) -> Vec<Record> {
+        let inbox = Inbox {
+            node: NodeId::new("ada").unwrap(),
+            keys: Keys::new(&FleetId::new("ward").unwrap()),
+            signer: Some(Arc::new(KnowsBob)),
+            shared: SharedKnowledge::default(),
+        };
+        let exchange = Exchange { sums: vec![], scope: DigestScope::ALL, digest: Digest::new(), records };
+        let bytes = codec::encode_for_version(wire, exchange).unwrap();
+        inbox.read_exchange(&bytes).unwrap().records
+    }
+
+    #[test]
+    fn a_node_that_has_just_started_accepts_no_record_with_an_invented_proof() {
+        let forged = [None, Some(proof(INVENTED)), Some(proof(OF_BOB))].map(|proof| record("cyd", proof));
+        let genuine = record("bob", Some(proof(OF_BOB)));
+        let records = forged.into_iter().chain([genuine.clone()]).collect();
+        assert_eq!(accepted(2, records), [genuine]);
+    }
+
+    #[test]
+    fn a_version_without_proofs_admits_no_record() {
+        assert!(accepted(1, vec![record("bob", Some(proof(OF_BOB))), record("cyd", None)]).is_empty());
     }
 }

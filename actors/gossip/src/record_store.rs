@@ -197,16 +197,6 @@ impl RecordStore {
         }
     }
 
-    /// If records have proofs, removes all stored records without a proof: owners publish them
-    /// again, and other nodes may have forged them. Returns true if any was removed.
-    pub(super) fn remove_unproven(&mut self, state: &mut GossipState) -> bool {
-        let stored = state.base.iter().count();
-        if self.signer.is_some() {
-            state.base.retain(|record| record.proof.is_some() || record.owner == self.own.owner);
-        }
-        state.base.iter().count() < stored
-    }
-
     /// Publishes the same knowledge again, in full.
     pub(super) fn republish(&mut self, state: &mut GossipState, now: NodeTime) {
         self.include_motion();

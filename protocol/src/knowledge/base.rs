@@ -200,11 +200,6 @@ impl KnowledgeBase {
         self.records.iter().map(|(node, known)| (node.clone(), known.record.knowledge.supported_versions))
     }
 
-    /// Keeps only the records for which the predicate is true.
-    pub fn retain(&mut self, mut keep: impl FnMut(&Record) -> bool) {
-        self.records.retain(|_, entry| keep(&entry.record));
-    }
-
     /// Removes the record of a node that has left; a later incarnation of it is accepted.
     pub fn remove(&mut self, node: &NodeId) -> Option<KnownRecord> {
         self.records.remove(node)

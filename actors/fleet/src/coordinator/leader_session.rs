@@ -529,8 +529,8 @@ fn found_ledger(context: &mut SessionContext) {
             }
         });
     } else if replica.read(Ledger::wire).is_none() {
-        // The founder died before this proposal. Until then, no node has written more than the
-        // first version, which every node reads.
+        // The founder died before this proposal. Until then, each node has written the oldest version
+        // that it writes, which every node reads.
         context.propose(Command::first_wire_version(codec::FIRST_VERSION));
     } else if let Some(command) = replica.read(|ledger| change_of_limits(ledger, limits)) {
         context.propose(command);

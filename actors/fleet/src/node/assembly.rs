@@ -83,10 +83,10 @@ pub(super) async fn start_parts(
             ..DeviceKnowledge::default()
         },
     };
-    // Signed records exist since version 2. A node that starts without a path to the coordinator
-    // would otherwise publish records that others cannot forward.
+    // Signed records exist since version 2. In a closed fleet nodes reject forwarded records without a
+    // signature, so its nodes write no version before.
     let wire_version = match &record_signer {
-        Some(_) => WireVersion::starting_at(Exchange::SINCE, settings.supported_versions),
+        Some(_) => WireVersion::at_least(Exchange::SINCE, settings.supported_versions),
         None => WireVersion::new(settings.supported_versions),
     };
     // The conditions of an ensemble that exchanges values are evaluated by its members, from recent records.

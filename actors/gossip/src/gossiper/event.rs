@@ -31,12 +31,8 @@ pub(crate) enum Event {
     ReplyReceived(u64, Option<Exchange>),
     /// The time last returned by [`Gossiper::next_due`](super::Gossiper::next_due) has come.
     TimerFired,
-    /// The fleet writes another wire version, with or without proofs. The own record is published
-    /// again, in full.
-    VersionRaised {
-        /// True if forwarded records carry proofs in this version.
-        with_proofs: bool,
-    },
+    /// The fleet writes another wire version. The own record is published again, in full.
+    VersionRaised,
 }
 
 /// An effect for the caller to perform, in the order given.

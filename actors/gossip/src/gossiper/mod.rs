@@ -121,7 +121,7 @@ impl Gossiper {
                     fire_timer(timer, membership, anti_entropy, context)?;
                 }
             }
-            Event::VersionRaised { with_proofs } => raise_version(with_proofs, context),
+            Event::VersionRaised => raise_version(context),
         }
         Ok(std::mem::take(&mut context.actions))
     }
@@ -140,10 +140,7 @@ fn change_knowledge(change: Change, context: &mut Context<'_>) -> Result<(), Gos
     Ok(())
 }
 
-fn raise_version(with_proofs: bool, context: &mut Context<'_>) {
-    if with_proofs {
-        context.core.changed |= context.core.records.remove_unproven(context.state);
-    }
+fn raise_version(context: &mut Context<'_>) {
     context.core.records.republish(context.state, context.now);
     context.publish();
 }
