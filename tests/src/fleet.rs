@@ -7,6 +7,7 @@ use crate::robot_spec::{ESTIMATOR_VERSION, RobotSpec};
 use crate::slug;
 use crate::ward::{logistics, ward};
 use consort_bus::clock::Clock;
+use consort_bus::record_signer::SharedRecordSigner;
 use consort_bus::trust::SigningBus;
 use consort_bus::{LinkModel, SharedBus, VirtualBus, VirtualNetwork};
 use consort_fleet::coordinator::CandidateSettings;
@@ -78,12 +79,17 @@ pub(crate) type AdjustNode = Box<dyn FnMut(&mut NodeSettings)>;
 /// Wraps the bus of a node before each start; the settings are those of the node.
 pub(crate) type WrapBus = Box<dyn FnMut(&NodeSettings, SharedBus) -> SharedBus>;
 
+/// Wraps the signer of a node's records before each start.
+pub(crate) type WrapSigner = Box<dyn FnMut(SharedRecordSigner) -> SharedRecordSigner>;
+
 /// Options of all nodes of a fleet.
 pub(crate) struct NodeOptions {
     pub(crate) adjust: AdjustNode,
     pub(crate) wrap_bus: WrapBus,
     /// Wraps the bus below the signatures.
     pub(crate) wrap_network: WrapBus,
+    /// Wraps the signer of records, if nodes have certificates.
+    pub(crate) wrap_signer: WrapSigner,
     /// Nodes have certificates and sign their messages in this way; an open fleet has none.
     pub(crate) signatures: Option<Signatures>,
     /// Date at which the client's clock starts, in milliseconds since 1970.
@@ -120,6 +126,7 @@ impl Default for NodeOptions {
             adjust: Box::new(|_| ()),
             wrap_bus: Box::new(|_, bus| bus),
             wrap_network: Box::new(|_, bus| bus),
+            wrap_signer: Box::new(|signer| signer),
             signatures: None,
             date_ms: 0,
             world_speed: 10.0,
@@ -437,7 +444,7 @@ impl Fleet {
         if let Some(credentials) = &self.credentials {
             let keyring = credentials.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
             let sealed = credentials.signing_bus(bus, keyring, settings.clock).await;
-            settings.record_signer = Some(sealed.record_signer());
+            settings.record_signer = Some((self.options.wrap_signer)(sealed.record_signer()));
             self.signing_buses.insert(name.clone(), Arc::clone(&sealed));
             bus = sealed;
         }

@@ -2,10 +2,12 @@
 
 use super::Mutant;
 use super::bus::FaultyBus;
+use super::gossip::NoVerification;
 use super::known_ledger::KnownLedger;
 use super::log_store::FaultyLogStore;
 use super::refusals::{RefusalPassage, RefusalTap};
 use consort_bus::SharedBus;
+use consort_bus::record_signer::SharedRecordSigner;
 use consort_fleet::autopilot::{AutopilotAction, AutopilotInput, decide};
 use consort_fleet::node::NodeSettings;
 use consort_fleet::observe::SharedObserver;
@@ -73,6 +75,14 @@ impl MutantInjection {
     pub(in crate::chaos) fn wrap_network(&self, settings: &NodeSettings, inner: SharedBus) -> SharedBus {
         match self.mutant {
             Mutant::RefusalsUnsigned => Arc::new(RefusalTap { passage: self.passage(&settings.node), inner }),
+            _ => inner,
+        }
+    }
+
+    /// Wraps the signer of a node's records.
+    pub(in crate::chaos) fn wrap_signer(&self, inner: SharedRecordSigner) -> SharedRecordSigner {
+        match self.mutant {
+            Mutant::RecordsUnverified => Arc::new(NoVerification(inner)),
             _ => inner,
         }
     }

@@ -9,6 +9,7 @@
 //!   `history-kept`;
 //! - by the clock (`fault_injector.rs`): `suspension-not-counted`, `stopped-with-bus`;
 //! - below the signatures of a node (`refusals.rs`): `refusals-unsigned`;
+//! - by the signer of records (`gossip.rs`): `records-unverified`;
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
 
 mod bus;
@@ -66,6 +67,8 @@ pub enum Mutant {
     AuthorsUnchecked,
     /// Refusals without a signature are accepted.
     RefusalsUnsigned,
+    /// Forwarded records are accepted without a check of their proofs.
+    RecordsUnverified,
     /// A node follows the coordinator of the latest term, although it does not answer.
     BeaconsBelieved,
     /// The clock of a node stops while its machine is suspended, and the node continues afterwards.
@@ -111,7 +114,7 @@ pub enum Mutant {
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 37] = [
+    pub const ALL: [Mutant; 38] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -129,6 +132,7 @@ impl Mutant {
         Mutant::SignersUnchecked,
         Mutant::AuthorsUnchecked,
         Mutant::RefusalsUnsigned,
+        Mutant::RecordsUnverified,
         Mutant::BeaconsBelieved,
         Mutant::SuspensionNotCounted,
         Mutant::GraceTooSmall,
@@ -155,7 +159,11 @@ impl Mutant {
     pub fn needs_closed_fleet(self) -> bool {
         matches!(
             self,
-            Mutant::SignersUnchecked | Mutant::AuthorsUnchecked | Mutant::RefusalsUnsigned | Mutant::BeaconsBelieved
+            Mutant::SignersUnchecked
+                | Mutant::AuthorsUnchecked
+                | Mutant::RefusalsUnsigned
+                | Mutant::RecordsUnverified
+                | Mutant::BeaconsBelieved
         )
     }
 
@@ -179,6 +187,7 @@ impl Mutant {
             Mutant::SignersUnchecked => "signers-unchecked",
             Mutant::AuthorsUnchecked => "authors-unchecked",
             Mutant::RefusalsUnsigned => "refusals-unsigned",
+            Mutant::RecordsUnverified => "records-unverified",
             Mutant::BeaconsBelieved => "beacons-believed",
             Mutant::SuspensionNotCounted => "suspension-not-counted",
             Mutant::GraceTooSmall => "grace-too-small",

@@ -170,7 +170,7 @@ fn node_options(config: &RunConfig, injector: &FaultInjector) -> NodeOptions {
     let options = NodeOptions { signatures, date_ms: DATE_MS, ..NodeOptions::default() };
     let Some(mutant) = config.mutant else { return NodeOptions { adjust, ..options } };
     let injection = MutantInjection::new(mutant);
-    let (at_bus, at_network) = (injection.clone(), injection.clone());
+    let (at_bus, at_network, at_signer) = (injection.clone(), injection.clone(), injection.clone());
     NodeOptions {
         adjust: Box::new(move |settings| {
             adjust(settings);
@@ -178,6 +178,7 @@ fn node_options(config: &RunConfig, injector: &FaultInjector) -> NodeOptions {
         }),
         wrap_bus: Box::new(move |settings, bus| at_bus.wrap_bus(settings, bus)),
         wrap_network: Box::new(move |settings, bus| at_network.wrap_network(settings, bus)),
+        wrap_signer: Box::new(move |signer| at_signer.wrap_signer(signer)),
         ..options
     }
 }
