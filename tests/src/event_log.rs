@@ -149,6 +149,13 @@ impl EventLog {
         }
     }
 
+    /// Returns the first result of `find` for the events after the first `count` entries.
+    pub(crate) fn find_since<T>(&self, count: usize, find: impl FnMut(&EventKind) -> Option<T>) -> Option<T> {
+        let entries = self.lock();
+        let later = entries.kept.iter().skip(count.saturating_sub(entries.forgotten));
+        later.filter_map(|(_, entry)| entry.event_kind()).find_map(find)
+    }
+
     /// Returns the number of entries ever added.
     pub fn len(&self) -> usize {
         let entries = self.lock();

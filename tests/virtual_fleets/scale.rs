@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 
 fn figures(robots: usize, moving: bool) -> ScaleFigures {
-    measure(ScaleSetup { robots, moving, missions: 2, seed: 1, extensions: Extensions::default() }, |_| ())
+    measure(ScaleSetup { robots, moving, missions: 2, backlog: 0, seed: 1, extensions: Extensions::default() }, |_| ())
 }
 
 #[test]
@@ -42,12 +42,24 @@ fn commits_are_measured_among_waiting_missions() {
 }
 
 #[test]
+fn auctions_are_measured_while_a_backlog_waits() {
+    let extensions = Extensions::default();
+    let figures =
+        measure(ScaleSetup { robots: 2, moving: false, missions: 2, backlog: 3, seed: 1, extensions }, |_| ());
+    assert_eq!(figures.backlog, 3);
+    // Two robots and the arm are called and reply for a mission, and again for those that wait.
+    assert!(figures.messages_per_auction > 6.0, "{figures:?}");
+    assert!(figures.auction_ms.zip(figures.commit_ms).is_some(), "{figures:?}");
+}
+
+#[test]
 fn readings_of_a_domain_are_part_of_the_traffic() {
     let reading = json!({ "type": "text", "simulate": { "value": "x".repeat(100) } });
     let readings: Map<String, Value> = (0..20).map(|number| (format!("r{number}"), reading.clone())).collect();
     let form = serde_json::from_value(json!({ "domain": "sensors", "readings": readings })).unwrap();
     let domain = DomainFile::check(form, &BTreeMap::new(), &[]).unwrap();
-    let setup = ScaleSetup { robots: 2, moving: false, missions: 0, seed: 1, extensions: Extensions::default() };
+    let setup =
+        ScaleSetup { robots: 2, moving: false, missions: 0, backlog: 0, seed: 1, extensions: Extensions::default() };
     let extensions = Extensions::default().with_domain("sensors.yaml", domain);
     let (plain, with_readings) = (measure(setup, |_| ()), measure(ScaleSetup { extensions, ..setup }, |_| ()));
     let received = |figures: &ScaleFigures| figures.robot_received_bytes_per_s;

@@ -5,17 +5,16 @@
 //! time. A fleet with more missions than a ledger accepts writes an early wire version, with which there is no limit.
 
 use super::runtimes::Runtimes;
-use super::{STATIONS, memory_mb, resident_kb, visit};
+use super::{OBSERVATIONS_KEPT, STATIONS, cancel, memory_mb, resident_kb, submit, visit};
 use crate::fleet::NodeOptions;
 use crate::percentiles::Percentiles;
 use crate::{Fleet, RobotSpec, slug};
 use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::ids::{MissionId, PlaceId};
-use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{Ledger, MissionEntry};
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use tokio::time::sleep;
@@ -31,9 +30,6 @@ const IDLE: Duration = Duration::from_secs(10);
 
 /// Number of entries after which a voter takes a snapshot: several times during the measurement.
 const SNAPSHOT_EVERY: u64 = 100;
-
-/// Number of observations that are kept.
-const OBSERVATIONS_KEPT: usize = 1000;
 
 /// Load of the ledger.
 #[derive(Debug, Clone, Copy)]
@@ -153,14 +149,9 @@ pub fn measure_commits(setup: CommitSetup, progress: impl Fn(&str)) -> CommitFig
 async fn request(fleet: &Fleet, number: usize) -> MissionId {
     let mut request = visit(number, &slug::<PlaceId>("Dock"));
     request["not_before"] = json!(86_400);
-    let reply: Value = fleet.request_answered(ApiCall::Submit, &request).await;
+    let mission = submit(fleet, &request).await;
     fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
-    slug(reply["mission"].as_str().unwrap_or_else(|| panic!("refused: {reply}")))
-}
-
-async fn cancel(fleet: &Fleet, mission: &MissionId) {
-    fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
-    fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
+    mission
 }
 
 /// Returns the time to copy the ledger in milliseconds, and the mean encoded size of an active mission in bytes.

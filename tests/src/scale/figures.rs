@@ -13,6 +13,8 @@ pub struct ScaleFigures {
     pub moving: bool,
     /// Number of auctions.
     pub missions: usize,
+    /// Number of other missions that waited during the measurements of traffic, computing time, views and auctions.
+    pub backlog: usize,
     /// Bytes received by the mean robot.
     pub robot_received_bytes_per_s: f64,
     /// Messages received by the mean robot.
@@ -41,7 +43,7 @@ pub struct ScaleFigures {
     pub coordinator_cpu_percent: f64,
     /// Records that the mean node holds.
     pub records_per_node: f64,
-    /// Calls for bids and replies to them, per mission.
+    /// Calls for bids and replies to them, per mission. Those for missions of the backlog are included.
     pub messages_per_auction: f64,
     /// Milliseconds from the commit of a request to the commit of the award, and the coordinator's computing
     /// time from the request to the award.

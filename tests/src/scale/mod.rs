@@ -1,12 +1,16 @@
 //! Measurements of fleets by size, on the virtual bus.
 //!
 //! ```text
-//!  start, first coordinator, records everywhere ─▶ computing time ─▶ views ─▶ auctions
-//!  the same start ─▶ traffic ─▶ auctions ─▶ a robot joins ─▶ a tenth of the robots is lost ─▶ takeovers
+//!  start, first coordinator, records everywhere, backlog ─▶ computing time ─▶ views ─▶ auctions
+//!  the same start and backlog ─▶ traffic ─▶ auctions ─▶ end of the backlog ─▶ a robot joins
+//!    ─▶ a tenth of the robots is lost ─▶ takeovers
 //! ```
 //!
 //! The fleet is a hospital with three stations and a number of robots; the host of the world is a
 //! node as well. Robots that move drive between neighbouring places without end, without a mission.
+//!
+//! The **backlog** is missions that any robot has the skill for, and that wait for a robot that is not in the fleet. So each
+//! robot that becomes free wakes some of them, and none of them takes a robot from the measured missions.
 //!
 //! **Traffic** is the size of keys, payloads and attachments, and [`FRAME_BYTES`] per message, once
 //! for each receiver.
@@ -28,10 +32,13 @@ pub use traffic::FRAME_BYTES;
 use crate::fleet::NodeOptions;
 use crate::percentiles::Percentiles;
 use crate::{Fleet, RobotSpec, paused_runtime, slug};
+use consort_fleet::coordinator::RequestLimits;
 use consort_fleet::node::NodeSettings;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
 use consort_protocol::keys::{ApiCall, KeyKind};
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::{Ledger, MissionEntry};
 use consort_skills::actions::{FollowWaypoints, Goal, GoalId, RobotBackend as _, Waypoint};
 use consort_skills::environment::TopologicalMap;
 use consort_skills::extensions::Extensions;
@@ -43,7 +50,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
-use tokio::time::sleep;
+use tokio::time::{sleep, sleep_until};
 use traffic::Readings;
 
 /// Duration of the measurement of traffic and computing time.
@@ -63,6 +70,9 @@ const TAKEOVERS: usize = 10;
 
 /// Time between two restarts of stations, for elections and changes of voters.
 const RECOVERY: Duration = Duration::from_secs(15);
+
+/// Number of observations that are kept.
+const OBSERVATIONS_KEPT: usize = 1000;
 
 /// Number of legs in a goal of a moving robot.
 const LEGS: usize = 40;
@@ -85,6 +95,8 @@ pub struct ScaleSetup {
     pub moving: bool,
     /// Number of auctions, in sequence.
     pub missions: usize,
+    /// Number of other missions that wait meanwhile.
+    pub backlog: usize,
     /// Seed of the random numbers.
     pub seed: u64,
     /// Domains of the nodes and the simulator.
@@ -110,10 +122,12 @@ async fn measure_messages(setup: ScaleSetup, computing: Computing, progress: &im
     if setup.moving {
         drive(&fleet, setup).await;
     }
+    progress("backlog");
+    let backlog = request_backlog(&mut fleet, setup.backlog).await;
 
     progress("traffic");
     let before = Readings::of(&fleet, &nodes);
-    sleep(MEASURED).await;
+    let_run(&fleet, MEASURED).await;
     let rates = Readings::of(&fleet, &nodes).rates_since(&before, MEASURED);
     let records = nodes.iter().map(|node| known(&fleet, node)).sum::<usize>() as f64 / nodes.len() as f64;
 
@@ -121,6 +135,9 @@ async fn measure_messages(setup: ScaleSetup, computing: Computing, progress: &im
     let bids_before = Readings::of(&fleet, &nodes).messages_of(KeyKind::Bid);
     auctions(&mut fleet, setup.missions, || Duration::ZERO).await;
     let bid_messages = Readings::of(&fleet, &nodes).messages_of(KeyKind::Bid) - bids_before;
+    for mission in &backlog {
+        cancel(&fleet, mission).await;
+    }
 
     progress("join");
     let (join_bytes, join_s) = join(&mut fleet, nodes.len()).await;
@@ -136,6 +153,7 @@ async fn measure_messages(setup: ScaleSetup, computing: Computing, progress: &im
         robots: setup.robots,
         moving: setup.moving,
         missions: setup.missions,
+        backlog: setup.backlog,
         robot_received_bytes_per_s: robots.received_bytes,
         robot_received_messages_per_s: robots.received_messages,
         robot_sent_bytes_per_s: robots.sent_bytes,
@@ -190,8 +208,9 @@ fn measure_computing(setup: ScaleSetup) -> Computing {
         if setup.moving {
             drive(&fleet, setup).await;
         }
+        request_backlog(&mut fleet, setup.backlog).await;
         let before = [coordinator.cpu(), robot.cpu()];
-        sleep(MEASURED).await;
+        let_run(&fleet, MEASURED).await;
         let percent = |now: Duration, before: Duration| (now - before).as_secs_f64() / MEASURED.as_secs_f64() * 100.0;
         let coordinator_percent = percent(coordinator.cpu(), before[0]);
         let robot_percent = percent(robot.cpu(), before[1]);
@@ -211,7 +230,14 @@ async fn start(setup: ScaleSetup, runtimes: BTreeMap<String, Handle>) -> (Fleet,
     let topology = shipped("hospital").expect("it is shipped").topology();
     let members = robots(setup, &topology).map(|(name, place)| RobotSpec::carrier(&name, place.as_str()));
     let is_large = setup.robots >= LARGE_FLEET;
-    let adjust = Box::new(move |settings: &mut NodeSettings| settings.fleet.scoped_knowledge = is_large);
+    let has_backlog = setup.backlog > 0;
+    let adjust = Box::new(move |settings: &mut NodeSettings| {
+        settings.fleet.scoped_knowledge = is_large;
+        if has_backlog {
+            settings.fleet.request_limits =
+                RequestLimits { missions_max: 0, requests_per_s: 0, ..RequestLimits::default() };
+        }
+    });
     let extensions = setup.extensions;
     let options = NodeOptions { adjust, runtimes, world_speed: 1.0, extensions, ..NodeOptions::default() };
     let mut fleet = Fleet::hospital_with(setup.seed, members.collect(), &STATIONS, vec![], options).await;
@@ -255,6 +281,37 @@ async fn drive(fleet: &Fleet, setup: ScaleSetup) {
     sleep(Duration::from_secs(5)).await;
 }
 
+/// Requests missions that wait for a robot that is not in the fleet, and waits until each has been auctioned. Returns them.
+async fn request_backlog(fleet: &mut Fleet, missions: usize) -> Vec<MissionId> {
+    let mut backlog = vec![];
+    if missions == 0 {
+        return backlog;
+    }
+    // Until then a new coordinator may lack records, and calls all robots for each mission.
+    let LeaseTerms { lease, grace } = LeaseTerms::default();
+    let_run(fleet, lease + grace).await;
+    for number in 0..missions {
+        let mut request = visit(number, &slug("Dock"));
+        request["request"] = json!(format!("waits-{number}"));
+        request["mission"]["roles"]["visitor"]["eligible"] = json!(r#"robot.name == "absent""#);
+        backlog.push(submit(fleet, &request).await);
+        fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
+    }
+    let waits = |entry: &MissionEntry| entry.auction.as_ref().is_some_and(|auction| auction.failure.is_some());
+    let count = |ledger: &Ledger| ledger.active_missions().into_iter().filter(|entry| waits(entry)).count();
+    fleet.wait_until("that the backlog waits", STEP_LIMIT, |fleet| fleet.ledger(count) == Some(missions)).await;
+    backlog
+}
+
+/// Lets the fleet run. Auctions of a backlog cause many events with long lists, so old ones are forgotten.
+async fn let_run(fleet: &Fleet, duration: Duration) {
+    let end = tokio::time::Instant::now() + duration;
+    while tokio::time::Instant::now() < end {
+        sleep_until(end.min(tokio::time::Instant::now() + Duration::from_secs(1))).await;
+        fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
+    }
+}
+
 /// Queries the view of the fleet several times. `cpu` returns the computing time of the coordinator, which draws it.
 async fn draw_views(fleet: &Fleet, cpu: impl Fn() -> Duration) -> Option<Percentiles> {
     let mut times = vec![];
@@ -280,13 +337,11 @@ async fn auctions(fleet: &mut Fleet, missions: usize, cpu: impl Fn() -> Duration
     for (number, place) in (0..missions).zip(places.iter().cycle()) {
         let seen = fleet.event_log.len();
         let (asked_at, cpu_before) = (fleet.elapsed(), cpu());
-        let reply = fleet.request_answered(ApiCall::Submit, &visit(number, place)).await;
-        let mission: MissionId = slug(reply["mission"].as_str().unwrap_or_else(|| panic!("refused: {reply}")));
+        let mission = submit(fleet, &visit(number, place)).await;
         let committed = fleet.elapsed() - asked_at + (cpu() - cpu_before);
         commit_ms.push(committed.as_secs_f64() * 1000.0);
         let award = |fleet: &Fleet| {
-            let events = fleet.event_log.since(seen);
-            events.iter().find_map(|(_, entry)| match entry.event_kind()? {
+            fleet.event_log.find_since(seen, |event| match event {
                 EventKind::Awarded { mission: awarded, after_ms, .. } if *awarded == mission => Some(*after_ms),
                 _ => None,
             })
@@ -294,10 +349,22 @@ async fn auctions(fleet: &mut Fleet, missions: usize, cpu: impl Fn() -> Duration
         fleet.wait_until("the award", STEP_LIMIT, |fleet| award(fleet).is_some()).await;
         let computing = (cpu() - cpu_before).as_secs_f64() * 1000.0;
         auction_ms.extend(award(fleet).flatten().map(|after_ms| after_ms + computing));
-        fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
+        cancel(fleet, &mission).await;
         fleet.wait_for_end(&mission).await;
     }
     Latencies { auction_ms: Percentiles::of(auction_ms), commit_ms: Percentiles::of(commit_ms) }
+}
+
+/// Requests a mission.
+async fn submit(fleet: &Fleet, request: &Value) -> MissionId {
+    let reply = fleet.request_answered(ApiCall::Submit, request).await;
+    slug(reply["mission"].as_str().unwrap_or_else(|| panic!("refused: {reply}")))
+}
+
+/// Cancels a mission, and forgets old events: there are many missions.
+async fn cancel(fleet: &Fleet, mission: &MissionId) {
+    fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
+    fleet.event_log.forget_before_latest(OBSERVATIONS_KEPT);
 }
 
 /// Returns the request for a mission of a single robot.

@@ -40,3 +40,16 @@ fn bench_prints_the_published_columns_and_rejects_invalid_sizes() {
     let ran = run(&["bench", "regions", "--sites", "1"]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "a single site: {}", ran.err);
 }
+
+#[test]
+fn the_help_of_scale_explains_the_backlog_and_a_wrong_number_is_rejected() {
+    let help = run(&["bench", "scale", "--help"]);
+    assert_eq!(help.code, Some(0), "{}", help.err);
+    for text in ["--backlog <N>", "consort-lab bench scale --robots 200 --backlog 500", "up to 1000"] {
+        assert!(help.out.contains(text), "{text} is missing in\n{}", help.out);
+    }
+    for backlog in ["1001", "-1", "many"] {
+        let ran = run(&["bench", "scale", "--backlog", backlog]);
+        assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{backlog}: {}", ran.err);
+    }
+}

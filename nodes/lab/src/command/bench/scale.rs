@@ -21,16 +21,22 @@ use std::time::Instant;
 /// Traffic counts keys, payloads and 18 bytes for each message as Zenoh frames it, once for each receiver. Computing time
 /// is that of the node itself, without the network. Links have a latency of 0.2 to 3 ms. With `--domain` all robots have
 /// the readings of the domain.
+///
+/// With `--backlog` other missions wait meanwhile for a robot that is not in the fleet. All robots with wheels have the skill for
+/// them, so the coordinator auctions some of them again when a robot becomes free or could be awarded, and each of them every 5 s.
+/// They are canceled before the robot starts with an empty disk. Compare with a run without a backlog, of the same size and seed.
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
   consort-lab bench scale                                     # 50, 100 and 200 robots that stand still
   consort-lab bench scale --robots 500 --moving --json | jq .robot_received_bytes_per_s
+  consort-lab bench scale --robots 200 --backlog 500          # what 500 missions that wait cost the coordinator
   consort-lab bench scale --robots 7,25,50,100,200,500,1000 --plot scale.svg
 
 With --json: an object for each size. Rates are per second of virtual time; percentages are of a core. auction_ms is the
 time from the commit of a request to the commit of the award, commit_ms from a client's request to the acknowledgement;
-both include the coordinator's computing time. view_ms is the computing time of the coordinator for view/fleet, with its
+both include the coordinator's computing time. With a backlog messages_per_auction includes the calls and bids for missions that
+wait, as coordinator_cpu_percent includes their auctions. view_ms is the computing time of the coordinator for view/fleet, with its
 other work meanwhile. takeover_ms is the time from the kill of the coordinator to the election of the next. wall_s and
 virtual_s are of the whole measurement; a ratio of 1 is real time.
 
@@ -48,6 +54,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "M", default_value_t = 20,
         value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(0..=10_000))]
     missions: usize,
+    /// Number of other missions that wait meanwhile, up to 1000
+    #[arg(long, value_name = "N", default_value_t = 0,
+        value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(0..=1000))]
+    backlog: usize,
     /// Seed of the random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -66,7 +76,7 @@ pub(super) struct Args {
 /// # Errors
 /// [`Failure::Usage`] for wrong domains; [`Failure::Unsuccessful`] if the plot cannot be written.
 pub(super) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
-    let Args { robots, moving, missions, seed, domains, plot, json } = args;
+    let Args { robots, moving, missions, backlog, seed, domains, plot, json } = args;
     let extensions = domains.extend(extensions)?;
     if !json {
         output::line(HEADER)?;
@@ -74,7 +84,7 @@ pub(super) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
     let mut all = vec![];
     for robots in robots {
         let (began, progress) = (Instant::now(), std::cell::RefCell::new(Progress::on_terminal()));
-        let figures = measure(ScaleSetup { robots, moving, missions, seed, extensions }, |step| {
+        let figures = measure(ScaleSetup { robots, moving, missions, backlog, seed, extensions }, |step| {
             let elapsed = began.elapsed().as_secs();
             progress.borrow_mut().show(format_args!("{robots} robots, after {elapsed} s: {step}"));
         });
@@ -93,8 +103,8 @@ pub(super) fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
 }
 
 const HEADER: &str = "\
-robots  moving  robot receives        coordinator receives  CPU of coordinator  messages/  auction ms  commit ms   takeover ms  join    wall/
-                kB/s    messages/s    kB/s    messages/s    % of a core         auction    p50    p95  p50    p95  p50    p95   kB      virtual";
+robots  moving  backlog  robot receives        coordinator receives  CPU of coordinator  messages/  auction ms  commit ms   takeover ms  join    wall/
+                         kB/s    messages/s    kB/s    messages/s    % of a core         auction    p50    p95  p50    p95  p50    p95   kB      virtual";
 
 fn row(figures: &ScaleFigures) -> String {
     let pair = |percentiles: Option<Percentiles>, digits: usize| match percentiles {
@@ -102,9 +112,10 @@ fn row(figures: &ScaleFigures) -> String {
         None => format!("{:<6} {:<5}", "-", "-"),
     };
     format!(
-        "{:<7} {:<7} {:<7.1} {:<13.0} {:<7.1} {:<13.0} {:<19.1} {:<10.0} {} {} {} {:<7.0} {:.2}",
+        "{:<7} {:<7} {:<8} {:<7.1} {:<13.0} {:<7.1} {:<13.0} {:<19.1} {:<10.0} {} {} {} {:<7.0} {:.2}",
         figures.robots,
         if figures.moving { "yes" } else { "no" },
+        figures.backlog,
         figures.robot_received_bytes_per_s / 1000.0,
         figures.robot_received_messages_per_s,
         figures.coordinator_received_bytes_per_s / 1000.0,
