@@ -1,8 +1,8 @@
-//! Throughput of the ledger: requests committed per second by three voters on loopback over Zenoh,
-//! each with its ledger on disk, and many clients.
+//! Throughput and latency of the ledger: requests committed by three voters on loopback over Zenoh,
+//! each with its ledger on disk.
 //!
 //! ```text
-//! cargo bench -p consort --bench ledger [-- REQUESTS [CLIENTS]]
+//! cargo bench -p consort --bench ledger [-- REQUESTS [CLIENTS [MISSIONS]]]
 //! ```
 //!
 //! Each voter has a runtime, a bus and a store of its own; they share the machine and its disk.
@@ -15,6 +15,10 @@
 //! in place, and sync it, as often as possible. With group commit each sync writes an entry with
 //! all its requests. So the disk allows its syncs per second times the requests per entry. A ratio
 //! near 1 shows that the disk is the limit; a small ratio shows that it is not.
+//!
+//! Latencies across snapshots (`across_snapshots`) are those of a single client of other voters, whose
+//! ledger contains MISSIONS active missions meanwhile, at most 1398. A voter takes a snapshot every
+//! `SNAPSHOT_EVERY` entries, so `p999` is the latency of commits during snapshots.
 
 #[path = "support/figures.rs"]
 mod support;
@@ -63,11 +67,27 @@ const ENTRY_BYTES: usize = 16 << 10;
 /// slower.
 const PARTS: usize = 5;
 
+/// Number of entries between two snapshots while latencies are measured across them.
+const SNAPSHOT_EVERY: u64 = 500;
+
+/// Number of commits that are measured across snapshots: several of them in the slowest thousandth.
+const COMMITS: usize = 5000;
+
+/// Number of clients that submit the missions of the measurement across snapshots.
+const FILLING_CLIENTS: usize = 16;
+
 fn main() -> ExitCode {
     let mut numbers = std::env::args().filter_map(|argument| argument.parse().ok());
     let requests = numbers.next().unwrap_or(10_000);
     let clients = numbers.next().unwrap_or(64);
-    support::main("ledger", measure(requests, clients))
+    let missions = numbers.next().unwrap_or(1000);
+    support::main("ledger", measure(requests, clients, missions))
+}
+
+async fn measure(requests: usize, clients: usize, missions: usize) -> Result<Value, BenchError> {
+    let mut figures = measure_throughput(requests, clients).await?;
+    figures["across_snapshots"] = measure_across_snapshots(missions).await?;
+    Ok(figures)
 }
 
 /// A folder that is removed when dropped.
@@ -94,43 +114,68 @@ impl Drop for Voter {
     }
 }
 
-async fn measure(requests: usize, clients: usize) -> Result<Value, BenchError> {
-    let folder = Folder(std::env::temp_dir().join(format!("consort-ledger-{}", std::process::id())));
-    let mut voters: BTreeMap<NodeId, Voter> = BTreeMap::new();
-    for number in 1..=VOTERS {
-        let name = NodeId::new(format!("voter-{number}")).expect("a slug");
-        let connect = voters.values().map(|voter| voter.endpoint.clone()).collect();
-        let voter = start(name.clone(), folder.0.join(name.as_str()), connect).await?;
-        voters.insert(name, voter);
-    }
-    let members: BTreeMap<RaftId, NodeId> =
-        voters.iter().map(|(name, voter)| (voter.replica.id(), name.clone())).collect();
-    let first = voters.values().next().ok_or("no voters")?;
-    first.replica.bootstrap(members).await.map_err(|error| error.to_string())?;
-    let began = Instant::now();
-    let leader = loop {
-        let leads = |voter: &Voter| voter.replica.leadership().borrow().is_leader;
-        match voters.iter().find(|(_, voter)| leads(voter)) {
-            Some((name, _)) => break name.clone(),
-            None if began.elapsed() > LIMIT => return Err("no voter leads".to_owned()),
-            None => sleep(Duration::from_millis(10)).await,
+/// Voters, and a client of the voter that leads.
+struct Cluster {
+    voters: BTreeMap<NodeId, Voter>,
+    leader: NodeId,
+    client: Client,
+    /// Folder of the stores. It is dropped last.
+    folder: Folder,
+}
+
+impl Cluster {
+    /// Starts the voters, and waits until one of them leads. The folder has this name.
+    async fn start(name: &str, snapshot_every: u64) -> Result<Cluster, BenchError> {
+        let folder = Folder(std::env::temp_dir().join(format!("consort-ledger-{name}-{}", std::process::id())));
+        let mut voters: BTreeMap<NodeId, Voter> = BTreeMap::new();
+        for number in 1..=VOTERS {
+            let name = NodeId::new(format!("voter-{number}")).expect("a slug");
+            let connect = voters.values().map(|voter| voter.endpoint.clone()).collect();
+            let voter = start(name.clone(), folder.0.join(name.as_str()), connect, snapshot_every).await?;
+            voters.insert(name, voter);
         }
-    };
-    let settings = ZenohSettings {
-        mode: Mode::Client,
-        connect: vec![voters[&leader].endpoint.clone()],
-        ..ZenohSettings::default()
-    };
-    let bus = ZenohBus::open(settings).await.map_err(|error| error.to_string())?;
-    let leaders = voters.iter().map(|(name, voter)| (name.clone(), voter.replica.leadership())).collect();
-    let before = syncs_per_s(&folder.0, ENTRY_BYTES)?;
-    let Replies { took, latencies, at, again, bytes } = run_clients(Arc::new(bus), leaders, requests, clients).await?;
+        let members: BTreeMap<RaftId, NodeId> =
+            voters.iter().map(|(name, voter)| (voter.replica.id(), name.clone())).collect();
+        let first = voters.values().next().ok_or("no voters")?;
+        first.replica.bootstrap(members).await.map_err(|error| error.to_string())?;
+        let began = Instant::now();
+        let leader = loop {
+            let leads = |voter: &Voter| voter.replica.leadership().borrow().is_leader;
+            match voters.iter().find(|(_, voter)| leads(voter)) {
+                Some((name, _)) => break name.clone(),
+                None if began.elapsed() > LIMIT => return Err("no voter leads".to_owned()),
+                None => sleep(Duration::from_millis(10)).await,
+            }
+        };
+        let settings = ZenohSettings {
+            mode: Mode::Client,
+            connect: vec![voters[&leader].endpoint.clone()],
+            ..ZenohSettings::default()
+        };
+        let bus = ZenohBus::open(settings).await.map_err(|error| error.to_string())?;
+        let leaders = voters.iter().map(|(name, voter)| (name.clone(), voter.replica.leadership())).collect();
+        Ok(Cluster { voters, leader, client: Client { bus: Arc::new(bus), leaders }, folder })
+    }
+
+    /// Returns the number of entries so far.
+    fn entries(&self) -> u64 {
+        self.voters[&self.leader].replica.applied().borrow().index
+    }
+}
+
+/// Measures the throughput with many clients.
+async fn measure_throughput(requests: usize, clients: usize) -> Result<Value, BenchError> {
+    let cluster = Cluster::start("throughput", consort_raft::SNAPSHOT_EVERY).await?;
+    let before = syncs_per_s(&cluster.folder.0, ENTRY_BYTES)?;
+    let load = Load { name: "client", requests, clients, cancels: true };
+    let Replies { took, latencies, at, again, bytes } = run_clients(&cluster.client, load).await?;
     let rate = requests as f64 / took.as_secs_f64();
 
+    let entries = cluster.entries();
+    let Cluster { voters, leader, client, folder } = cluster;
     let ledger =
         fs::metadata(folder.0.join(leader.as_str()).join(LEDGER_FILE)).map_err(|error| error.to_string())?.len();
-    let entries = voters[&leader].replica.applied().borrow().index;
-    drop(voters);
+    drop((client, voters));
     let shared = requests as f64 / entries as f64;
     let entry_bytes = bytes / usize::try_from(entries).unwrap_or(usize::MAX).max(1);
     let after = syncs_per_s(&folder.0, entry_bytes)?;
@@ -141,6 +186,21 @@ async fn measure(requests: usize, clients: usize) -> Result<Value, BenchError> {
         "entries": entries, "requests_per_entry": hundredths(shared), "bytes_per_entry": entry_bytes,
         "ledger_bytes": ledger, "syncs_per_s_of_each_of_three": [before.round(), after.round()],
         "disk_allows_per_s": bound.round(), "ratio": hundredths(rate / bound),
+    }))
+}
+
+/// Measures the latency of commits while missions are active and voters take snapshots.
+async fn measure_across_snapshots(missions: usize) -> Result<Value, BenchError> {
+    let cluster = Cluster::start("snapshots", SNAPSHOT_EVERY).await?;
+    let filling = Load { name: "active", requests: missions, clients: FILLING_CLIENTS, cancels: false };
+    run_clients(&cluster.client, filling).await?;
+    let before = cluster.entries();
+    let load = Load { name: "client", requests: COMMITS, clients: 1, cancels: true };
+    let Replies { latencies, again, .. } = run_clients(&cluster.client, load).await?;
+    let entries = cluster.entries() - before;
+    Ok(json!({
+        "missions": missions, "commits": COMMITS, "repeated_requests": again, "latency": figures(latencies),
+        "entries": entries, "snapshots_min": entries / SNAPSHOT_EVERY,
     }))
 }
 
@@ -162,7 +222,7 @@ fn rates(mut at: Vec<Duration>) -> Vec<f64> {
     parts.collect()
 }
 
-async fn start(name: NodeId, folder: PathBuf, connect: Vec<String>) -> Result<Voter, BenchError> {
+async fn start(name: NodeId, folder: PathBuf, connect: Vec<String>, snapshot_every: u64) -> Result<Voter, BenchError> {
     let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build();
     let runtime = runtime.map_err(|error| error.to_string())?;
     let started = runtime.spawn(async move {
@@ -175,7 +235,7 @@ async fn start(name: NodeId, folder: PathBuf, connect: Vec<String>) -> Result<Vo
         let store = DurableStore::open(&folder, &owner, fresh).map_err(|error| error.to_string())?;
         let shared: SharedBus = Arc::new(bus);
         let seed = u64::from(endpoint.bytes().last().unwrap_or(0));
-        let settings = RaftSettings::new(fleet, name.clone());
+        let settings = RaftSettings { snapshot_every, ..RaftSettings::new(fleet, name.clone()) };
         let replica = Replica::<Ledger>::start(settings, shared.clone(), Arc::new(store), seed).await;
         let replica = replica.map_err(|error| error.to_string())?;
         tokio::spawn(serve(shared, key(&name), replica.clone()));
@@ -224,21 +284,37 @@ struct Replies {
     bytes: usize,
 }
 
-/// Sends all requests and collects their replies.
-async fn run_clients(
+/// Session that sends requests to the leader.
+#[derive(Clone)]
+struct Client {
     bus: SharedBus,
     leaders: Vec<(NodeId, watch::Receiver<LeadershipView>)>,
+}
+
+/// Requests of concurrent clients.
+#[derive(Clone, Copy)]
+struct Load {
+    /// Prefix of the names of the requests. Each load of a cluster has another.
+    name: &'static str,
+    /// Total number of requests.
     requests: usize,
+    /// Number of clients.
     clients: usize,
-) -> Result<Replies, BenchError> {
+    /// A client cancels each mission before it submits the next.
+    cancels: bool,
+}
+
+/// Sends all requests and collects their replies.
+async fn run_clients(client: &Client, load: Load) -> Result<Replies, BenchError> {
+    let Load { name, requests, clients, cancels } = load;
     let template = shipped().get("lab-samples").ok_or("no such mission")?;
     let mission = template.instantiate(&BTreeMap::new(), &hospital()).map_err(|error| error.to_string())?;
     let division = divide_and_check(&mission).map_err(|error| error.to_string())?;
     let left = Arc::new(AtomicUsize::new(requests));
     let began = Instant::now();
     let mut all = JoinSet::new();
-    for client in 0..clients {
-        let (bus, leaders, left) = (bus.clone(), leaders.clone(), Arc::clone(&left));
+    for number in 0..clients {
+        let (Client { bus, leaders }, left) = (client.clone(), Arc::clone(&left));
         let (mission, division) = (mission.clone(), division.clone());
         all.spawn(async move {
             let (mut replies, mut open) = (Replies::default(), None::<MissionId>);
@@ -249,7 +325,7 @@ async fn run_clients(
                         Command::Cancel { mission, by: "a client".to_owned(), places: BTreeMap::new(), at_ms: 0 }
                     }
                     None => {
-                        let request = RequestId::new(format!("client-{client}-{}", replies.at.len())).expect("a slug");
+                        let request = RequestId::new(format!("{name}-{number}-{}", replies.at.len())).expect("a slug");
                         Command::Submit(Box::new(Submission::of(request, mission.clone(), division.clone())))
                     }
                 };
@@ -259,11 +335,11 @@ async fn run_clients(
                 // On a busy machine the leader may change; a repeated request is executed once.
                 let outcome = loop {
                     let leader = leaders.iter().find(|(_, leadership)| leadership.borrow().is_leader);
-                    let Some((name, _)) = leader else {
+                    let Some((leader, _)) = leader else {
                         sleep(Duration::from_millis(5)).await;
                         continue;
                     };
-                    match send_request(&bus, &key(name), request_bytes.clone()).await {
+                    match send_request(&bus, &key(leader), request_bytes.clone()).await {
                         Ok(outcome) => break outcome,
                         Err(_) if sent_at.elapsed() < LIMIT => {
                             replies.again += 1;
@@ -275,7 +351,7 @@ async fn run_clients(
                 replies.latencies.push(ms(sent_at, Instant::now()));
                 replies.at.push(began.elapsed());
                 match outcome {
-                    CommandOutcome::Submitted { mission, .. } => open = Some(mission),
+                    CommandOutcome::Submitted { mission, .. } => open = cancels.then_some(mission),
                     // A repeated cancel finds the mission already canceled.
                     CommandOutcome::Done | CommandOutcome::Refused(_) if matches!(command, Command::Cancel { .. }) => {}
                     other => return Err(format!("the ledger replied {other:?}")),

@@ -21,7 +21,10 @@ pub(crate) fn figures(mut all: Vec<f64>) -> Value {
         let rank = (all.len() as f64 * share).ceil().max(1.0) as usize;
         all.get(rank - 1).map(|ms| (ms * 100.0).round() / 100.0)
     };
-    json!({ "n": all.len(), "min": rank(0.0), "p50": rank(0.5), "p95": rank(0.95), "p99": rank(0.99), "max": rank(1.0) })
+    json!({
+        "n": all.len(), "min": rank(0.0), "p50": rank(0.5), "p95": rank(0.95), "p99": rank(0.99), "p999": rank(0.999),
+        "max": rank(1.0),
+    })
 }
 
 /// Runs a benchmark and prints its figures and the load of the machine as a line of JSON.
