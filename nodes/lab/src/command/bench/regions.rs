@@ -8,7 +8,7 @@
 
 use bytes::Bytes;
 use clap::{Args as ClapArgs, ValueEnum};
-use consort_bus::{Bus as _, Delivery, Encoding, Query, Stream, ZenohBus, ZenohSettings};
+use consort_bus::{Bus as _, Delivery, Encoding, Query, Sample, Stream, ZenohBus, ZenohSettings};
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
 use serde::Serialize;
@@ -20,7 +20,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep, timeout};
+use tokio::time::{Instant, sleep, timeout, timeout_at};
 
 /// Region of the gateways. Sessions without this name are in the region of a site.
 const GATEWAYS: &str = "sites";
@@ -34,8 +34,15 @@ const RETRY: Duration = Duration::from_millis(50);
 /// Duration of the phase in which nothing happens.
 const IDLE: Duration = Duration::from_secs(5);
 
-/// Time after which declarations, changes of the routes and publications have passed, or never do.
-const SETTLED: Duration = Duration::from_secs(1);
+/// Time without messages between the gateways after which declarations and changes of the routes have passed. Longer than the
+/// 100 ms after which Zenoh computes routes again.
+const QUIET: Duration = Duration::from_millis(500);
+
+/// Bytes on a link in this time that are keep-alive messages: fewer than a declaration has.
+const QUIET_BYTES: u64 = 32;
+
+/// Limit for the reply to a query. A service that is not known yet does not reply.
+const QUERY_LIMIT: Duration = Duration::from_secs(1);
 
 /// Number and size of the publications, and number of the declared subscribers.
 const COUNT: usize = 100;
@@ -171,7 +178,7 @@ async fn measure(layout: Layout, sites: usize, members: usize) -> Result<RegionF
     let mut network = SiteNetwork::open(layout, sites, members).await?;
     network.await_publications().await?;
     let start_s = began.elapsed().as_secs_f64();
-    sleep(SETTLED).await;
+    network.settle().await;
 
     progress.show(format_args!("{}: nothing happens", layout.name()));
     let before = network.bytes();
@@ -183,33 +190,47 @@ async fn measure(layout: Layout, sites: usize, members: usize) -> Result<RegionF
     let before = network.bytes();
     let mut local = vec![];
     for number in 0..COUNT {
-        local.push(last.gateway.subscribe(&format!("consort/bench/local/{number}")).await.map_err(unsuccessful)?);
+        local.push(last.gateway.subscribe(&local_key(number)).await.map_err(unsuccessful)?);
     }
-    sleep(SETTLED).await;
+    // The last of them is known, so all are.
+    if let Some(samples) = local.last_mut() {
+        publish_until_received(&last.members[0], &local_key(COUNT - 1), samples).await?;
+    }
+    network.settle().await;
     let declare_bytes = network.bytes() - before;
     let before = network.bytes();
     publish(&last.members[0], "consort/bench/local").await?;
-    sleep(SETTLED).await;
+    let deadline = Instant::now() + LIMIT;
+    for samples in &mut local {
+        let received = timeout_at(deadline, samples.recv()).await;
+        received.map_err(|_| unsuccessful("the last site does not receive its own publications"))?;
+    }
+    network.settle().await;
     let local_bytes = network.bytes() - before;
     drop(local);
 
     progress.show(format_args!("{}: what passes between sites", layout.name()));
     let first = network.first_member().clone();
     let mut samples = first.subscribe("consort/bench/shared/*").await.map_err(unsuccessful)?;
-    sleep(SETTLED).await;
+    publish_until_received(&last.members[0], "consort/bench/shared/first", &mut samples).await?;
+    network.settle().await;
+    while samples.try_recv().is_some() {}
     let before = network.bytes();
     publish(&last.members[0], "consort/bench/shared").await?;
-    sleep(SETTLED).await;
+    let (deadline, mut received) = (Instant::now() + LIMIT, 0);
+    while received < COUNT && timeout_at(deadline, samples.recv()).await.is_ok_and(|sample| sample.is_some()) {
+        received += 1;
+    }
+    network.settle().await;
     let shared_bytes = network.bytes() - before;
-    let received = std::iter::from_fn(|| samples.try_recv()).count();
-    let (token_ms, vanish_ms) = try_token(&first, &last.members[0]).await?;
+    let (token_ms, vanish_ms) = try_token(&network, &first, &last.members[0]).await?;
     let query_ms = try_query(&first, &last.members[0]).await?;
 
     progress.show(format_args!("{}: a router restarts", layout.name()));
     drop(last);
     let before = network.bytes();
     network.restart_last_member().await?;
-    sleep(SETTLED).await;
+    network.settle().await;
     let restart_bytes = network.bytes() - before;
     network.close().await;
     Ok(RegionFigures {
@@ -229,6 +250,20 @@ async fn measure(layout: Layout, sites: usize, members: usize) -> Result<RegionF
     })
 }
 
+fn local_key(number: usize) -> String {
+    format!("consort/bench/local/{number}")
+}
+
+/// Publishes on a key until it is received or [`LIMIT`] has passed: before, the publisher does not know the subscriber.
+async fn publish_until_received(bus: &ZenohBus, key: &str, samples: &mut Stream<Sample>) -> Result<(), Failure> {
+    let began = Instant::now();
+    while samples.try_recv().is_none() && began.elapsed() < LIMIT {
+        bus.publish(key, Bytes::new(), Encoding::Wire, Delivery::Drop).await.map_err(unsuccessful)?;
+        sleep(RETRY).await;
+    }
+    Ok(())
+}
+
 /// Publishes on keys below `prefix`.
 async fn publish(bus: &ZenohBus, prefix: &str) -> Result<(), Failure> {
     for number in 0..COUNT {
@@ -243,9 +278,13 @@ fn millis(since: Instant) -> f64 {
 }
 
 /// Returns the times until a token of `far` appears at `near`, and until it vanishes there.
-async fn try_token(near: &ZenohBus, far: &ZenohBus) -> Result<(Option<f64>, Option<f64>), Failure> {
+async fn try_token(
+    network: &SiteNetwork,
+    near: &ZenohBus,
+    far: &ZenohBus,
+) -> Result<(Option<f64>, Option<f64>), Failure> {
     let mut tokens = near.watch("consort/bench/alive/*").await.map_err(unsuccessful)?;
-    sleep(SETTLED).await;
+    network.settle().await;
     let announced = Instant::now();
     let token = far.announce("consort/bench/alive/far").await.map_err(unsuccessful)?;
     let appeared = timeout(LIMIT, tokens.recv()).await.ok().flatten().filter(|presence| presence.alive);
@@ -265,7 +304,7 @@ async fn try_query(near: &ZenohBus, far: &ZenohBus) -> Result<Option<f64>, Failu
     let began = Instant::now();
     while began.elapsed() < LIMIT {
         let asked = Instant::now();
-        let mut replies = near.query(key, Bytes::new(), SETTLED).await.map_err(unsuccessful)?;
+        let mut replies = near.query(key, Bytes::new(), QUERY_LIMIT).await.map_err(unsuccessful)?;
         if replies.recv().await.is_some_and(|reply| reply.payload.is_ok()) {
             return Ok(Some(millis(asked)));
         }
@@ -345,6 +384,18 @@ impl SiteNetwork {
         self.links.iter().map(|link| link.bytes.load(Ordering::Relaxed)).sum()
     }
 
+    /// Waits until the links between the gateways carry keep-alive messages only, or [`LIMIT`] has passed.
+    async fn settle(&self) {
+        let (began, bytes_max) = (Instant::now(), QUIET_BYTES * self.links.len() as u64);
+        while began.elapsed() < LIMIT {
+            let before = self.bytes();
+            sleep(QUIET).await;
+            if self.bytes() - before <= bytes_max {
+                return;
+            }
+        }
+    }
+
     /// Waits until a router of the first site has received a publication of each session.
     async fn await_publications(&self) -> Result<(), Failure> {
         let mut samples = self.first_member().subscribe("consort/bench/start/*").await.map_err(unsuccessful)?;
@@ -370,11 +421,11 @@ impl SiteNetwork {
 
     /// Closes the last router of the last site and opens it again.
     async fn restart_last_member(&mut self) -> Result<(), Failure> {
-        let Some(site) = self.sites.last_mut() else { return Ok(()) };
-        if let Some(member) = site.members.pop() {
+        if let Some(member) = self.sites.last_mut().and_then(|site| site.members.pop()) {
             member.close().await.map_err(unsuccessful)?;
         }
-        sleep(SETTLED).await;
+        self.settle().await;
+        let Some(site) = self.sites.last_mut() else { return Ok(()) };
         let member = site.open_member().await?;
         site.members.push(member);
         Ok(())
