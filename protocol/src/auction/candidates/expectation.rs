@@ -64,17 +64,14 @@ impl<'a> RoleTerms<'a> {
         self.plan
     }
 
-    /// Returns what a robot would reply, in the order in which it checks a role itself. `price` returns its price from its place.
+    /// Returns what a robot would reply. `price` returns its price from its place.
     pub fn expect(&self, robot: &RobotId, worker: &RobotKnowledge, price: impl FnOnce() -> Price) -> Expectation {
         let missing = self.plan.skills_missing_in(&worker.skills);
         if !missing.is_empty() {
             return Expectation::Refuses(NotAskedReason::MissingSkills { skills: missing });
         }
-        match &worker.availability {
-            Availability::Free => {}
-            // The place at which it would begin is unknown.
-            Availability::Holding { .. } => return Expectation::CostsAtLeast(0.0),
-            Availability::OutOfService { .. } => return Expectation::Refuses(NotAskedReason::OutOfService),
+        if matches!(worker.availability, Availability::OutOfService { .. }) {
+            return Expectation::Refuses(NotAskedReason::OutOfService);
         }
         // The record contains changes of the charge and the place in steps, and later.
         let may_be_eligible = |condition: &Result<Eligibility, String>| match condition {
@@ -84,8 +81,9 @@ impl<'a> RoleTerms<'a> {
         if !self.eligible.iter().all(may_be_eligible) {
             return Expectation::Refuses(NotAskedReason::NotEligible);
         }
-        // The role may begin where a promised role ends, and shorten the drive to another.
-        if self.with_promises.contains(robot) {
+        // The place at which it would begin is unknown: the role may begin where a held or promised role ends, and
+        // shorten the drive to another.
+        if matches!(worker.availability, Availability::Holding { .. }) || self.with_promises.contains(robot) {
             return Expectation::CostsAtLeast(0.0);
         }
         match price() {
@@ -166,6 +164,7 @@ mod tests {
             (&free, "navigation", "robot.batery > 0.9", price(0.1), refuses(NotEligible)),
             (&free, "pick_up", icu, price(0.1), refuses(MissingSkills { skills })),
             (&busy, "navigation", icu, price(0.1), Expectation::CostsAtLeast(0.0)),
+            (&busy, "navigation", r#"robot.attributes.section == "er""#, price(0.1), refuses(NotEligible)),
             (&broken, "navigation", icu, price(0.1), refuses(OutOfService)),
         ] {
             let found = expect(&call(skill, condition), worker, price);
