@@ -224,3 +224,26 @@ async fn a_driver_server_speaks_only_for_the_robots_in_its_certificate() {
     let expected = "node eve (robot, host) of eve may not publish on wire/driver/bob/state";
     assert!(rejections.iter().any(|rejection| rejection == expected), "{rejections:?}");
 }
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn only_a_robot_itself_commands_its_driver_server() {
+    let fixture = Fixture::new();
+    let world = fixture.node("world", "consort://ward/node/world?roles=host&serves=bob").await;
+    let bob = fixture.node("bob", "consort://ward/node/bob?roles=robot").await;
+    let key = keys().write(&Key::Driver("bob".parse().unwrap(), DriverCall::Command));
+    let mut queries = world.serve(&key).await.unwrap();
+    tokio::spawn(async move {
+        while let Some(query) = queries.recv().await {
+            query.replier.reply(&query.key, query.payload.clone(), Encoding::Wire).await.unwrap();
+        }
+    });
+    assert_eq!(query_until_known(&bob, &key, b"drive").await, [Ok(Bytes::from("drive"))]);
+    for roles in ["robot", "voter", "host&serves=*", "dashboard", ""] {
+        let eve = fixture.node("eve", &format!("consort://ward/node/eve?roles={roles}")).await;
+        let replies = query_until_known(&eve, &key, b"drive").await;
+        let refusals: Vec<&str> =
+            replies.iter().filter_map(|reply| reply.as_ref().err()).map(|refused| &*refused.0).collect();
+        let [refusal] = refusals[..] else { panic!("{roles}: {replies:?}") };
+        assert!(refusal.contains("may not query wire/driver/bob/command"), "{roles}: {refusal}");
+    }
+}

@@ -20,27 +20,38 @@ impl Coordinator {
     async fn start() -> Coordinator {
         let fixture = Fixture::new();
         let bus = fixture.node("ada", "consort://ward/node/ada?roles=voter").await;
-        let queries = bus.serve(&keys().any_api()).await.unwrap();
+        let queries = bus.serve("consort/ward/api/**").await.unwrap();
         Coordinator { fixture, bus, queries }
     }
 
     /// Sends a request and returns it as the coordinator receives it.
-    async fn receive(&mut self, from: &dyn Bus, call: ApiCall, attachment: &[u8]) -> Option<Query> {
-        let key = keys().write(&Key::Api(call));
+    async fn receive(&mut self, from: &dyn Bus, key: &Key, attachment: &[u8]) -> Option<Query> {
+        let key = keys().write(key);
         let attachment = Bytes::copy_from_slice(attachment);
         let second = Duration::from_secs(1);
         let _replies = from.query_with(&key, "{}".into(), attachment, second, ServiceSelection::All).await.unwrap();
         tokio::time::timeout(Duration::from_secs(5), self.queries.recv()).await.ok().flatten()
     }
 
-    /// Returns the author of a request, or the error of the reply.
+    /// Returns the author of a call, or the error of the reply.
     async fn author(&mut self, from: &dyn Bus, call: ApiCall, attachment: &[u8]) -> Result<RequestAuthor, String> {
-        match self.receive(from, call, attachment).await.expect("a request").authority {
+        self.author_of(from, &Key::Api(call), attachment).await
+    }
+
+    /// Returns the author of a request, or the error of the reply.
+    async fn author_of(&mut self, from: &dyn Bus, key: &Key, attachment: &[u8]) -> Result<RequestAuthor, String> {
+        match self.receive(from, key, attachment).await.expect("a request").authority {
             RequestAuthority::Verified(requester) => Ok(requester.author),
             RequestAuthority::Rejected(reply) => Err(reply.error),
             RequestAuthority::Unchecked => panic!("the request was not checked"),
         }
     }
+}
+
+/// Returns the keys of all requests that change something.
+fn changes() -> impl Iterator<Item = Key> {
+    let calls = ApiCall::ALL.iter().copied().filter(|call| !call.is_read_only());
+    calls.map(Key::Api).chain([Key::Leave(node("ada"))])
 }
 
 fn kim(through: Option<&str>) -> Result<RequestAuthor, String> {
@@ -59,19 +70,49 @@ async fn a_request_needs_a_person_with_its_scope() {
         assert_eq!(ada.author(&kim_bus, call, b"").await, kim(None));
     }
     let scope = "the certificate of kim has scope submit; this request needs scope operate";
-    assert_eq!(ada.author(&kim_bus, ApiCall::Resolve, b"").await, Err(scope.to_owned()));
-    let eve = ada.fixture.node("eve", "consort://ward/node/eve?roles=robot,voter").await;
-    let robot = "node eve (robot, voter) may not make requests; a person signs them";
-    let changes = ApiCall::ALL.iter().filter(|call| !call.is_read_only());
-    for call in changes.copied() {
-        assert_eq!(ada.author(&eve, call, b"").await, Err(robot.to_owned()));
+    let operating = [ApiCall::Resolve, ApiCall::Backup, ApiCall::Upgrade].map(Key::Api);
+    for key in operating.into_iter().chain([Key::Leave(node("ada"))]) {
+        assert_eq!(ada.author_of(&kim_bus, &key, b"").await, Err(scope.to_owned()), "{key:?}");
+    }
+    let lee = ada.fixture.node("lee", "consort://ward/person/lee?scope=read").await;
+    for key in changes() {
+        let refused = ada.author_of(&lee, &key, b"").await.unwrap_err();
+        assert!(refused.starts_with("the certificate of lee has scope read; this request needs"), "{key:?}: {refused}");
     }
     let plain = ada.fixture.plain("mallory");
     let unsigned = ada.author(&*plain, ApiCall::Submit, b"").await.unwrap_err();
     assert!(unsigned.starts_with("it is not signed: this fleet is closed"), "{unsigned}");
     // What changes nothing needs no signature.
-    assert_eq!(ada.receive(&*plain, ApiCall::List, b"").await.unwrap().authority, RequestAuthority::Unchecked);
-    assert!(ada.bus.rejections().iter().any(|reason| reason.contains(robot)), "{:?}", ada.bus.rejections());
+    let list = Key::Api(ApiCall::List);
+    assert_eq!(ada.receive(&*plain, &list, b"").await.unwrap().authority, RequestAuthority::Unchecked);
+}
+
+/// Sends each request that changes something with the certificate of a node with these roles.
+async fn assert_makes_no_requests(roles: &str) {
+    let mut ada = Coordinator::start().await;
+    let eve = ada.fixture.node("eve", &format!("consort://ward/node/eve?roles={roles}")).await;
+    let rejection = "may not make requests; a person signs them";
+    for key in changes() {
+        let refused = ada.author_of(&eve, &key, b"").await.unwrap_err();
+        assert!(refused.starts_with("node eve (") && refused.ends_with(rejection), "{roles}: {key:?}: {refused}");
+    }
+    assert!(ada.bus.rejections().iter().any(|reason| reason.contains(rejection)), "{:?}", ada.bus.rejections());
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_robot_or_a_voter_makes_no_requests() {
+    assert_makes_no_requests("robot").await;
+    assert_makes_no_requests("voter").await;
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_node_without_a_role_makes_no_requests() {
+    assert_makes_no_requests("").await;
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_dashboard_makes_no_requests_without_a_token() {
+    assert_makes_no_requests("dashboard").await;
 }
 
 /// Signs a request, or forwards a token.
@@ -92,11 +133,7 @@ async fn the_author_of_a_request_has_the_missions_of_the_certificate() {
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
 async fn a_driver_server_makes_no_requests() {
-    let mut ada = Coordinator::start().await;
-    let host = ada.fixture.node("world", "consort://ward/node/world?roles=host").await;
-    for call in [ApiCall::Submit, ApiCall::Cancel, ApiCall::Answer] {
-        assert!(ada.author(&host, call, b"").await.is_err());
-    }
+    assert_makes_no_requests("host&serves=bob,nurse").await;
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
@@ -130,7 +167,7 @@ async fn a_request_cannot_be_repeated_moved_or_changed() {
     let kim_bus = ada.fixture.node("kim", "consort://ward/person/kim?scope=operate").await;
     assert_eq!(ada.author(&kim_bus, ApiCall::Cancel, b"").await, kim(None));
     let request = intercepted.recv().await.unwrap();
-    assert!(ada.receive(&*relay, ApiCall::Cancel, &request.attachment).await.is_none(), "repeated");
+    assert!(ada.receive(&*relay, &Key::Api(ApiCall::Cancel), &request.attachment).await.is_none(), "repeated");
     let other = "the signature is not by person kim (operate)";
     assert_eq!(ada.author(&*relay, ApiCall::Resolve, &request.attachment).await, Err(other.to_owned()), "moved");
     for index in 0..request.attachment.len() {

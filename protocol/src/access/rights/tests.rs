@@ -22,7 +22,7 @@ const ANY: &str = "rvhnRVHN";
 const ADA: &str = "rvhn";
 
 /// Keys concerning ada, and the principals that may publish, query and reply on them.
-const TABLE: [(&str, [&str; 3]); 46] = [
+const TABLE: [(&str, [&str; 3]); 47] = [
     ("wire/knowledge/ada", [ADA, "", ""]),
     ("wire/motion/ada", [ADA, "", ""]),
     ("wire/swim/ada", [ANY, "", ""]),
@@ -38,6 +38,7 @@ const TABLE: [(&str, [&str; 3]); 46] = [
     ("wire/award/ada", ["", "vV", "r"]),
     ("wire/report/ada", ["", "rR", "v"]),
     ("wire/leader/ada", ["", "rR", "v"]),
+    ("wire/clock/ada", ["", "vV", "v"]),
     ("wire/signal/lab-1/r1", ["rvRV", "", ""]),
     ("wire/signal_history/lab-1/r1", ["", ANY, "rR"]),
     ("wire/ensemble/icu/ada", ["r", "", ""]),
@@ -133,6 +134,18 @@ fn each_principal_may_send_exactly_what_the_table_permits() {
                 let checked = authorize(&identity(of), operation, key, &payload);
                 assert_eq!(checked.is_ok(), allowed.contains(letter), "{of} {operation:?} {key}: {checked:?}");
             }
+        }
+    }
+}
+
+#[test]
+fn only_voters_reply_to_a_call_that_changes_something() {
+    for call in ApiCall::ALL.iter().copied() {
+        let key = format!("api/{}", call.as_str());
+        let allowed = if call.is_read_only() { ANY } else { "vV" };
+        for (letter, of) in PRINCIPALS {
+            let replies = authorize(&identity(of), Reply, &key, b"{}");
+            assert_eq!(replies.is_ok(), allowed.contains(letter), "{of} {key}: {replies:?}");
         }
     }
 }
