@@ -1,15 +1,16 @@
 //! Fleets whose nodes have certificates and sign their messages, and the effect of an attacker with
 //! the key of a robot.
 
-use crate::support::{audited_changes, released, request};
+use crate::support::{audited_changes, released, request, task_began};
 use bytes::Bytes;
 use consort_bus::Bus as _;
 use consort_bus::{Delivery, Encoding, ServiceSelection, SharedBus};
+use consort_fleet::robot_driver::{PersonCommand, PersonEvent, PersonRequestState};
 use consort_gossip::packet_about;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId};
-use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys};
+use consort_protocol::keys::{ApiCall, DriverCall, Key, Keys, PeopleCall};
 use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBase, Record, RecordStamp};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Ledger;
@@ -21,7 +22,7 @@ use consort_protocol::trust::NodeRole;
 use consort_tests::{Fleet, RobotSpec, StolenKey, for_each_seed, report_of_all_steps, signals_sent, slug};
 use serde::Serialize;
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -665,6 +666,28 @@ fn the_key_of_a_voter_pins_no_node_to_a_term_or_a_version() {
     });
 }
 
+/// Its key permits replies to and refusals of every request of consensus.
+#[test]
+fn the_key_of_a_voter_replies_to_no_request_of_consensus_for_another() {
+    for_each_seed([51, 52], async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let StolenKey { signing: sealed, plain } = stolen(&fleet, "dill", NodeRole::Voter).await;
+        let dill = Arc::new(Compromised { sealed, plain, keys: fleet.keys().clone(), did: Default::default() });
+        let mut tasks = tokio::task::JoinSet::new();
+        tasks.spawn(Arc::clone(&dill).refuses("wire/raft/*/*", false));
+        tasks.spawn(Arc::clone(&dill).answers("wire/raft/*/*", false));
+        let elected = |what: &EventKind| matches!(what, EventKind::Elected { .. });
+        let before = fleet.event_log.count(elected);
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.assert_completes(&mission).await;
+        assert_eq!(fleet.event_log.count(elected), before, "seed {seed}\n{}", fleet.event_log_text());
+        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}");
+        let did = dill.did.each_ref().map(|count| count.load(Ordering::Relaxed));
+        assert!(did[3] > 10 && did[4] > 10, "seed {seed}: replies, refusals: {did:?}");
+        tasks.shutdown().await;
+    });
+}
+
 #[test]
 fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
     for_each_seed(SEEDS, async |seed| {
@@ -683,5 +706,61 @@ fn the_key_of_a_voter_that_does_not_lead_holds_no_robot() {
         }
         // A held robot would keep its role and wait for ever.
         fleet.assert_completes(&mission).await;
+    });
+}
+
+/// Answers each request to a person: it is done. Counts the requests.
+async fn answer_for_people(bus: SharedBus, keys: Keys, answered: Arc<AtomicU64>) {
+    let ended_key = keys.write(&Key::People(PeopleCall::Done));
+    let mut queries = bus.serve(&keys.write(&Key::People(PeopleCall::Ask))).await.expect("a network");
+    while let Some(query) = queries.recv().await {
+        let command: PersonCommand = codec::decode(&query.payload).expect("a command of the coordinator");
+        let reply = wire(&PersonRequestState::Ended(Ok(BTreeMap::new())));
+        let _ = query.replier.reply(&query.key, reply, Encoding::Wire).await;
+        let ended = wire(&PersonEvent::RequestEnded { id: command.id, result: Ok(BTreeMap::new()) });
+        bus.publish(&ended_key, ended, Encoding::Wire, Delivery::Block).await.expect("a network");
+        answered.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Cancels the mission of `gorse` in the name of a nurse.
+async fn cancel_for_people(bus: SharedBus, keys: Keys) {
+    let key = keys.write(&Key::People(PeopleCall::Done));
+    for at_ms in 0.. {
+        let (by, role, robot) = ("Nia".to_owned(), slug("nurse"), slug("gorse"));
+        let cancel = wire(&PersonEvent::CancelMission { by, role, robot, at_ms });
+        bus.publish(&key, cancel, Encoding::Wire, Delivery::Block).await.expect("a network");
+        tokio::time::sleep(Duration::from_millis(200)).await; // virtual time
+    }
+}
+
+/// The nurse does not receive the request, so only the false driver servers answer it.
+#[test]
+fn a_driver_server_answers_only_for_its_people() {
+    for_each_seed([51, 52], async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let keys = fleet.keys().clone();
+        fleet.network.block_queries(slug("world"), &keys.write(&Key::People(PeopleCall::Ask)));
+        let (answered, mut attack) = (Arc::<AtomicU64>::default(), tokio::task::JoinSet::new());
+        let other: SharedBus = stolen(&fleet, "mallory", NodeRole::Host).await.signing;
+        attack.spawn(answer_for_people(Arc::clone(&other), keys.clone(), Arc::clone(&answered)));
+        attack.spawn(cancel_for_people(other, keys.clone()));
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.wait_until("a request to the nurse", SOON, |fleet| fleet.has_event(task_began("deposit"))).await;
+        let deposited =
+            |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "deposit");
+        let is_over = |fleet: &Fleet| fleet.mission_state(&mission).is_some_and(|state| state.is_final());
+        let is_believed = |fleet: &Fleet| fleet.has_event(deposited) || is_over(fleet);
+        fleet.assert_never("the end of the request or the mission", Duration::from_secs(5), is_believed).await;
+        let count = answered.load(Ordering::Relaxed);
+        assert!(count > 2, "seed {seed}: {count} answers by mallory");
+        // With a certificate that names the role `nurse`, the same messages count.
+        let own: SharedBus = stolen(&fleet, "nurse", NodeRole::Host).await.signing;
+        attack.spawn(answer_for_people(Arc::clone(&own), keys.clone(), Arc::default()));
+        fleet.wait_until("the answer", SOON, |fleet| fleet.has_event(deposited)).await;
+        attack.spawn(cancel_for_people(own, keys));
+        let end = format!("{:?}", fleet.wait_for_end(&mission).await);
+        assert!(end.contains("Nia, according to nurse"), "seed {seed}: {end}");
+        attack.shutdown().await;
     });
 }

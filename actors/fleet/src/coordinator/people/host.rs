@@ -28,8 +28,8 @@ impl PeopleHost {
         PeopleHost { bus: bus.clone(), key: keys.write(&Key::People(PeopleCall::Ask)) }
     }
 
-    /// Sends a command, and passes the replies to `receive`. Returns whether a host has done what is requested: each host
-    /// replies, also those of other robots.
+    /// Sends a command, and passes the replies to `receive`. Returns whether a host has done what is requested. Each host
+    /// replies; of those of other robots and people only the presence counts.
     pub(super) async fn send(&self, command: &PersonCommand, receive: impl Fn(PersonRequestState, Author)) -> bool {
         let bytes = match codec::encode(command) {
             Ok(bytes) => bytes.into(),
@@ -43,6 +43,10 @@ impl PeopleHost {
         while let Some(reply) = replies.recv().await {
             match reply.payload.map(|bytes| codec::decode::<PersonRequestState>(&bytes)) {
                 Ok(Ok(state)) => {
+                    let state = match may_answer(command, &reply.author) {
+                        true => state,
+                        false => PersonRequestState::Requested,
+                    };
                     is_done |= matches!(state, PersonRequestState::Ended(Ok(_)));
                     receive(state, reply.author);
                 }
@@ -66,5 +70,47 @@ impl PeopleHost {
             });
         }
         sent.join_all().await;
+    }
+}
+
+/// Checks whether the author of a reply serves the person of a request, or the robots whose items are taken. A
+/// cancelation names neither; hosts cancel requests that are not repeated, so a false confirmation has no effect.
+fn may_answer(command: &PersonCommand, author: &Author) -> bool {
+    match &command.request {
+        Some(request) if request.takes_items() => {
+            request.holders.values().all(|robot| author.may_serve(robot.as_str()))
+        }
+        Some(request) => author.may_serve(request.role.as_str()),
+        None => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::ids::TaskType;
+    use consort_protocol::mission::TaskSpec;
+    use consort_skills::actions::{GoalId, PersonRequest};
+    use std::collections::BTreeMap;
+    use std::sync::Arc;
+
+    #[test]
+    fn only_the_host_of_a_person_or_a_robot_answers_for_it() {
+        let host = |serves: &str| {
+            let identity = format!("consort://ward/node/world?roles=host&serves={serves}").parse().unwrap();
+            Author::verified(Arc::new(identity))
+        };
+        let (nurse, r1, ada) = ("nurse".parse().unwrap(), "r1".parse().unwrap(), "ada".parse().unwrap());
+        let task = TaskSpec::of(TaskType::new("deposit").unwrap(), vec![nurse]);
+        let to_nurse = PersonRequest { role: task.roles[0].clone(), holders: BTreeMap::new(), task };
+        let command = |request| PersonCommand { id: GoalId(1), request };
+        let (asks, removes) = (command(Some(to_nurse)), command(Some(PersonRequest::taking_items(r1, ada))));
+        let may = |serves: &str| [&asks, &removes].map(|command| may_answer(command, &host(serves)));
+        assert_eq!(may("nurse"), [true, false]);
+        assert_eq!(may("ada"), [false, true]);
+        assert_eq!(may("r1,eve"), [false, false], "the name of a role is no robot");
+        assert_eq!(may("*"), [true, true]);
+        assert!(may_answer(&command(None), &host("eve")), "a cancelation");
+        assert!(may_answer(&asks, &Author::UNKNOWN), "in an open fleet");
     }
 }

@@ -186,9 +186,7 @@ impl People {
             }
             PersonRequestState::Canceled => {
                 self.simulated.confirm(id);
-                if self.simulated.request_of(id).is_some_and(|(_, role)| author.may_serve(role.as_str())) {
-                    self.simulated.renew(id);
-                }
+                self.simulated.renew(id);
             }
         }
     }
