@@ -1,26 +1,13 @@
 //! Links within the repository have existing targets.
 
-use super::page::{Page, repository};
+use super::page::{Page, files, repository};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-
-/// Collects the pages of the repository.
-fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder).expect("a folder of the repository").flatten() {
-        let path = entry.path();
-        let name = entry.file_name().to_string_lossy().into_owned();
-        if path.is_dir() && name != "target" && !name.starts_with('.') {
-            pages(&path, found);
-        } else if path.extension().is_some_and(|extension| extension == "md") {
-            found.push(path);
-        }
-    }
-}
 
 #[test]
 fn every_link_to_a_file_or_a_heading_has_a_target() {
     let mut found = vec![];
-    pages(&repository(), &mut found);
+    files(&repository(), "md", &mut found);
     assert!(found.len() > 10, "{found:?}");
     let mut followed = 0;
     let mut wrong = vec![];
@@ -60,7 +47,7 @@ fn every_page_is_reachable_from_the_readme() {
         }
     }
     let mut all = vec![];
-    pages(&repository().join("docs"), &mut all);
+    files(&repository().join("docs"), "md", &mut all);
     let lost: Vec<PathBuf> = all.iter().map(|path| whole(path)).filter(|path| !come_upon.contains(path)).collect();
     assert!(lost.is_empty(), "these pages are not reachable: {lost:?}");
 }

@@ -1,11 +1,12 @@
-//! The documentation: its links have targets, its tutorials work as written, and its reference
-//! matches the code.
+//! The documentation: its links have targets, its tutorials work as written, its reference matches
+//! the code, and the tests that it names exist.
 
 #[path = "../command_line/binary.rs"]
 mod binary;
 #[path = "../../../../tests/support/free_port.rs"]
 mod free_port;
 mod links;
+mod named_tests;
 mod page;
 mod reference;
 mod schema_tables;

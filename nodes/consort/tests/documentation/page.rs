@@ -34,6 +34,19 @@ pub(crate) fn repository() -> PathBuf {
     package.ancestors().nth(2).expect("the package is in nodes/").to_owned()
 }
 
+/// Collects the files of a folder with this extension.
+pub(crate) fn files(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).expect("a folder of the repository").flatten() {
+        let path = entry.path();
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if path.is_dir() && name != "target" && !name.starts_with('.') {
+            files(&path, extension, found);
+        } else if path.extension().is_some_and(|of| of == extension) {
+            found.push(path);
+        }
+    }
+}
+
 impl Page {
     /// Opens a page by its path within the repository.
     pub(crate) fn open(path: &Path) -> Page {
@@ -78,6 +91,11 @@ impl Page {
         anchors
     }
 
+    /// Returns the code in its lines, between backticks, with line numbers.
+    pub(crate) fn code_spans(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.prose.iter().flat_map(|(number, line)| line.split('`').skip(1).step_by(2).map(move |span| (*number, span)))
+    }
+
     /// Returns the targets of its links and images with their lines.
     pub(crate) fn links(&self) -> Vec<(usize, &str)> {
         let mut links = vec![];
@@ -103,6 +121,7 @@ fn a_page_is_split_into_prose_and_blocks() {
     let page = Page::of(PathBuf::from("p.md"), text);
     assert_eq!(page.anchors(), ["a-b-c", "a-b", "a-b-1"]);
     assert_eq!(page.links(), [(2, "y.md#z"), (2, "q.png")]);
+    assert_eq!(page.code_spans().collect::<Vec<_>>(), [(2, "[a](b)")]);
     let block = |line, language: &str, file: Option<&str>, text: &str| Block {
         line,
         language: language.to_owned(),
