@@ -4,6 +4,7 @@ use super::flaw::Flaw;
 use super::world::{Faults, NO_LIMIT, Setup, World};
 use consort_protocol::lease::{Action as LeaseAction, Event};
 use stateright::{Checker, HasDiscoveries, Model, Property};
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Model of two robots, a role and two coordinators.
@@ -21,7 +22,24 @@ struct Bounds {
     awards: usize,
     /// Ticks by which states of driver servers may be late.
     late: u64,
+    /// Goals stop slowly.
+    is_slow: bool,
+    /// Only the events of the first robot are explored. The second counts as acting from its award on.
+    first_only: bool,
     faults: Faults,
+}
+
+impl Bounds {
+    /// Returns the bounds of a role that passes on to the second robot, with goals that stop at once.
+    fn passing_on(faults: Faults) -> Bounds {
+        Bounds { awards: 2, late: 0, is_slow: false, first_only: false, faults }
+    }
+
+    /// Returns the robots whose events are explored.
+    fn robots(&self) -> Range<usize> {
+        let count = if self.first_only { 1 } else { 2 };
+        0..count
+    }
 }
 
 /// An event. Robots and coordinators are numbered.
@@ -55,7 +73,7 @@ enum Step {
     DeliverCommand(usize),
     /// The node of the first holder restarts, with or without its checkpoint.
     Crash(usize, bool),
-    /// The machine of a robot's node is suspended.
+    /// The machine of the first holder's node is suspended.
     Suspend(usize),
     /// The machine of a robot's node continues.
     Wake(usize),
@@ -64,6 +82,10 @@ enum Step {
 /// The property of leases.
 const ONE_BODY: &str = "at most one body acts in the role";
 
+/// A stronger property: the body of the former holder is at rest at the award to the other robot, and stays so,
+/// whatever the other robot does.
+const FORMER_RESTS: &str = "the body of the former holder rests once the role is awarded to the other robot";
+
 // Situations that must be possible, so that the model is not empty.
 const FIRST_ACTS: &str = "the first robot acts";
 const PASSES_ON: &str = "the role passes on to the second robot, which acts";
@@ -71,13 +93,18 @@ const ACTS_ASLEEP: &str = "a body acts while its node is suspended";
 const RESTORED_ACTS: &str = "a restored robot acts again";
 const DEPOSED_REPLIES: &str = "a reply is on its way while a deposed coordinator still replies";
 const LATER_RELEASES: &str = "a later coordinator releases the role";
+const CUT_IN_LEASE: &str = "the driver server stops the goal of a silent node within its lease";
+const CUT_ASLEEP: &str = "the driver server has stopped the goal of a suspended node whose lease has run out";
+const AWARDED_ASLEEP: &str = "the role is awarded to the second robot while the first robot's node is suspended";
+const PASSES_ON_ASLEEP: &str = "the second robot acts while the first robot's node is suspended";
+const WAKES_LATE: &str = "the second robot acts, and the first robot's node wakes and has not checked its lease";
 
 impl Model for LeaseModel {
     type State = World;
     type Action = Step;
 
     fn init_states(&self) -> Vec<World> {
-        let (setup, ledger) = Setup::new(self.flaw);
+        let (setup, ledger) = Setup::new(self.flaw, self.bounds.is_slow);
         vec![World::new(setup, ledger, self.bounds.faults)]
     }
 
@@ -94,10 +121,10 @@ impl Model for LeaseModel {
             // The robots are alike, so the first award is to the first robot.
             steps.push(Step::Award(world.awards.len() % 2));
         }
-        let awake = |robot: usize| !world.robots[robot].node.asleep;
-        let notices = world.awards.iter().enumerate().filter(|(_, award)| awake(award.robot));
+        let receives = |robot: usize| self.bounds.robots().contains(&robot) && !world.robots[robot].node.asleep;
+        let notices = world.awards.iter().enumerate().filter(|(_, award)| receives(award.robot));
         steps.extend(notices.map(|(number, _)| Step::Notice(number)));
-        for robot in 0..2 {
+        for robot in self.bounds.robots() {
             self.robot_steps(world, robot, steps);
         }
     }
@@ -141,6 +168,9 @@ impl Model for LeaseModel {
     fn properties(&self) -> Vec<Property<LeaseModel>> {
         vec![
             Property::always(ONE_BODY, |_, world: &World| world.acting() != [true, true]),
+            Property::always(FORMER_RESTS, |_, world: &World| {
+                world.awards.last().is_none_or(|award| !world.acting()[1 - award.robot])
+            }),
             Property::sometimes(FIRST_ACTS, |_, world: &World| world.acting()[0]),
             Property::sometimes(PASSES_ON, |_, world: &World| world.acting()[1]),
             Property::sometimes(ACTS_ASLEEP, |_, world: &World| world.acting()[0] && world.robots[0].node.asleep),
@@ -153,6 +183,23 @@ impl Model for LeaseModel {
                 world.sessions[1 - world.leader].is_some() && replied
             }),
             Property::sometimes(LATER_RELEASES, |_, world: &World| world.leader == 1 && world.release.is_some()),
+            Property::sometimes(CUT_IN_LEASE, |_, world: &World| {
+                let node = &world.robots[0].node;
+                world.robots[0].is_cut() && node.lease.may_act(node.now(world.tick))
+            }),
+            Property::sometimes(CUT_ASLEEP, |_, world: &World| {
+                let node = &world.robots[0].node;
+                world.robots[0].is_cut() && node.asleep && !node.lease.may_act(node.now(world.tick))
+            }),
+            Property::sometimes(AWARDED_ASLEEP, |_, world: &World| {
+                world.robots[0].node.asleep && world.awards.last().is_some_and(|award| award.robot == 1)
+            }),
+            Property::sometimes(PASSES_ON_ASLEEP, |_, world: &World| world.robots[0].node.asleep && world.acting()[1]),
+            Property::sometimes(WAKES_LATE, |_, world: &World| {
+                let node = &world.robots[0].node;
+                let has_woken = world.left.suspensions == 0 && !node.asleep;
+                has_woken && node.lease.acts_until().is_some() && world.acting()[1]
+            }),
         ]
     }
 }
@@ -190,7 +237,7 @@ impl LeaseModel {
         }
         if node.lease.award().is_some() {
             steps.push(Step::CheckLease(robot));
-            if world.left.suspensions > 0 && node.lease.may_act(now) {
+            if world.left.suspensions > 0 && robot == 0 && node.lease.may_act(now) {
                 steps.push(Step::Suspend(robot));
             }
         }
@@ -203,13 +250,15 @@ impl LeaseModel {
     }
 }
 
-/// Explores all states. Panics if two bodies act at once, or if a property in `possible` never holds.
+/// Explores all states. Panics if the body of a former holder acts, or if a property in `possible` never holds.
 /// Returns the number of states.
 fn explore(bounds: Bounds, possible: &[&str]) -> usize {
     let checker = LeaseModel::new(None, bounds).checker().threads(1).spawn_bfs().join();
     let discoveries = checker.discoveries();
-    if let Some(path) = checker.discovery(ONE_BODY) {
-        panic!("two bodies act after {:?}", path.into_actions());
+    for property in [ONE_BODY, FORMER_RESTS] {
+        if let Some(path) = checker.discovery(property) {
+            panic!("not always: {property}; after {:?}", path.into_actions());
+        }
     }
     let missing: Vec<_> = possible.iter().filter(|name| !discoveries.contains_key(*name)).collect();
     assert!(missing.is_empty(), "never reached: {missing:?}");
@@ -217,31 +266,57 @@ fn explore(bounds: Bounds, possible: &[&str]) -> usize {
     checker.unique_state_count()
 }
 
-/// Checks that the model with a bug has a violation.
-fn is_found(flaw: Flaw, faults: Faults) {
-    let bounds = Bounds { awards: 2, late: 0, faults };
-    let model = LeaseModel::new(Some(flaw), bounds);
-    let checker = model.checker().threads(1).finish_when(HasDiscoveries::AnyFailures).spawn_bfs().join();
-    assert!(checker.discovery(ONE_BODY).is_some(), "{flaw:?} is not found in {} states", checker.unique_state_count());
+/// Checks that the model with a bug violates a property.
+fn is_found(flaw: Flaw, bounds: Bounds, property: &'static str) {
+    let finish = HasDiscoveries::AnyOf([property].into());
+    let checker = LeaseModel::new(Some(flaw), bounds).checker().threads(1).finish_when(finish).spawn_bfs().join();
+    let states = checker.unique_state_count();
+    assert!(checker.discovery(property).is_some(), "{flaw:?} is not found in {states} states: {property}");
 }
 
 #[test]
 fn at_most_one_body_acts_in_a_role() {
     let faults = Faults { crashes: 1, suspensions: 0, takeovers: NO_LIMIT };
     let possible = [FIRST_ACTS, PASSES_ON, RESTORED_ACTS, DEPOSED_REPLIES, LATER_RELEASES];
-    assert_eq!(explore(Bounds { awards: 2, late: 0, faults }, &possible), 1_611_078);
+    assert_eq!(explore(Bounds::passing_on(faults), &possible), 1_611_078);
 }
 
 #[test]
 fn at_most_one_body_acts_while_states_are_late() {
     let faults = Faults { crashes: 0, suspensions: 0, takeovers: NO_LIMIT };
-    assert_eq!(explore(Bounds { awards: 2, late: 1, faults }, &[FIRST_ACTS, PASSES_ON]), 863_075);
+    let bounds = Bounds { late: 1, ..Bounds::passing_on(faults) };
+    assert_eq!(explore(bounds, &[FIRST_ACTS, PASSES_ON]), 863_075);
 }
 
+/// A million states: both robots, with a suspension, goals that stop slowly, and takeovers.
 #[test]
-fn a_suspended_robot_resumes() {
-    let faults = Faults { crashes: 1, suspensions: 1, takeovers: NO_LIMIT };
-    assert_eq!(explore(Bounds { awards: 1, late: 1, faults }, &[ACTS_ASLEEP, RESTORED_ACTS]), 83_882);
+fn the_role_of_a_suspended_robot_passes_on() {
+    let faults = Faults { crashes: 0, suspensions: 1, takeovers: NO_LIMIT };
+    let bounds = Bounds { is_slow: true, ..Bounds::passing_on(faults) };
+    let possible = [FIRST_ACTS, ACTS_ASLEEP, CUT_IN_LEASE, CUT_ASLEEP, PASSES_ON, PASSES_ON_ASLEEP, WAKES_LATE];
+    assert_eq!(explore(bounds, &possible), 999_735);
+}
+
+/// All faults together.
+const ALL_FAULTS: Faults = Faults { crashes: 1, suspensions: 1, takeovers: NO_LIMIT };
+
+/// Situations that must be possible with all faults.
+const WITH_ALL_FAULTS: [&str; 7] =
+    [ACTS_ASLEEP, RESTORED_ACTS, DEPOSED_REPLIES, LATER_RELEASES, CUT_IN_LEASE, CUT_ASLEEP, AWARDED_ASLEEP];
+
+/// A quarter of a million states. The role returns to the first robot and passes on once more, so a late report, a
+/// repeated notice and the checkpoint of its first award meet its second.
+#[test]
+fn a_former_body_rests_before_its_role_passes_on() {
+    let bounds = Bounds { awards: 4, late: 1, first_only: true, ..Bounds::passing_on(ALL_FAULTS) };
+    assert_eq!(explore(bounds, &WITH_ALL_FAULTS), 251_229);
+}
+
+/// A hundred thousand states.
+#[test]
+fn a_former_body_that_stops_slowly_rests_before_its_role_passes_on() {
+    let bounds = Bounds { late: 1, is_slow: true, first_only: true, ..Bounds::passing_on(ALL_FAULTS) };
+    assert_eq!(explore(bounds, &WITH_ALL_FAULTS), 92_098);
 }
 
 #[test]
@@ -255,13 +330,20 @@ fn every_injected_bug_is_found() {
         Flaw::LeaseCountsFromReply,
         Flaw::RenewsDuringRelease,
     ] {
-        is_found(flaw, none);
+        is_found(flaw, Bounds::passing_on(none), ONE_BODY);
     }
     for flaw in [Flaw::TakeoverKeepsContacts, Flaw::DeposedReplies, Flaw::SlowBody] {
-        is_found(flaw, takeover);
+        is_found(flaw, Bounds::passing_on(takeover), ONE_BODY);
     }
-    is_found(Flaw::ClockStopsInSuspension, Faults { suspensions: 1, ..none });
-    is_found(Flaw::RestartReleases, Faults { crashes: 1, ..none });
+    let (suspension, crash) = (Faults { suspensions: 1, ..none }, Faults { crashes: 1, ..none });
+    is_found(Flaw::ClockStopsInSuspension, Bounds::passing_on(suspension), ONE_BODY);
+    is_found(Flaw::RestartReleases, Bounds::passing_on(crash), ONE_BODY);
+    // The events of the first robot alone suffice.
+    let first_only = |faults| Bounds { first_only: true, ..Bounds::passing_on(faults) };
+    is_found(Flaw::NoStopLead, Bounds { is_slow: true, ..first_only(takeover) }, FORMER_RESTS);
+    is_found(Flaw::ClockStopsInSuspension, first_only(suspension), FORMER_RESTS);
+    is_found(Flaw::RestartReleases, first_only(crash), FORMER_RESTS);
+    is_found(Flaw::TakeoverKeepsContacts, first_only(takeover), FORMER_RESTS);
 }
 
 /// Found by the model: the robot acts, its node restarts without its checkpoint and receives a
@@ -273,7 +355,7 @@ fn a_restart_without_a_checkpoint_does_not_release_a_role_at_work() {
     let restart = [Step::Crash(0, false), Step::Notice(0), Step::DeliverReport(0, 0)];
     let run = |flaw| {
         let faults = Faults { crashes: 1, suspensions: 0, takeovers: 0 };
-        let model = LeaseModel::new(flaw, Bounds { awards: 2, late: 0, faults });
+        let model = LeaseModel::new(flaw, Bounds::passing_on(faults));
         let mut world = model.init_states().remove(0);
         let award = [Step::Award(0), Step::Notice(0), Step::DeliverReport(0, 0)];
         for step in award.into_iter().chain(act).chain(restart) {

@@ -21,6 +21,8 @@ pub(super) enum Flaw {
     ClockStopsInSuspension,
     /// A body needs a tick longer than the grace covers.
     SlowBody,
+    /// The permission of a goal that stops slowly ends with the lease, and not earlier.
+    NoStopLead,
     /// The role of a robot that restarted without a checkpoint is released at once.
     RestartReleases,
 }

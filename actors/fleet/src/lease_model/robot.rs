@@ -9,6 +9,7 @@ use consort_protocol::lease::{Award, Epoch, Event, LeaseTerms, RoleLease};
 use consort_protocol::message::ReportReply;
 use consort_protocol::units::NodeTime;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// A robot.
 #[derive(Debug, Clone)]
@@ -98,6 +99,12 @@ impl Robot {
         }
     }
 
+    /// Checks whether the driver server has stopped the goal that the node supervises. Goals have no other
+    /// end in the model.
+    pub(super) fn is_cut(&self) -> bool {
+        self.node.goal.is_some_and(|goal| self.goal_phase(goal) == GoalPhase::Ended)
+    }
+
     /// Returns the phase of a goal at the driver server.
     pub(super) fn goal_phase(&self, goal: u64) -> GoalPhase {
         self.server.phase(goal)
@@ -110,10 +117,13 @@ impl Node {
         clock(NODE_CLOCK, tick - self.uncounted)
     }
 
-    /// Handles an event of the lease and performs the resulting actions. Returns them.
-    pub(super) fn handle(&mut self, event: Event, tick: u64) -> Vec<LeaseAction> {
+    /// Handles an event of the lease and performs the resulting actions. Returns them. While the node
+    /// supervises a goal, it checks its lease ahead by the `lead` of the goal, like the actor.
+    pub(super) fn handle(&mut self, event: Event, tick: u64, lead: Duration) -> Vec<LeaseAction> {
         let (now, held) = (self.now(tick), self.lease.award().map(|award| award.epoch));
-        let actions = Arc::make_mut(&mut self.lease).handle(event, now);
+        let checks_ahead = matches!(event, Event::Tick) && self.goal.is_some() && self.lease.acts_until().is_some();
+        let ahead = if checks_ahead { lead } else { Duration::ZERO };
+        let actions = Arc::make_mut(&mut self.lease).handle(event, now + ahead);
         if self.lease.award().map(|award| award.epoch) != held {
             self.received_at = tick;
         }
@@ -156,8 +166,7 @@ pub(super) fn server_time(tick: u64) -> NodeTime {
 
 /// Returns the tick at which a command no longer has an effect.
 pub(super) fn useless_from(command: &DriverCommand) -> u64 {
-    let stop =
-        server_time(command.permit.state.sequence) + std::time::Duration::from_millis(command.permit.keep_for_ms);
+    let stop = server_time(command.permit.state.sequence) + Duration::from_millis(command.permit.keep_for_ms);
     stop.since(server_time(0)).as_secs_f64().ceil() as u64
 }
 

@@ -2,12 +2,12 @@
 
 use super::flaw::Flaw;
 use super::robot::{ReportInFlight, Robot, server_time, useless_from};
-use super::{FIRST_TICK, REACTION, clock, ticks};
+use super::{FIRST_TICK, REACTION, SLOW_CANCEL, clock, ticks};
 use crate::coordinator::model_session::ModelSession;
-use crate::robot_driver::model_driver::{GoalPhase, start_command};
+use crate::robot_driver::model_driver::start_command;
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{MissionId, RequestId, RobotId, RoleId};
-use consort_protocol::lease::{Action as LeaseAction, Award, Epoch, Event, LeaseTerms, RoleLease};
+use consort_protocol::lease::{Action as LeaseAction, Award, Epoch, Event, LeaseTerms, RoleLease, stop_lead};
 use consort_protocol::ledger::{Branch, Command, CommandOutcome, Ledger, RoleEntry, Submission};
 use consort_protocol::message::{Report, ReportReply};
 use consort_protocol::mission::{Format, MissionTemplate};
@@ -26,6 +26,8 @@ const MISSION: &str = r#"{"mission": "m", "roles": {"r": {"kind": "managed"}},
 pub(super) struct Setup {
     pub(super) terms: LeaseTerms,
     pub(super) flaw: Option<Flaw>,
+    /// Goals stop slowly: the body needs [`SLOW_CANCEL`].
+    is_slow: bool,
     robots: [RobotId; 2],
     mission: MissionId,
     role: RoleId,
@@ -86,7 +88,7 @@ fn index(position: usize) -> u64 {
 
 impl Setup {
     /// Creates the setup and its ledger with a mission.
-    pub(super) fn new(flaw: Option<Flaw>) -> (Setup, Ledger) {
+    pub(super) fn new(flaw: Option<Flaw>, is_slow: bool) -> (Setup, Ledger) {
         let template = MissionTemplate::parse(MISSION, Format::Json).expect("a mission");
         let (mission, _) = template.instantiate_with_recovery(&BTreeMap::new(), &hospital()).expect("parameters");
         let division = divide_and_check(&mission).expect("a division");
@@ -97,11 +99,21 @@ impl Setup {
         ledger.apply(Epoch { term: 1, index: 1 }, Command::Submit(Box::new(submission)));
         let mission = ledger.missions().next().expect("a mission").id.clone();
         let robots = ["ada", "bob"].map(|name| name.parse().expect("a robot"));
-        (Setup { terms: LeaseTerms::default(), flaw, robots, mission, role, plan }, ledger)
+        (Setup { terms: LeaseTerms::default(), flaw, is_slow, robots, mission, role, plan }, ledger)
     }
 
     fn has(&self, flaw: Flaw) -> bool {
         self.flaw == Some(flaw)
+    }
+
+    /// Returns the time from the cancel of a goal until its body is at rest, as the driver client knows it.
+    fn cancel_within(&self) -> Duration {
+        if self.is_slow && !self.has(Flaw::NoStopLead) { SLOW_CANCEL } else { Duration::ZERO }
+    }
+
+    /// Returns the ticks from the end of a permission until the body is at rest.
+    fn reaction(&self) -> u64 {
+        REACTION + u64::from(self.is_slow) + u64::from(self.has(Flaw::SlowBody))
     }
 
     fn coordinator_terms(&self) -> LeaseTerms {
@@ -168,8 +180,7 @@ impl World {
 
     pub(super) fn advance_time(&mut self) {
         self.tick += 1;
-        let reaction = REACTION + u64::from(self.setup.has(Flaw::SlowBody));
-        let (tick, counts) = (self.tick, self.counts_suspension());
+        let (tick, reaction, counts) = (self.tick, self.setup.reaction(), self.counts_suspension());
         for robot in &mut self.robots {
             robot.tick(tick, reaction);
             if counts {
@@ -270,7 +281,8 @@ impl World {
 
     /// The node of a robot handles an event of its lease, and reports if that results.
     pub(super) fn handle(&mut self, robot: usize, event: Event) -> Vec<LeaseAction> {
-        let actions = self.robots[robot].node.handle(event, self.tick);
+        let lead = stop_lead(self.setup.cancel_within());
+        let actions = self.robots[robot].node.handle(event, self.tick, lead);
         self.update_answers(robot);
         if actions.contains(&LeaseAction::Report) {
             self.report(robot);
@@ -363,13 +375,13 @@ impl World {
     /// state that was `late` ticks on the way.
     pub(super) fn send_command(&mut self, robot: usize, late: u64) {
         let tick = self.tick;
-        let (id, robot) = (&self.setup.robots[robot], &mut self.robots[robot]);
-        let ended = robot.node.goal.is_some_and(|goal| robot.server.phase(goal) == GoalPhase::Ended);
-        if ended || robot.node.goal.is_none() {
+        let (setup, id, robot) = (&self.setup, &self.setup.robots[robot], &mut self.robots[robot]);
+        if robot.is_cut() || robot.node.goal.is_none() {
             robot.node.goal = Some(robot.node.next_goal);
             robot.node.next_goal += 1;
         }
         let (goal, now) = (robot.node.goal.unwrap_or_default(), robot.node.now(tick));
+        let goal = (goal, setup.cancel_within());
         let received = NodeTime::at(now.since(NodeTime::ZERO) - ticks(late));
         let command = start_command(id, goal, (tick - 2 * late, received), robot.node.lease.acts_until(), now);
         robot.command = Some(command).filter(|command| command.request.is_some());

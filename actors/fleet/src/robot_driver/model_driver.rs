@@ -11,6 +11,7 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, NodeTime, Seconds, WorldTime};
 use consort_skills::actions::{Goal, GoalId, Telemetry, Wait};
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Driver server of a robot.
 #[derive(Debug, Clone)]
@@ -67,15 +68,18 @@ impl ModelServer {
 }
 
 /// Returns the command that starts `goal`, or repeats its start, if the robot may act until `until`.
-/// The client has received the state `sequence` at `received`.
+/// The body is at rest `cancel_within` after the cancel of the goal. The client has received the state
+/// `sequence` at `received`.
 pub(crate) fn start_command(
     robot: &RobotId,
-    goal: u64,
+    (goal, cancel_within): (u64, Duration),
     (sequence, received): (u64, NodeTime),
     until: Option<NodeTime>,
     now: NodeTime,
 ) -> DriverCommand {
-    let mut tracker = GoalTracker::new(goal);
+    let wait = Goal::from(Wait { time: Seconds::ZERO });
+    let cancel_times = BTreeMap::from([(wait.action.clone(), cancel_within)]);
+    let mut tracker = GoalTracker::new(goal).with_cancel_times(&cancel_times);
     let telemetry = Telemetry {
         time: WorldTime::ZERO,
         pose: Pose::default(),
@@ -89,7 +93,6 @@ pub(crate) fn start_command(
         DriverState { robot: robot.clone(), stamp: stamp(sequence), telemetry, goals: vec![], completed: vec![] };
     tracker.apply_state(state, received);
     tracker.allow_until(until);
-    let wait = Goal::from(Wait { time: Seconds::ZERO });
     tracker.start_goal(wait.clone());
     let request = Some(GoalRequest::Start { id: GoalId(goal), goal: wait });
     tracker.command(request, now)
