@@ -16,8 +16,8 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// 1970 to 2049. Most tests begin at the start of this range, chaos runs in between.
@@ -41,6 +41,8 @@ pub struct Credentials {
     issuer: CertificateAuthority,
     /// File with the list of revoked certificates, which all nodes read. It exists once there is a list.
     revoked: PathBuf,
+    /// All entries of the list.
+    revocations: Mutex<Vec<RevokedCertificate>>,
 }
 
 impl Drop for Credentials {
@@ -57,15 +59,21 @@ impl Credentials {
             create_authority_from(&fleet, LONG, draw(seed, "authority")).expect("a certificate can be made");
         let issuer = CertificateAuthority::from_pem(&authority.certificate, &authority.key)
             .expect("the certificate just created");
-        Credentials { seed, signatures, fleet, authority, issuer, revoked: new_list() }
+        Credentials { seed, signatures, fleet, authority, issuer, revoked: new_list(), revocations: Mutex::default() }
     }
 
-    /// Revokes the certificate of a principal, at a time since 1970. Nodes read the list within seconds.
+    /// Revokes the certificate of a principal, at a time since 1970, unless it is revoked. Nodes read the list within
+    /// seconds.
     pub fn revoke(&self, name: &str, since: Duration) {
         let mut serial = draw(self.seed, name).serial.to_vec();
         serial[0] &= 0x7f; // as in the certificate
-        let revoked = [RevokedCertificate { serial, since }];
-        let list = self.issuer.revocation_list(&revoked, 1, LONG).expect("a list can be made");
+        let mut revocations = self.revocations.lock().unwrap_or_else(PoisonError::into_inner);
+        if revocations.iter().any(|revoked| revoked.serial == serial) {
+            return;
+        }
+        revocations.push(RevokedCertificate { serial, since });
+        let number = revocations.len() as u64;
+        let list = self.issuer.revocation_list(&revocations, number, LONG).expect("a list can be made");
         fs::write(&self.revoked, list).expect("a file in the folder for temporary files");
     }
 
