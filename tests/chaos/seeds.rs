@@ -3,8 +3,8 @@
 use crate::{jobs, once};
 use consort_skills::workload::Workload;
 use consort_tests::chaos::{
-    ChaosFleet, FIRST_LARGE_SEED, FIRST_SEED_WITH_ALARMS, FIRST_SEED_WITH_STOPS, FaultKind, RunConfig, SeedSweep,
-    generate,
+    ChaosFleet, Coverage, CoverageKind, FIRST_LARGE_SEED, FIRST_SEED_WITH_ALARMS, FIRST_SEED_WITH_SMALL_LIMITS,
+    FIRST_SEED_WITH_STOPS, FaultKind, RunConfig, SeedSweep, generate,
 };
 use std::ops::RangeInclusive;
 
@@ -20,22 +20,60 @@ const CLOSED_SEEDS: RangeInclusive<u64> = 1..=FIRST_SEED_WITH_ALARMS - 1;
 /// robots plan stops at chargers.
 const STOP_SEEDS: RangeInclusive<u64> = FIRST_SEED_WITH_STOPS..=FIRST_SEED_WITH_STOPS + 5;
 
-/// Seeds of closed fleets with all of these, and with the settings of a large fleet.
+/// Seeds of closed fleets with all of these, and with the settings of a large fleet. The last two have the smallest limits,
+/// and in the first of these two a robot is revoked.
 const LARGE_SEEDS: RangeInclusive<u64> = FIRST_LARGE_SEED..=FIRST_LARGE_SEED + 3;
 
 /// Seeds with missions that cannot be completed as the only faults.
 const POISON_SEEDS: RangeInclusive<u64> = 1..=20;
 
-/// Runs these seeds with open or closed fleets and these faults. Returns the number of planned stops at chargers.
-fn everything_holds(seeds: RangeInclusive<u64>, minutes: f64, closed: bool, kinds: &[FaultKind]) -> usize {
+/// What the limits of all seeds and the faults of open fleets cause, each at least once over many seeds.
+const IN_SOME_RUN: [CoverageKind; 8] = [
+    CoverageKind::MissionDropped,
+    CoverageKind::SnapshotStored,
+    CoverageKind::LogPurged,
+    CoverageKind::SnapshotInstalled,
+    CoverageKind::MissionRefused,
+    CoverageKind::NodeLeft,
+    CoverageKind::NodeRejoined,
+    CoverageKind::FleetUpgraded,
+];
+
+/// What the smallest limits cause in every run.
+const IN_EVERY_RUN: [CoverageKind; 4] =
+    [CoverageKind::MissionDropped, CoverageKind::SnapshotStored, CoverageKind::LogPurged, CoverageKind::MissionRefused];
+
+/// What the runs of some seeds caused.
+#[derive(Default)]
+struct Sum {
+    charging_stops: usize,
+    coverage: Coverage,
+}
+
+impl Sum {
+    /// Asserts that each of these kinds happened at least once.
+    fn assert_covers(&self, kinds: &[CoverageKind]) {
+        let missing = self.coverage.missing(kinds);
+        assert!(missing.is_empty(), "never happened: {missing} (counted: {})", self.coverage);
+    }
+}
+
+/// Runs these seeds with open or closed fleets and these faults. In every run with the smallest limits, each kind that they
+/// cause must happen.
+fn everything_holds(seeds: RangeInclusive<u64>, minutes: f64, closed: bool, kinds: &[FaultKind]) -> Sum {
     let order = |seed| RunConfig { seed, nodes: 7, minutes, closed, mutant: None, workload: Workload::default() };
     let composition = ChaosFleet::of(7);
-    let (mut missions, mut runs, mut charging_stops) = (0, 0, 0);
+    let (mut missions, mut runs, mut sum, mut uncovered) = (0, 0, Sum::default(), vec![]);
     let found =
         SeedSweep { seeds, jobs: jobs(), config: &|seed| (order(seed), generate(seed, &composition, minutes, kinds)) }
             .run(|outcome| {
                 missions += outcome.counters.acknowledged;
-                charging_stops += outcome.counters.charging_stops;
+                sum.charging_stops += outcome.counters.charging_stops;
+                sum.coverage.merge(&outcome.counters.coverage);
+                let missing = outcome.counters.coverage.missing(&IN_EVERY_RUN);
+                if outcome.seed >= FIRST_SEED_WITH_SMALL_LIMITS && !missing.is_empty() {
+                    uncovered.push(format!("seed {}: {missing}", outcome.seed));
+                }
                 runs += 1;
             });
     if let Some(outcome) = found
@@ -46,28 +84,32 @@ fn everything_holds(seeds: RangeInclusive<u64>, minutes: f64, closed: bool, kind
         panic!("seed {}: {}: {}\n{events}\n{schedule}", outcome.seed, violation.invariant, violation.reason);
     }
     assert!(missions >= runs, "only {missions} missions were submitted in {runs} runs");
-    charging_stops
+    assert!(uncovered.is_empty(), "never happened in {}", uncovered.join("; "));
+    sum
 }
 
 #[test]
 fn invariants_hold_for_the_first_seeds() {
-    everything_holds(OPEN_SEEDS, 3.0, false, &FaultKind::FAULTS);
+    everything_holds(OPEN_SEEDS, 3.0, false, &FaultKind::FAULTS).assert_covers(&IN_SOME_RUN);
 }
 
 #[test]
 fn invariants_hold_in_closed_fleets_with_a_hostile_node() {
-    everything_holds(CLOSED_SEEDS, 2.0, true, &FaultKind::FAULTS);
+    let sum = everything_holds(CLOSED_SEEDS, 2.0, true, &FaultKind::FAULTS);
+    sum.assert_covers(&IN_SOME_RUN);
+    sum.assert_covers(&[CoverageKind::AttackerRevoked]);
 }
 
 #[test]
 fn invariants_hold_in_closed_fleets_with_planned_stops_at_chargers() {
-    let charging_stops = everything_holds(STOP_SEEDS, 2.0, true, &FaultKind::FAULTS);
+    let Sum { charging_stops, .. } = everything_holds(STOP_SEEDS, 2.0, true, &FaultKind::FAULTS);
     assert!(charging_stops >= 3, "{charging_stops}");
 }
 
 #[test]
 fn invariants_hold_with_the_settings_of_a_large_fleet() {
-    everything_holds(LARGE_SEEDS, 2.0, true, &FaultKind::FAULTS);
+    let sum = everything_holds(LARGE_SEEDS, 2.0, true, &FaultKind::FAULTS);
+    sum.assert_covers(&[CoverageKind::RobotRevoked, CoverageKind::RevokedRoleAwarded]);
 }
 
 #[test]

@@ -34,6 +34,34 @@ const DAMAGE_DISTANCE: usize = 2048;
 /// Index of the ledger file among the files of a disk.
 const LEDGER: usize = 0;
 
+/// Numbers of writes that have reached the files of disks, by what they do to the log.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct LogWrites {
+    /// Snapshots of the own state.
+    pub(crate) snapshots: usize,
+    /// Purges of entries that a snapshot covers.
+    pub(crate) purges: usize,
+    /// Installations of a leader's snapshot.
+    pub(crate) installations: usize,
+}
+
+impl LogWrites {
+    fn of(write: &Write) -> LogWrites {
+        LogWrites {
+            snapshots: usize::from(matches!(write, Write::Snapshot(_))),
+            purges: usize::from(matches!(write, Write::Purge(..))),
+            installations: usize::from(matches!(write, Write::LeaderSnapshot(_))),
+        }
+    }
+
+    /// Adds the writes of another disk.
+    pub(crate) fn add(&mut self, other: LogWrites) {
+        self.snapshots += other.snapshots;
+        self.purges += other.purges;
+        self.installations += other.installations;
+    }
+}
+
 /// Effect of a crash on the files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum CrashEffect {
@@ -82,6 +110,8 @@ struct State {
     store: Option<DurableStore>,
     /// Number of damaged stores that were replaced.
     replaced: u32,
+    /// Writes of all incarnations.
+    log_writes: LogWrites,
 }
 
 #[derive(Debug, Clone)]
@@ -111,6 +141,7 @@ impl VirtualDisk {
             writes: 0,
             store: None,
             replaced: 0,
+            log_writes: LogWrites::default(),
         })))
     }
 
@@ -148,6 +179,11 @@ impl VirtualDisk {
     /// Begins or ends a fault.
     pub(crate) fn set_fault(&self, fault: Option<DiskFault>) {
         self.lock().fault.send_replace(fault);
+    }
+
+    /// Returns the numbers of writes that have reached the files while their node ran.
+    pub(crate) fn log_writes(&self) -> LogWrites {
+        self.lock().log_writes
     }
 
     /// Returns the number of damaged stores that were replaced.
@@ -348,7 +384,9 @@ impl Incarnation {
             std::mem::replace(&mut state.waiting, later).into_values().collect()
         };
         for write in due {
+            let performed = LogWrites::of(&write);
             perform(&self.store, write).await?;
+            self.disk.lock().log_writes.add(performed);
         }
         tokio::time::sleep(half).await;
         self.state().map(drop)
@@ -444,6 +482,22 @@ mod tests {
         kept.sort_unstable();
         kept.dedup();
         assert_eq!(kept, [1, 2, 3, 4], "each outcome comes about");
+    }
+
+    #[tokio::test(flavor = "current_thread", start_paused = true)]
+    async fn snapshots_and_purges_that_reach_the_files_are_counted() {
+        let disk = VirtualDisk::new(1);
+        let store = disk.store().log_store;
+        store.append(entry(1)).await.expect("a healthy disk");
+        assert_eq!(disk.log_writes(), LogWrites::default());
+        store.save_snapshot(vec![1]).await.expect("a healthy disk");
+        store.purge(1, vec![1]).await.expect("a healthy disk");
+        disk.set_fault(Some(DiskFault::Fails));
+        store.save_snapshot(vec![2]).await.expect_err("a fault");
+        let mut writes = disk.log_writes();
+        assert_eq!(writes, LogWrites { snapshots: 1, purges: 1, installations: 0 });
+        writes.add(LogWrites { installations: 2, ..writes });
+        assert_eq!(writes, LogWrites { snapshots: 2, purges: 2, installations: 2 });
     }
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]

@@ -52,6 +52,13 @@ pub enum Observation {
         /// Name of the person. No other order has the same name.
         by: String,
     },
+    /// The test revoked the certificate of a node.
+    CertificateRevoked {
+        /// The node.
+        node: NodeId,
+        /// Role that its robot held at that time.
+        role: Option<(MissionId, RoleId)>,
+    },
     /// A replica applied an entry of the log.
     EntryApplied {
         /// The node.
@@ -82,6 +89,7 @@ impl Observation {
             | Observation::LeadershipChanged { node, .. }
             | Observation::RequestAcknowledged { node, .. }
             | Observation::OrderAcknowledged { node, .. }
+            | Observation::CertificateRevoked { node, .. }
             | Observation::EntryApplied { node, .. } => node,
         }
     }
@@ -196,6 +204,7 @@ impl EventLog {
                     format!("*** {request} acknowledged as {mission}")
                 }
                 Observation::OrderAcknowledged { by, .. } => format!("*** {by} acknowledged"),
+                Observation::CertificateRevoked { .. } => "*** its certificate is revoked".to_owned(),
                 Observation::LeadershipChanged { term, leading_as: Some(reign), .. } => {
                     format!("leads as {reign} (term {term})")
                 }

@@ -13,6 +13,7 @@ pub(super) fn node_observation(entry: &Observation) -> Option<String> {
         Observation::Published(event) => of(&event.kind)?,
         Observation::RequestAcknowledged { .. }
         | Observation::OrderAcknowledged { .. }
+        | Observation::CertificateRevoked { .. }
         | Observation::LeadershipChanged { .. }
         | Observation::EntryApplied { .. } => return None,
     };

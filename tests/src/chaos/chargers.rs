@@ -41,7 +41,8 @@ const STOPS: f64 = 0.8;
 /// robot may stand at the only charger, nor do runs with missions that cannot be completed as the only faults, which
 /// bound the time of the others.
 pub(super) fn add_chargers(seed: u64, kinds: &[FaultKind], schedule: Schedule) -> Schedule {
-    let loses_robots = schedule.steps.iter().any(|step| matches!(step.action, ChaosAction::Remove { .. }));
+    let is_loss = |action: &ChaosAction| matches!(action, ChaosAction::Remove { .. } | ChaosAction::Revoke { .. });
+    let loses_robots = schedule.steps.iter().any(|step| is_loss(&step.action));
     if seed < FIRST_SEED || kinds == [FaultKind::Poison] || loses_robots {
         return schedule;
     }

@@ -8,11 +8,12 @@ use super::hostile::{HOSTILE, HostileNode};
 use super::mission_changes;
 use super::orders;
 use super::recurring;
+use super::revocation::{revoke, role_of};
 use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
 use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash};
 use super::speed_limits;
-use crate::disk::DiskFault;
+use crate::disk::{DiskFault, LogWrites};
 use crate::history::{Acknowledged, History, Reader, RecordingClient};
 use crate::{Fleet, Observation, slug};
 use consort_bus::LinkModel;
@@ -66,6 +67,10 @@ pub(super) struct ActionExecutor {
     hostile: BTreeMap<usize, HostileNode>,
     /// Time at which the certificate of a hostile node is revoked.
     revocation: Option<Duration>,
+    /// Robots, by name or by request, whose certificates are revoked as soon as they hold a role.
+    to_revoke: BTreeMap<usize, String>,
+    /// Running nodes with a revoked certificate.
+    revoked: BTreeMap<usize, String>,
     /// Nodes that were asked to leave, and whether they have left.
     leaving: BTreeMap<usize, (String, bool)>,
     /// Nodes that are gone for good.
@@ -100,6 +105,8 @@ impl ActionExecutor {
             suspended: BTreeSet::new(),
             hostile: BTreeMap::new(),
             revocation: None,
+            to_revoke: BTreeMap::new(),
+            revoked: BTreeMap::new(),
             leaving: BTreeMap::new(),
             removed: BTreeSet::new(),
             upgrade: None,
@@ -124,6 +131,11 @@ impl ActionExecutor {
     /// Returns the history of all clients.
     pub(super) fn history(&self) -> &History {
         &self.history
+    }
+
+    /// Returns the numbers of writes of all disks.
+    pub(super) fn log_writes(&self) -> LogWrites {
+        self.injector.log_writes()
     }
 
     /// Returns a receiver for changes of the acknowledged requests.
@@ -197,6 +209,7 @@ impl ActionExecutor {
                 tokio::spawn(async move { client.leave(&slug(&node)).await });
             }
             ChaosAction::Leave { .. } => {} // it is down
+            ChaosAction::Revoke { node, .. } => drop(self.to_revoke.insert(number, node.clone())),
             ChaosAction::Upgrade { interval_ms } => {
                 self.injector.upgrade();
                 let (nodes, interval) = (fleet.running(), Duration::from_millis(*interval_ms));
@@ -285,6 +298,11 @@ impl ActionExecutor {
                 self.restart(fleet, number, &node).await;
             }
         }
+        self.to_revoke.remove(&number);
+        if let Some(node) = self.revoked.remove(&number) {
+            self.crash(fleet, number, &[node], DiskAfterCrash::Kept).await;
+            self.down.remove(&number);
+        }
         if self.partitions.remove(&number).is_some() {
             self.apply_partition(fleet);
         }
@@ -313,6 +331,7 @@ impl ActionExecutor {
             .chain(self.partitions.keys().chain(self.cuts.keys()))
             .chain(self.weather.keys().chain(self.slow.keys()))
             .chain(self.hostile.keys().chain(self.disk_faults.keys()).chain(self.leaving.keys()))
+            .chain(self.to_revoke.keys().chain(self.revoked.keys()))
             .copied()
             .collect();
         for number in numbers {
@@ -353,8 +372,23 @@ impl ActionExecutor {
         }
         if self.revocation.is_some_and(|due| due <= fleet.elapsed()) {
             self.revocation = None;
-            let date_ms = DATE_MS + millis(fleet.elapsed());
-            fleet.credentials.iter().for_each(|fleet| fleet.revoke(HOSTILE, Duration::from_millis(date_ms)));
+            revoke(fleet, HOSTILE, None);
+        }
+        self.revoke_robots_at_work(fleet);
+    }
+
+    /// Revokes the certificates of the robots of a closed fleet that hold a role by now. Their nodes do not start again.
+    fn revoke_robots_at_work(&mut self, fleet: &Fleet) {
+        for (number, name) in std::mem::take(&mut self.to_revoke) {
+            let node = if name.starts_with(CARRIER_OF) { self.carrier(fleet, &name) } else { Some(name.clone()) };
+            match node.and_then(|node| Some((role_of(fleet, &node)?, node))) {
+                Some((role, node)) => {
+                    revoke(fleet, &node, Some(role));
+                    self.removed.insert(node.clone());
+                    self.revoked.insert(number, node);
+                }
+                None => drop(self.to_revoke.insert(number, name)),
+            }
         }
     }
 

@@ -4,9 +4,10 @@ use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::generate::{is_large, lease_terms};
 use super::mutants::Mutant;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
+use super::small_limits::Limits;
 use super::zones::zones;
 use crate::AdjustNode;
-use crate::disk::VirtualDisk;
+use crate::disk::{LogWrites, VirtualDisk};
 use consort_bus::BootInstant;
 use consort_bus::clock::Clock;
 use consort_fleet::coordinator::RequestLimits;
@@ -21,8 +22,6 @@ use consort_skills::extensions::Extensions;
 use consort_skills::library::SkillLibrary;
 use consort_skills::skill::TaskContext;
 use consort_world::map;
-use rand::{RngExt as _, SeedableRng as _};
-use rand_chacha::ChaCha8Rng;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
@@ -46,12 +45,7 @@ pub(super) struct FaultInjector(Rc<RefCell<Parts>>);
 struct Parts {
     started: Instant,
     seed: u64,
-    /// Entries between two snapshots, and entries kept behind a snapshot: few, so that every run contains
-    /// snapshots and purges.
-    log_retention: (u64, u64),
-    /// Ended missions kept whole, and missions accepted at a time: few, so that every run contains dropped
-    /// missions and rejected requests.
-    mission_limits: (u32, usize),
+    limits: Limits,
     /// The nodes that start from now on run the latest program.
     is_upgraded: bool,
     /// The fleet declares zones.
@@ -63,6 +57,8 @@ struct Parts {
     disks: BTreeMap<String, VirtualDisk>,
     /// Number of disks created so far.
     created_disks: u64,
+    /// Writes of the disks that were lost.
+    lost_log_writes: LogWrites,
     rates: BTreeMap<String, f64>,
     faults: BTreeMap<String, FaultQueue>,
     libraries: BTreeMap<String, Arc<SkillLibrary>>,
@@ -89,9 +85,6 @@ impl FaultInjector {
         let library = |faults: &FaultQueue| Arc::new(faulty_library(extensions, environment.clone(), faults));
         let libraries = faults.iter().map(|(robot, faults)| (robot.clone(), library(faults))).collect();
         let (started, disks, created_disks) = (Instant::now(), BTreeMap::new(), 0);
-        let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5a_a95_407);
-        let log_retention = (chance.random_range(5..=50), chance.random_range(0..=20));
-        let mission_limits = (chance.random_range(0..=4), chance.random_range(2..=6));
         let now = BootInstant::now();
         let period =
             |at_ms: u64, for_ms: u64| (now + Duration::from_millis(at_ms), now + Duration::from_millis(at_ms + for_ms));
@@ -114,14 +107,14 @@ impl FaultInjector {
         let parts = Parts {
             started,
             seed,
-            log_retention,
-            mission_limits,
+            limits: Limits::of(seed, schedule),
             is_upgraded,
             has_zones: schedule.names_zones(),
             wrong_dates,
             uncounted,
             disks,
             created_disks,
+            lost_log_writes: LogWrites::default(),
             rates,
             faults,
             libraries,
@@ -139,9 +132,11 @@ impl FaultInjector {
         let node = settings.node.to_string();
         settings.store = self.disk(&node).store();
         let parts = self.0.borrow();
-        (settings.fleet.snapshot_every, settings.fleet.log_entries_kept) = parts.log_retention;
+        let Limits { snapshot_every, log_entries_kept, ended_missions_max, active_missions_max } = parts.limits;
+        (settings.fleet.snapshot_every, settings.fleet.log_entries_kept) = (snapshot_every, log_entries_kept);
         let date = DATE_MS + u64::try_from(parts.started.elapsed().as_millis()).unwrap_or(u64::MAX);
-        (settings.fleet.history_limits.missions_max, settings.fleet.request_limits.missions_max) = parts.mission_limits;
+        settings.fleet.history_limits.missions_max = ended_missions_max;
+        settings.fleet.request_limits.missions_max = active_missions_max;
         settings.fleet.lease_terms = lease_terms(parts.seed);
         settings.fleet.scoped_knowledge = is_large(parts.seed);
         if !parts.is_upgraded {
@@ -164,14 +159,17 @@ impl FaultInjector {
 
     /// Lets the fleet accept any number of missions and take snapshots seldom, as a fleet in operation does.
     pub(super) fn use_limits_of_operation(&self) {
-        let mut parts = self.0.borrow_mut();
-        parts.log_retention = (consort_raft::SNAPSHOT_EVERY, consort_raft::LOG_ENTRIES_KEPT);
-        parts.mission_limits = (HistoryLimits::default().missions_max, RequestLimits::default().missions_max);
+        self.0.borrow_mut().limits = Limits {
+            snapshot_every: consort_raft::SNAPSHOT_EVERY,
+            log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
+            ended_missions_max: HistoryLimits::default().missions_max,
+            active_missions_max: RequestLimits::default().missions_max,
+        };
     }
 
     /// Returns the number of ended missions that the fleet keeps whole.
     pub(super) fn ended_missions_max(&self) -> usize {
-        self.0.borrow().mission_limits.0 as usize
+        self.0.borrow().limits.ended_missions_max as usize
     }
 
     /// Lets the nodes that start from now on run the latest program.
@@ -197,7 +195,18 @@ impl FaultInjector {
 
     /// Removes the disk of a node. Its next incarnation starts with an empty disk.
     pub(super) fn lose_disk(&self, node: &str) {
-        self.0.borrow_mut().disks.remove(node);
+        let mut parts = self.0.borrow_mut();
+        if let Some(disk) = parts.disks.remove(node) {
+            parts.lost_log_writes.add(disk.log_writes());
+        }
+    }
+
+    /// Returns the numbers of writes of all disks.
+    pub(super) fn log_writes(&self) -> LogWrites {
+        let parts = self.0.borrow();
+        let mut writes = parts.lost_log_writes;
+        parts.disks.values().for_each(|disk| writes.add(disk.log_writes()));
+        writes
     }
 
     /// Queues `times` faults for the skills of a robot.

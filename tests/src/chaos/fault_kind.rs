@@ -38,11 +38,12 @@ pub enum FaultKind {
     StaleMajority,
     BlockedBus,
     Poison,
+    Revoke,
 }
 
 impl FaultKind {
     /// All kinds except `None`.
-    pub const FAULTS: [FaultKind; 31] = [
+    pub const FAULTS: [FaultKind; 32] = [
         FaultKind::Crash,
         FaultKind::CrashTorn,
         FaultKind::CrashEmpty,
@@ -74,6 +75,7 @@ impl FaultKind {
         FaultKind::StaleMajority,
         FaultKind::BlockedBus,
         FaultKind::Poison,
+        FaultKind::Revoke,
     ];
 
     /// Checks whether faults of this kind are drawn by themselves, not in place of others.
@@ -90,6 +92,7 @@ impl FaultKind {
                 | FaultKind::StaleMajority
                 | FaultKind::BlockedBus
                 | FaultKind::Poison
+                | FaultKind::Revoke
         )
     }
 
@@ -128,6 +131,7 @@ impl FaultKind {
             FaultKind::StaleMajority => "stale-majority",
             FaultKind::BlockedBus => "blocked-bus",
             FaultKind::Poison => "poison",
+            FaultKind::Revoke => "revoke",
         }
     }
 }

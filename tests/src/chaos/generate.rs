@@ -10,7 +10,9 @@ use super::mission_changes::add_mission_changes;
 use super::orders::add_orders;
 use super::poison::replace_poison;
 use super::recurring::add_schedule;
+use super::revocation::add_revocation;
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule, ScheduledAction, SkillFault};
+use super::small_limits::{add_burst, has_small_limits};
 use super::speed_limits::add_speed_limits;
 use super::zones::add_zone_orders;
 use crate::disk::DiskFault;
@@ -49,7 +51,7 @@ const SLOW_WORLD: [f64; 2] = [0.25, 0.75];
 const SLOW_SPEED: u32 = 2;
 
 /// Largest number of kinds with which a run has all kinds that are drawn separately.
-const FEW_KINDS: usize = 4;
+pub(super) const FEW_KINDS: usize = 4;
 
 /// Leases and graces in milliseconds. All tolerate as much drift of the clocks as the default does.
 const LEASES_MS: [(u64, u64); 3] = [(4_000, 2_000), (2_000, 1_700), (1_000, 1_550)];
@@ -145,9 +147,17 @@ pub fn generate(seed: u64, composition: &ChaosFleet, minutes: f64, kinds: &[Faul
         add_speed_limits(seed, FIRST_MS..draw.end_ms, &mut draw.steps);
         add_mission_changes(seed, composition, FIRST_MS..draw.end_ms, &mut draw.steps);
     }
+    let small_limits = has_small_limits(seed, kinds);
+    if small_limits {
+        add_burst(&mut draw.steps);
+    }
+    // The node that is gone for good may be a voter.
+    if draw.lost_disks.is_empty() {
+        add_revocation(seed, kinds, draw.end_ms, &mut draw.steps);
+    }
     let schedule = Schedule::of(draw.steps).in_order();
     let world_speed = if is_slow { SLOW_SPEED } else { schedule.world_speed };
-    add_chargers(seed, kinds, Schedule { world_speed, ..schedule })
+    add_chargers(seed, kinds, Schedule { world_speed, small_limits, ..schedule })
 }
 
 pub(super) struct Draw<'a> {
@@ -336,7 +346,8 @@ impl Draw<'_> {
             | FaultKind::CircularWait
             | FaultKind::StaleMajority
             | FaultKind::BlockedBus
-            | FaultKind::Poison => return None,
+            | FaultKind::Poison
+            | FaultKind::Revoke => return None,
         })
     }
 

@@ -1,5 +1,6 @@
 //! Counters of a run, for the scoreboard.
 
+use super::coverage::Coverage;
 use crate::{Fleet, Observation, slug};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
@@ -37,6 +38,8 @@ pub struct RunCounters {
     pub client_replies: usize,
     /// Duration from the end of all faults to the end of every mission.
     pub converged_ms: Option<u64>,
+    /// Counts of what the limits and faults are meant to cause.
+    pub coverage: Coverage,
     #[serde(skip)]
     leading: BTreeSet<NodeId>,
     #[serde(skip)]

@@ -23,6 +23,9 @@ pub struct Schedule {
     /// Robots know the power of the chargers, so they plan stops before roles, and they start with little charge.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub plans_stops: bool,
+    /// The limits of the log, the history and the active missions are so small that every run reaches them.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub small_limits: bool,
 }
 
 /// World speed of most runs.
@@ -41,9 +44,9 @@ fn is_zero(number: &usize) -> bool {
 }
 
 impl Schedule {
-    /// Returns the schedule of these actions at the usual speed of the world, without chargers.
+    /// Returns the schedule of these actions at the usual speed of the world, without chargers and with the usual limits.
     pub fn of(steps: Vec<ScheduledAction>) -> Schedule {
-        Schedule { steps, world_speed: USUAL_SPEED, chargers: 0, plans_stops: false }
+        Schedule { steps, world_speed: USUAL_SPEED, chargers: 0, plans_stops: false, small_limits: false }
     }
 
     /// Returns the same schedule with other actions.
@@ -93,7 +96,7 @@ pub(super) const CARRIER_OF: &str = "carrier of ";
 pub(super) const WAITING: [&str; 2] = ["w0", "w1"];
 
 /// An action. Nodes are given by name; `coordinator` is the coordinator at that instant. Crashes, departures,
-/// cuts, partitions and orders may also name a carrier by its request.
+/// cuts, partitions, revocations and orders may also name a carrier by its request.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "action", rename_all = "snake_case")]
 pub enum ChaosAction {
@@ -222,6 +225,14 @@ pub enum ChaosAction {
         /// The node.
         node: String,
         /// Time in milliseconds until the node joins again.
+        for_ms: u64,
+    },
+    /// The certificate of a robot's node is revoked as soon as the robot holds a role. Its node runs on to the end of the
+    /// action, and is then gone for good. Without effect in an open fleet.
+    Revoke {
+        /// The node.
+        node: String,
+        /// Duration in milliseconds.
         for_ms: u64,
     },
     /// The fleet starts with the previous wire version. From this time on its nodes are restarted with
@@ -392,6 +403,7 @@ impl ChaosAction {
             | ChaosAction::Suspend { for_ms, .. }
             | ChaosAction::Block { for_ms, .. }
             | ChaosAction::Leave { for_ms, .. }
+            | ChaosAction::Revoke { for_ms, .. }
             | ChaosAction::WrongDate { for_ms, .. }
             | ChaosAction::Partition { for_ms, .. }
             | ChaosAction::Cut { for_ms, .. }

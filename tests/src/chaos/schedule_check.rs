@@ -85,7 +85,9 @@ impl Schedule {
                     Some(zone) => check_known(step, zone, &zone_names(), &[])?,
                     None => check_known(step, robot, &robots, &[ALL_ROBOTS])?,
                 },
-                ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => {
+                ChaosAction::Battery { robot }
+                | ChaosAction::Skill { robot, .. }
+                | ChaosAction::Revoke { node: robot, .. } => {
                     check_known(step, robot, &robots, &[])?;
                 }
             }

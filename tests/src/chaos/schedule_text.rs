@@ -16,6 +16,9 @@ impl Display for Schedule {
             let stops = if self.plans_stops { ", at which robots plan stops" } else { "" };
             writeln!(f, "chargers: {}{stops}", self.chargers)?;
         }
+        if self.small_limits {
+            writeln!(f, "the smallest limits")?;
+        }
         self.steps.iter().try_for_each(|step| writeln!(f, "{step}"))
     }
 }
@@ -114,6 +117,13 @@ impl Display for ChaosAction {
             ChaosAction::Suspend { node, for_ms } => write!(f, "the machine of {node} is suspended {}", For(*for_ms)),
             ChaosAction::Remove { node } => write!(f, "{node} is gone for good"),
             ChaosAction::Leave { node, for_ms } => write!(f, "{node} leaves the fleet {}", For(*for_ms)),
+            ChaosAction::Revoke { node, for_ms } => {
+                write!(
+                    f,
+                    "{node} is revoked once it holds a role, runs on {} in all, and is gone for good",
+                    For(*for_ms)
+                )
+            }
             ChaosAction::Upgrade { interval_ms } => {
                 write!(
                     f,

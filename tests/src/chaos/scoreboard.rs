@@ -63,8 +63,8 @@ pub fn run_row(
 ) -> ScoreboardRow {
     const NODES: usize = 7;
     let composition = ChaosFleet::of(NODES);
-    // A hostile node has no effect in an open fleet, whose runs are ten times as fast.
-    let closed = kinds.contains(&FaultKind::Hostile);
+    // A hostile node and a revocation have no effect in an open fleet, whose runs are ten times as fast.
+    let closed = kinds.contains(&FaultKind::Hostile) || kinds.contains(&FaultKind::Revoke);
     let config = |seed| {
         (
             RunConfig { seed, nodes: NODES, minutes, closed, mutant: None, workload: Workload::default() },

@@ -23,6 +23,9 @@ const UPGRADE_INTERVAL: Duration = Duration::from_secs(2);
 /// Delay before a request is repeated.
 const RETRY_INTERVAL: Duration = Duration::from_millis(700);
 
+/// Text of the refusal of a new mission, because as many as allowed are active.
+const FULL: &str = "missions are active, the maximum of this fleet";
+
 /// Members of the replies to orders of people, each to another order.
 const ORDERED: [&str; 6] = ["robots", "closures", "speed_limits", "alarms", "priority", "phase"];
 
@@ -191,7 +194,10 @@ impl RecordingClient {
     /// Sends a request that changes something to all nodes, and records the first definite reply.
     async fn change(&self, call: ApiCall, recorded: &ClientCall, request: &Value) -> Vec<Value> {
         let (invoked, mut is_recorded, mut replies) = (self.history.invoke(), false, vec![]);
-        let each = |value| {
+        let each = |value: Value| {
+            if value["error"].as_str().is_some_and(|error| error.contains(FULL)) {
+                self.history.count_refusal();
+            }
             if let Some(reply) = recorded.parse(&value).filter(|_| !is_recorded) {
                 self.history.record(recorded.clone(), invoked, reply);
                 is_recorded = true;

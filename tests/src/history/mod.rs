@@ -140,6 +140,8 @@ struct Records {
     operations: Vec<Operation>,
     pauses: Vec<Pause>,
     listed_max: usize,
+    /// Number of refusals of new missions, because as many as allowed were active.
+    refusals: usize,
 }
 
 impl Records {
@@ -157,7 +159,8 @@ impl History {
     /// Creates an empty history that begins now. The ledger keeps at most `listed_max` missions that have
     /// ended for lists.
     pub fn new(listed_max: usize) -> History {
-        let records = Records { start: Instant::now(), order: 0, operations: vec![], pauses: vec![], listed_max };
+        let records =
+            Records { start: Instant::now(), order: 0, operations: vec![], pauses: vec![], listed_max, refusals: 0 };
         History(Arc::new(Mutex::new(records)))
     }
 
@@ -180,6 +183,16 @@ impl History {
     /// Records a call without a definite reply.
     pub fn record_unknown(&self, call: ClientCall, invoked: Moment) {
         self.lock().operations.push(Operation { call, invoked, returned: None });
+    }
+
+    /// Counts a refusal of a new mission, because as many as allowed were active.
+    fn count_refusal(&self) {
+        self.lock().refusals += 1;
+    }
+
+    /// Returns the number of refusals of new missions, because as many as allowed were active.
+    pub fn refusals(&self) -> usize {
+        self.lock().refusals
     }
 
     /// Records that messages from and to a node are withheld from now on.

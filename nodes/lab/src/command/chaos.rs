@@ -12,7 +12,8 @@ use consort_tests::chaos::mutants::Mutant;
 use consort_tests::chaos::mutation_checks::{MUTANT_CHECKS, check_mutant};
 use consort_tests::chaos::scoreboard::{self, markdown};
 use consort_tests::chaos::{
-    ChaosFleet, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate, shrink,
+    ChaosFleet, Coverage, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate,
+    shrink,
 };
 use consort_tests::percentiles::Percentiles;
 use consort_text::count;
@@ -351,6 +352,7 @@ fn many(chaos: &Chaos) -> Result<(), Failure> {
         output::line(format_args!(
             "{} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn)\n\
              {}; {}{}; converged{} after the last fault\n\
+             {}\n\
              {:.1} simulated hours in {seconds:.1} s, {rate:.0} seeds a minute",
             count(seeds, "seed", "seeds"),
             count(totals.acknowledged, "mission", "missions"),
@@ -361,6 +363,7 @@ fn many(chaos: &Chaos) -> Result<(), Failure> {
             count(totals.takeovers.len(), "takeover", "takeovers"),
             median_and_p99(&totals.takeovers, 1.0, "ms"),
             median_and_p99(&totals.converged, 1000.0, "s"),
+            totals.coverage,
             totals.simulated_ms as f64 / 3_600_000.0,
         ))?;
         if chaos.workload.own_missions().next().is_some() {
@@ -388,6 +391,7 @@ struct Totals {
     converged: Vec<u64>,
     simulated_ms: u64,
     causes: BTreeMap<String, usize>,
+    coverage: Coverage,
 }
 
 impl Totals {
@@ -401,6 +405,7 @@ impl Totals {
         self.takeovers.extend(&counters.takeovers_ms);
         self.converged.extend(counters.converged_ms);
         self.simulated_ms += counters.simulated_ms;
+        self.coverage.merge(&counters.coverage);
         for cause in &counters.causes {
             *self.causes.entry(cause.clone()).or_default() += 1;
         }
@@ -419,7 +424,7 @@ fn summary(outcome: &RunOutcome) -> String {
     let counters = &outcome.counters;
     format!(
         "seed {} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); {}; \
-         digest {}",
+         digest {}\n{}",
         outcome.seed,
         count(counters.acknowledged, "mission", "missions"),
         counters.completed,
@@ -427,6 +432,7 @@ fn summary(outcome: &RunOutcome) -> String {
         counters.canceled,
         count(counters.takeovers_ms.len(), "takeover", "takeovers"),
         outcome.digest,
+        counters.coverage,
     )
 }
 

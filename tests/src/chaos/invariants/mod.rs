@@ -29,6 +29,7 @@ mod pinned;
 mod promised;
 mod reference_ledger;
 mod replayed;
+mod revoked;
 mod settled;
 mod signals;
 mod single_voter_change;
@@ -127,5 +128,6 @@ pub(in crate::chaos) fn all(
         Box::<charged::Charged>::default(),
         Box::<promised::Promised>::default(),
         Box::<replayed::Replayed>::default(),
+        Box::<revoked::Revoked>::default(),
     ]
 }

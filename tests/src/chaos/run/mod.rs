@@ -11,6 +11,7 @@ pub use shift::{FaultyShift, run_shift};
 
 use super::chaos_fleet::{ChaosFleet, DATE_MS};
 use super::chargers;
+use super::coverage::CoverageObserver;
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::{LIFTED, is_large, lease_terms};
@@ -147,14 +148,16 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
         run.fleet.record_leadership(node);
     }
     let violation = run.run_phases(config, schedule, &composition).await.err();
-    let Run { fleet, executor, mut checker } = run;
-    checker.counters.end(&fleet, &executor.acknowledged());
-    checker.counters.client_replies = executor.history().replies();
+    let Run { fleet, executor, checker } = run;
+    let Checker { mut counters, coverage, .. } = checker;
+    counters.end(&fleet, &executor.acknowledged());
+    counters.client_replies = executor.history().replies();
+    counters.coverage = coverage.end(&fleet, executor.log_writes(), executor.history().refusals());
     let mut hasher = DefaultHasher::new();
     hasher.write(fleet.event_log_text().as_bytes());
     hasher.write_u64(fleet.network.digest());
     let digest = format!("{:016x}", hasher.finish());
-    RunOutcome { seed: config.seed, violation, counters: checker.counters, digest }
+    RunOutcome { seed: config.seed, violation, counters, digest }
 }
 
 /// Returns the number of robots that auctions ask first: two in every second fleet with the settings of a large one. With
@@ -459,6 +462,7 @@ struct Checker {
     grown: tokio::sync::watch::Receiver<usize>,
     actions: Vec<(Duration, String)>,
     counters: RunCounters,
+    coverage: CoverageObserver,
     /// Number of checked entries of the event log that are kept for the report of a violation; `None` for all.
     kept: Option<usize>,
 }
@@ -478,6 +482,7 @@ impl Checker {
             grown,
             actions: vec![],
             counters: RunCounters::default(),
+            coverage: CoverageObserver::default(),
             kept: None,
         }
     }
@@ -496,6 +501,7 @@ impl Checker {
         for (at, entry) in fleet.event_log.since(self.seen) {
             self.seen += 1;
             self.counters.observe(at, &entry);
+            self.coverage.observe(&entry);
             if let Observation::TestAction { node, action: "killed" } = &entry {
                 self.ended.remove(node);
             }

@@ -157,8 +157,8 @@ fn names_of_generated(generated: &[ScheduledAction], asked_ms: &[u64]) -> BTreeM
 
 /// Checks whether faults of a kind end missions by themselves, remove nodes for good, or need certificates.
 fn is_excluded(kind: FaultKind) -> bool {
-    use FaultKind::{Battery, CircularWait, Hostile, Poison, Skill};
-    matches!(kind, Battery | CircularWait | Hostile | Poison | Skill)
+    use FaultKind::{Battery, CircularWait, Hostile, Poison, Revoke, Skill};
+    matches!(kind, Battery | CircularWait | Hostile | Poison | Revoke | Skill)
 }
 
 /// Returns the limit for this number of missions to end, from the limit for the missions of other runs: at most one for
@@ -261,6 +261,7 @@ mod tests {
                         | ChaosAction::CancelMissions { .. }
                         | ChaosAction::Battery { .. }
                         | ChaosAction::Remove { .. }
+                        | ChaosAction::Revoke { .. }
                         | ChaosAction::Hostile { .. }
                 );
                 assert!(!is_excluded, "seed {seed}: {step}");
