@@ -1,4 +1,4 @@
-//! The user limits the speed in a zone and on a lane on the map, and clears a limit.
+//! The user limits the speed in a zone and on a lane on the map, and clears a limit. No robot is there to be held.
 
 use crate::browser::{Browser, SOON};
 use crate::closures::{is_drawn, select};
@@ -37,6 +37,8 @@ fn speeds_are_limited_on_the_page() {
 
     select(&browser, "zone icu");
     wait_for_selection(&browser, "zone icu");
+    hold_no_robot(&browser);
+    select(&browser, "zone icu");
     open_form(&browser);
     fill(&browser, "#order [name=speed_mps]", "0.5");
     let effect = browser.text("#order-effect");
@@ -83,6 +85,24 @@ fn speeds_are_limited_on_the_page() {
     );
     assert_eq!(browser.console(), Vec::<String>::new());
     fleet.stop();
+}
+
+/// The form of a hold proposes the selected zone. No robot is in it.
+fn hold_no_robot(browser: &Browser) {
+    browser.value("document.querySelector('#hold-group').focus()");
+    browser.press(ENTER);
+    browser.wait_until(
+        "the form",
+        "document.querySelector('#order').open && document.querySelector('#order [name=zone]').value === 'icu'",
+    );
+    assert_eq!(browser.value("document.querySelector('#order [name=where]').checkVisibility()"), false);
+    tab_to(browser, "#order-send");
+    browser.press(ENTER);
+    browser.wait_until(
+        "the preview",
+        "document.querySelector('#order-summary').innerText === 'No robot is in zone icu now.' && document.querySelector('#order-send').innerText === 'Preview'",
+    );
+    browser.click("#order-close");
 }
 
 /// Clears the only limit of the list, without a mouse.

@@ -1,4 +1,5 @@
-//! The user changes the priority of a mission, pins and reassigns roles, and cancels the missions that the list shows.
+//! The user changes the priority of a mission, pins and reassigns roles, and cancels the missions that the list shows,
+//! and those that meet a condition.
 
 use crate::browser::Browser;
 use crate::demo_fleet::{ENTER, check_access, tab_to};
@@ -62,6 +63,7 @@ fn missions_and_roles_are_ordered_on_the_page() {
     pin_and_unpin(&browser);
     reassign(&browser);
     cancel_listed(&browser);
+    cancel_by_condition(&browser);
     assert_eq!(browser.console(), Vec::<String>::new());
     fleet.stop();
 }
@@ -131,5 +133,37 @@ fn cancel_listed(browser: &Browser) {
     browser.wait_until(
         "no mission is listed",
         "document.querySelector('#cancel-listed').disabled && document.querySelector('#missions-none').innerText === 'No mission fits the filter.'",
+    );
+}
+
+fn cancel_by_condition(browser: &Browser) {
+    let mission = "lab-samples-3";
+    submit(browser, mission);
+    browser.value("document.querySelector('#missions-state').focus()");
+    tab_to(browser, "#cancel-where");
+    browser.press(ENTER);
+    browser.wait_until(
+        "the form",
+        "document.querySelector('#order').open && document.activeElement.name === 'where' && document.querySelector('#order-send').innerText === 'Preview'",
+    );
+    fill(browser, "#order [name=where]", "mission.priority == 50");
+    browser.press(ENTER);
+    browser.wait_until(
+        "no mission",
+        "document.querySelector('#order-summary').innerText === 'No mission meets the condition now.'",
+    );
+    assert_eq!(browser.text("#order-send"), "Preview", "the mission with this priority has ended");
+    fill(browser, "#order [name=where]", r#"mission.id == "lab-samples-3""#);
+    browser.press(ENTER);
+    browser.wait_until("the preview", "document.querySelector('#order-send').innerText === 'Cancel one mission'");
+    let affected = browser.text("#order-affected");
+    assert!(affected.starts_with("lab-samples-3, with") && affected.lines().count() == 1, "{affected}");
+    check_access(browser, "the preview of a cancellation");
+    browser.screenshot("cancel-by-condition");
+    browser.press(ENTER);
+    browser.wait_until("it is canceled", &format!("{}.state === 'canceled'", model_of(mission)));
+    browser.wait_until(
+        "the focus is where it was",
+        "!document.querySelector('#order').open && document.activeElement.id === 'cancel-where'",
     );
 }

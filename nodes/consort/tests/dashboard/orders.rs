@@ -2,6 +2,7 @@
 
 use crate::browser::{Browser, SOON};
 use crate::demo_fleet::{ENTER, check_access, tab_to};
+use crate::mission_orders::fill;
 use crate::station::open_ward;
 use crate::support::{Fleet, Folder, until};
 use serde_json::{Value, json};
@@ -44,6 +45,7 @@ fn robots_are_held_and_released_on_the_page() {
     maintain(&browser);
     hold_and_release_all(&browser);
     read_audit_trail(&browser);
+    hold_and_release_group(&browser);
     assert_eq!(browser.console(), Vec::<String>::new());
     fleet.stop();
 }
@@ -158,4 +160,54 @@ fn read_audit_trail(browser: &Browser) {
     let entries: Vec<Value> = lines.map(|line| serde_json::from_str(line).expect("JSON")).collect();
     let hers: Vec<&Value> = entries.iter().filter(|entry| entry["by"] == "Nia").map(|entry| &entry["action"]).collect();
     assert_eq!(hers, [&json!("hold"), &json!("begin_maintenance"), &json!("hold")], "{entries:#?}");
+}
+
+/// Opens the form of an order to a group, without a mouse, and enters a condition. The focus is in its field.
+fn enter_condition(browser: &Browser, button: &str, condition: &str) {
+    browser.value(&format!("document.querySelector({button:?}).focus()"));
+    browser.press(ENTER);
+    browser.wait_until(
+        "the form",
+        "document.querySelector('#order').open && document.activeElement.name === 'zone' && document.querySelector('#order-send').innerText === 'Preview'",
+    );
+    fill(browser, "#order [name=zone]", "");
+    tab_to(browser, "#order [name=where]");
+    fill(browser, "#order [name=where]", condition);
+}
+
+fn hold_and_release_group(browser: &Browser) {
+    enter_condition(browser, "#hold-group", "robot.wheels > 3");
+    browser.press(ENTER);
+    browser.wait_until(
+        "the problem",
+        "/has no field `wheels`/.test(document.querySelector('#order-problem').innerText) && document.querySelector('#order-send').innerText === 'Preview'",
+    );
+    let logged = browser.console();
+    assert!(logged.iter().all(|line| line.contains("/api/robots/select")), "{logged:#?}");
+    fill(browser, "#order [name=where]", r#"robot.name == "ada""#);
+    browser.press(ENTER);
+    browser.wait_until("the preview", "document.querySelector('#order-send').innerText === 'Hold one robot'");
+    let affected = browser.text("#order-affected");
+    assert!(affected.starts_with("ada") && affected.lines().count() == 1, "{affected}");
+    assert_eq!(browser.text("#order-summary"), "Selected now: one robot.");
+    check_access(browser, "the preview of a hold");
+    browser.screenshot("hold-group");
+    fill(browser, "#order [name=where]", "robot.battery >= 0.0");
+    assert_eq!(browser.text("#order-send"), "Preview", "another condition needs another preview");
+    fill(browser, "#order [name=where]", r#"robot.name == "ada""#);
+    browser.press(ENTER);
+    browser.wait_until("the preview again", "document.querySelector('#order-send').innerText === 'Hold one robot'");
+    browser.press(ENTER);
+    browser.wait_until("it is held", &format!("{ORDERS}?.hold?.by === 'Nia'"));
+    assert_eq!(browser.value("consort.connection.model.robots['lab-arm'].orders === undefined"), true);
+    browser.wait_until(
+        "the focus is where it was",
+        "!document.querySelector('#order').open && document.activeElement.id === 'hold-group'",
+    );
+
+    enter_condition(browser, "#release-group", r#"robot.name == "ada""#);
+    browser.press(ENTER);
+    browser.wait_until("the preview", "document.querySelector('#order-send').innerText === 'Release one robot'");
+    browser.press(ENTER);
+    browser.wait_until("it is released", &format!("{ORDERS} === undefined"));
 }

@@ -96,9 +96,9 @@ impl RequestForwarder {
         &self.dashboards
     }
 
-    /// Reads a list, from the nearest node.
-    pub(super) async fn read(&self, call: ApiCall) -> Result<Value, ForwardError> {
-        let key = self.keys.write(&Key::Api(call));
+    /// Reads a list or a view, from the nearest node.
+    pub(super) async fn read(&self, key: Key) -> Result<Value, ForwardError> {
+        let key = self.keys.write(&key);
         query_once(&*self.bus, &key, "", ONE_QUERY, QueryTarget::Nearest).await.map_err(|problem| match problem {
             QueryError::Rejected(problem) => ForwardError::Rejected(problem),
             QueryError::Retryable(problem, _) => ForwardError::Unreachable(problem),

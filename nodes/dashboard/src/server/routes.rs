@@ -5,7 +5,7 @@ use super::frame_publisher::FramePublisher;
 use super::json::{JSON_HEADERS, Rejection, error_reply, json_reply, parse_body, rejection};
 use super::state::DashboardState;
 use super::websocket::{CLIENTS_MAX, open_websocket};
-use super::{DashboardSource, assets, audit, csv, mission_file, origin_check, session};
+use super::{DashboardSource, assets, audit, csv, mission_file, origin_check, robot_selection, session};
 use crate::admission::{Admission, AuthenticatedClient, admit};
 use crate::fleet_model::{LogEntry, Reachability};
 use crate::recording::PlayerCommand;
@@ -16,13 +16,16 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Router};
 use consort_protocol::access::required_scope;
-use consort_protocol::ids::{MissionId, TaskId};
-use consort_protocol::keys::ApiCall;
+use consort_protocol::api::RobotSelection;
+use consort_protocol::ids::{MissionId, RobotId, TaskId};
+use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::mission::FILE_BYTES_MAX;
 use consort_protocol::trust::AccessScope;
+use consort_protocol::view::FleetView;
 use consort_skills::missions::{NamedMissions, OfferedMission};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::sync::Semaphore;
@@ -60,6 +63,7 @@ pub(super) fn router(
         .route("/api/missions/{id}/cancel", action(ApiCall::Cancel))
         .route("/api/missions/{id}/resolve", action(ApiCall::Resolve))
         .route("/api/schedules/{id}", guarded(required_scope(ApiCall::Schedule), post(change_schedule)))
+        .route("/api/robots/select", guarded(required_scope(ApiCall::Hold), post(select_robots)))
         .route("/api/hold", order(ApiCall::Hold))
         .route("/api/release", order(ApiCall::Release))
         .route("/api/maintenance", order(ApiCall::Maintenance))
@@ -178,7 +182,7 @@ struct PeopleReply<'a> {
 
 async fn requests(State(shared): State<DashboardState>) -> Result<Response, Rejection> {
     let forwarder = forwarder(&shared)?;
-    Ok(match tokio::join!(forwarder.read(ApiCall::Requests), forwarder.read(ApiCall::List)) {
+    Ok(match tokio::join!(forwarder.read(Key::Api(ApiCall::Requests)), forwarder.read(Key::Api(ApiCall::List))) {
         (Ok(mut requests), Ok(mut missions)) => json_reply(
             StatusCode::OK,
             &PeopleReply {
@@ -228,8 +232,41 @@ async fn forward_order(
     Ok(reply_of(forwarder.act(call, fields, client.as_ref()).await))
 }
 
+/// The robots of an order, as in the order.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotQuery {
+    robots: RobotSelection,
+}
+
+/// Reply with the robots that an order would affect now.
+#[derive(Serialize)]
+struct SelectedRobots {
+    robots: BTreeSet<RobotId>,
+}
+
+/// Returns the robots that an order would affect now, without giving it.
+async fn select_robots(
+    State(shared): State<DashboardState>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Rejection> {
+    let forwarder = forwarder(&shared)?;
+    let RobotQuery { robots } = parse_body(&headers, &body)?;
+    let view = match forwarder.read(Key::ViewFleet).await {
+        Ok(view) => FleetView::deserialize(view),
+        Err(problem) => return Ok(reply_of(Err(problem))),
+    };
+    let view = view.map_err(|problem| {
+        rejection(StatusCode::SERVICE_UNAVAILABLE, &format!("the view of the fleet cannot be read: {problem}"))
+    })?;
+    let robots = robot_selection::select(&robots, view)
+        .map_err(|problem| rejection(StatusCode::BAD_REQUEST, &problem.to_string()))?;
+    Ok(json_reply(StatusCode::OK, &SelectedRobots { robots }))
+}
+
 async fn audit_trail(State(shared): State<DashboardState>) -> Result<Response, Rejection> {
-    Ok(reply_of(forwarder(&shared)?.read(ApiCall::Audit).await))
+    Ok(reply_of(forwarder(&shared)?.read(Key::Api(ApiCall::Audit)).await))
 }
 
 async fn export_audit_trail(State(shared): State<DashboardState>) -> Result<Response, Rejection> {
@@ -237,7 +274,7 @@ async fn export_audit_trail(State(shared): State<DashboardState>) -> Result<Resp
         (header::CONTENT_TYPE, "application/jsonl"),
         (header::CONTENT_DISPOSITION, "attachment; filename=\"audit.jsonl\""),
     ];
-    Ok(match forwarder(&shared)?.read(ApiCall::Audit).await {
+    Ok(match forwarder(&shared)?.read(Key::Api(ApiCall::Audit)).await {
         Ok(view) => (head, audit::json_lines(&view)).into_response(),
         Err(problem) => reply_of(Err(problem)),
     })

@@ -134,6 +134,7 @@ auctions.start(redrawAll);
 log.start(redrawAll);
 orderForm.start();
 orders.start();
+missionOrders.start();
 alarms.start();
 missions.start(() => markDirty('missions'));
 closures.start(selectPart);

@@ -54,15 +54,19 @@ export function showProblem(form, text) {
   setText(byId(`${form}-problem`), text);
 }
 
-/** Sends the request of a form. A success closes the form, and `done` announces it. Returns whether it succeeded. */
+/**
+ * Sends the request of a form. A success closes the form, and `done` announces it, or is a function that returns the
+ * announcement for a reply and throws what was not done. Returns whether it succeeded.
+ */
 export async function sendForm(form, path, request, done) {
   const button = byId(`${form}-send`);
   button.disabled = true;
   showProblem(form, '');
   try {
-    await send('POST', path, request);
+    const reply = await send('POST', path, request);
+    const text = typeof done === 'function' ? done(reply) : done;
     byId(form).close();
-    announce(done);
+    announce(text);
     return true;
   } catch (problem) {
     showProblem(form, problem.message);

@@ -1,9 +1,14 @@
 // Orders to missions: their priorities, the robots of their roles, and the cancellation of several.
 
-import { make } from './dom.js';
-import { ask, confirmOrder, field } from './order_form.js';
+import { byId, make } from './dom.js';
+import { ask, conditionField, confirmOrder, field } from './order_form.js';
+import { send } from './request.js';
 
 let model = {};
+
+export function start() {
+  byId('cancel-where').onclick = ({ currentTarget }) => cancelWhere(currentTarget);
+}
 
 export const update = (shown) => { model = shown; };
 
@@ -79,22 +84,53 @@ export const unpin = (button, id, role) => confirmOrder(button, {
   done: `Any robot may get ${role} of ${id}`,
 });
 
+const OF_CANCELLATION = 'Robots stop safely and become free.';
+
+const countOf = (missions) => (missions.length === 1 ? 'one mission' : `${missions.length} missions`);
+
+/** Describes a mission with its robots. */
+function withRobots(id) {
+  const robots = new Set(Object.values(model.missions?.[id]?.holders ?? {}));
+  return robots.size ? `${id}, with ${[...robots].join(', ')}` : `${id}, without a robot`;
+}
+
+/** Describes the reply to a cancellation, or throws which missions were left out. */
+function canceledText({ missions = {}, refused = {}, again }) {
+  if (again) return 'The missions were canceled before; the audit trail lists them';
+  const canceled = Object.keys(missions).length ? [`Canceled: ${Object.keys(missions).join(', ')}`] : [];
+  const problems = Object.entries(refused).map(([id, why]) => `${id}: ${why}`);
+  if (problems.length) throw new Error([...problems, ...canceled].join('\n'));
+  return canceled.join('');
+}
+
 /** Confirms the cancellation of missions, and sends it. They are canceled in one entry of the ledger. */
 export const cancelAll = (button, missions) => confirmOrder(button, {
-  title: `Cancel ${missions.length === 1 ? 'one mission' : `${missions.length} missions`}`,
-  effect: 'Robots stop safely and become free.',
-  affected: missions.map((id) => {
-    const robots = new Set(Object.values(model.missions[id]?.holders ?? {}));
-    return robots.size ? `${id}, with ${[...robots].join(', ')}` : `${id}, without a robot`;
-  }),
+  title: `Cancel ${countOf(missions)}`,
+  effect: OF_CANCELLATION,
+  affected: missions.map(withRobots),
   path: '/api/missions/cancel',
   request: { missions },
-  done: ({ missions: canceled = {}, refused = {} }) => {
-    const problems = Object.entries(refused).map(([id, why]) => `${id}: ${why}`);
-    if (problems.length) throw new Error(problems.join('\n'));
-    return `Canceled: ${Object.keys(canceled).join(', ')}`;
-  },
+  done: canceledText,
 });
+
+/** Asks for a condition, shows the missions that the coordinator would cancel, and cancels these and no others. */
+function cancelWhere(button) {
+  ask(button, {
+    title: button.textContent,
+    effect: `${OF_CANCELLATION} The missions that the preview lists are canceled, and no others.`,
+    fields: [conditionField('Condition on a mission, such as mission.name == "lab-samples" && mission.age_s > 3600')[1]],
+    preview: async ({ where }) => {
+      const { missions, refused } = await send('POST', '/api/missions/cancel', { missions: { where }, dry_run: true });
+      const [accepted, others] = [Object.keys(missions), Object.entries(refused)];
+      const shown = { affected: [...accepted.map(withRobots), ...others.map(([id, why]) => `${id} stays: ${why}`)] };
+      if (accepted.length === 0) return { ...shown, summary: others.length ? 'No mission can be canceled.' : 'No mission meets the condition now.' };
+      return { ...shown, summary: `Selected now: ${countOf(accepted)}.`, send: `Cancel ${countOf(accepted)}`, request: { missions: accepted } };
+    },
+    path: '/api/missions/cancel',
+    reason: 'none',
+    done: canceledText,
+  });
+}
 
 const options = (robots) => robots.map((robot) => make('option', { value: robot }, robot));
 

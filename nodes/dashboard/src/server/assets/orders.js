@@ -1,7 +1,9 @@
 // Orders to robots: hold, release and maintenance. Each is confirmed with its effect on robots and their roles.
 
-import { byId, setText } from './dom.js';
-import { ask, confirmOrder, orderText } from './order_form.js';
+import { byId, make, setText } from './dom.js';
+import { ask, conditionField, confirmOrder, field, orderText } from './order_form.js';
+import { partName } from './places.js';
+import { send } from './request.js';
 
 /**
  * Each order: its call with its own members, its effect on robots and on a role that a robot holds, the announcement
@@ -15,7 +17,13 @@ const ORDERS = {
     done: 'held',
     end: 'minutes',
   },
-  release: { path: '/api/release', effect: 'Held robots continue their roles. Other robots stay as they are.', role: 'continues', done: 'released' },
+  release: {
+    path: '/api/release',
+    effect: 'Held robots continue their roles. Other robots stay as they are.',
+    role: 'continues',
+    done: 'released',
+    reason: 'none',
+  },
   maintenance: {
     path: '/api/maintenance',
     request: { action: 'begin' },
@@ -34,16 +42,19 @@ const ORDERS = {
   },
 };
 
+let model = {};
 let robots = {};
 let selected;
 
 export function start() {
   for (const button of byId('robot-orders').querySelectorAll('button')) button.onclick = () => give(button, [selected]);
   for (const id of ['hold-all', 'release-all']) byId(id).onclick = (event) => give(event.currentTarget, 'all');
+  for (const id of ['hold-group', 'release-group']) byId(id).onclick = (event) => giveGroup(event.currentTarget);
 }
 
 /** Shows the selected robot with its orders. Its buttons stay, so that they keep the focus. */
-export function update(model, robot) {
+export function update(shown, robot) {
+  model = shown;
   robots = model.robots ?? {};
   selected = robots[robot] && robot;
   setText(byId('robot-head'), selected ?? 'No robot is selected');
@@ -66,17 +77,17 @@ function stateOf({ mission, role, orders: { hold, maintenance } = {} }) {
 
 const nameOf = (targets) => (targets === 'all' ? 'Every robot' : targets.join(', '));
 
-/** Describes the roles that an order affects. A release affects the roles of held robots. */
-function affectedRoles(order, targets) {
-  const names = (targets === 'all' ? Object.keys(robots) : targets).filter((name) => robots[name]?.mission && (order !== 'release' || robots[name].orders?.hold));
-  return names.map((name) => `${name}: ${robots[name].role ?? 'a role'} of ${robots[name].mission} ${ORDERS[order].role}`);
+/** Describes the role that an order to a robot affects, if any. A release affects the roles of held robots. */
+function affectedRole(order, name) {
+  const { mission, role, orders } = robots[name] ?? {};
+  return mission && (order !== 'release' || orders?.hold) ? `${name}: ${role ?? 'a role'} of ${mission} ${ORDERS[order].role}` : undefined;
 }
 
 /** Asks for the fields of an order, or confirms it, and sends it. */
 function give(button, targets) {
   const { order } = button.dataset;
   const { request, done, ...fixed } = ORDERS[order];
-  const roles = affectedRoles(order, targets);
+  const roles = (targets === 'all' ? Object.keys(robots) : targets).map((name) => affectedRole(order, name)).filter(Boolean);
   const given = {
     ...fixed,
     title: `${button.textContent}${targets === 'all' ? '' : `: ${nameOf(targets)}`}`,
@@ -85,4 +96,43 @@ function give(button, targets) {
   };
   if (fixed.end) ask(button, { ...given, affected: roles.length ? roles : ['No role is affected.'] });
   else confirmOrder(button, { ...given, affected: roles });
+}
+
+/** Asks for a zone or a condition, and gives an order to the robots in it, or that meet it, after a preview of them. */
+function giveGroup(button) {
+  const { order } = button.dataset;
+  const { effect, done, ...fixed } = ORDERS[order];
+  const [condition, where] = conditionField('Condition on a robot, such as robot.attributes.section == "icu" or robot.battery < 0.2');
+  const zones = Object.keys(model.zones ?? {});
+  const zone = make('select', { name: 'zone' },
+    zones.map((name) => make('option', { value: name }, `in zone ${name} now`)),
+    make('option', { value: '' }, 'that meet a condition'));
+  // The selected zone of the map.
+  const chosen = zones.find((name) => partName({ zone: { name } }) === byId('part').value);
+  if (chosen) zone.value = chosen;
+  const update = () => {
+    where.hidden = zone.value !== '';
+    condition.disabled = where.hidden;
+  };
+  zone.oninput = update;
+  update();
+  ask(button, {
+    ...fixed,
+    title: button.textContent,
+    effect: `${effect} The order is for the robots that are in the zone, or meet the condition, when it is given.`,
+    fields: [field('Robots', zone), where],
+    preview: async (given) => {
+      const selection = given.zone ? { zone: given.zone } : { where: given.where };
+      const found = (await send('POST', '/api/robots/select', { robots: selection })).robots;
+      if (found.length === 0) return { summary: given.zone ? `No robot is in zone ${given.zone} now.` : 'No robot meets the condition now.' };
+      const count = found.length === 1 ? 'one robot' : `${found.length} robots`;
+      return {
+        summary: `Selected now: ${count}.`,
+        affected: found.map((name) => affectedRole(order, name) ?? name),
+        send: `${order === 'hold' ? 'Hold' : 'Release'} ${count}`,
+        request: { robots: selection },
+      };
+    },
+    done: ({ robots: ordered }) => `${nameOf(Object.keys(ordered))}: ${done}`,
+  });
 }
