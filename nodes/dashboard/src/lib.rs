@@ -9,6 +9,7 @@ pub mod admission;
 pub mod event_text;
 pub mod fleet_model;
 pub mod loaded_map;
+mod missions_copy;
 pub mod query;
 pub mod recording;
 pub mod server;

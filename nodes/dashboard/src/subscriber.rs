@@ -1,6 +1,7 @@
 //! Subscribes to a fleet over the bus, and passes its inputs to a listener.
 
 use crate::fleet_model::{FleetInput, FleetListener};
+use crate::missions_copy::MissionsCopy;
 use crate::query::{self, QueryTarget};
 use consort_bus::{Bus, SharedBus};
 use consort_fleet::robot_driver::DriverState;
@@ -10,6 +11,7 @@ use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::message::ClusterEnvelope;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinSet;
@@ -85,6 +87,7 @@ async fn poll_links(bus: SharedBus, listener: Arc<dyn FleetListener>) {
 }
 
 async fn poll_views(bus: SharedBus, keys: Keys, listener: Arc<dyn FleetListener>) {
+    let mut missions = MissionsCopy::default();
     loop {
         let query_view = |key: Key| query_view(&*bus, &keys, &*listener, key);
         if listener.needs_map() {
@@ -93,7 +96,7 @@ async fn poll_views(bus: SharedBus, keys: Keys, listener: Arc<dyn FleetListener>
         tokio::join!(
             query_view(Key::ViewFleet),
             query_view(Key::ViewCoordinator),
-            query_view(Key::ViewMissions),
+            query_missions(&*bus, &keys, &*listener, &mut missions),
             query_view(Key::ViewSchedules),
             query_view(Key::ViewAuctions),
             query_view(Key::ViewWorld),
@@ -109,8 +112,22 @@ async fn poll_views(bus: SharedBus, keys: Keys, listener: Arc<dyn FleetListener>
 }
 
 async fn query_view(bus: &dyn Bus, keys: &Keys, listener: &dyn FleetListener, key: Key) {
-    match query::query_once(bus, &keys.write(&key), "", LIMIT, QueryTarget::Nearest).await {
-        Ok(view) => listener.on_input(FleetInput::View { key, view }),
-        Err(error) => debug!(%key, ?error, "no node returned the view"),
+    if let Some(view) = read_view(bus, &keys.write(&key)).await {
+        listener.on_input(FleetInput::View { key, view });
     }
+}
+
+/// Reads what has changed of the missions since the copy. The listener receives all of them: it also applies events,
+/// which the latest view corrects, and recordings contain whole views.
+async fn query_missions(bus: &dyn Bus, keys: &Keys, listener: &dyn FleetListener, copy: &mut MissionsCopy) {
+    let key = Key::ViewMissions;
+    if let Some(mut view) = read_view(bus, &format!("{}{}", keys.write(&key), copy.parameters())).await {
+        copy.complete(&mut view);
+        listener.on_input(FleetInput::View { key, view });
+    }
+}
+
+async fn read_view(bus: &dyn Bus, selector: &str) -> Option<Value> {
+    let reply = query::query_once(bus, selector, "", LIMIT, QueryTarget::Nearest).await;
+    reply.inspect_err(|error| debug!(selector, ?error, "no node returned the view")).ok()
 }

@@ -175,7 +175,7 @@ fn a_recorded_takeover_is_replayed_in_both_directions() {
     }
     let of_missions =
         ["/api/missions/cancel", "/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/resolve"];
-    let to_robots = ["/api/hold", "/api/release", "/api/maintenance"];
+    let to_robots = ["/api/hold", "/api/release", "/api/maintenance", "/api/robots/select"];
     let orders = ["/api/close", "/api/open", "/api/limit", "/api/alarm", "/api/priority", "/api/reassign"];
     for path in ["/api/missions"].into_iter().chain(to_robots).chain(orders).chain(of_missions) {
         let refused = browser.value(&format!(

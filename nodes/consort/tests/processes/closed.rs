@@ -552,11 +552,15 @@ fn an_http_token_determines_identity_and_permissions() {
         (refused.status, error(&refused)),
         (403, "the token of read has scope read; this request needs scope submit".to_owned())
     );
-    for path in ["limit", "alarm", "priority", "reassign", "missions/cancel"] {
+    for path in ["limit", "alarm", "priority", "reassign", "missions/cancel", "robots/select"] {
         assert_eq!(with(&reads, &format!("POST /api/{path}"), "{}").status, 403, "{path}");
         let empty = with(&submits, &format!("POST /api/{path}"), "{}");
-        assert_eq!(empty.status, 400, "the coordinator reads it: {path}: {}", empty.body);
+        assert_eq!(empty.status, 400, "it is read: {path}: {}", empty.body);
     }
+    let group = json!({ "robots": { "where": "robot.name == \"ada\"" } }).to_string();
+    until("a preview of a group", LONG, || {
+        (with(&submits, "POST /api/robots/select", &group).json()["robots"] == json!(["ada"])).then_some(())
+    });
     let by = until("ada is held", LONG, || {
         let held = with(&submits, "POST /api/hold", &hold);
         Some(held.json()["robots"]["ada"]["hold"]["by"].as_str()?.to_owned())
