@@ -5,7 +5,8 @@ use super::flags::MissionFlags;
 use crate::client::{QueryFlags, ReadFlags};
 use crate::exit::Failure;
 use crate::output;
-use consort_fleet::recurrence::{Recurrence, time_in_zone};
+use consort_dashboard::fleet_model::schedule_state;
+use consort_fleet::recurrence::Recurrence;
 use consort_protocol::api::{ScheduleAction, ScheduleReply, ScheduleRequest};
 use consort_protocol::ids::ScheduleId;
 use consort_protocol::keys::ApiCall;
@@ -129,7 +130,7 @@ fn send(query: &QueryFlags, request: &ScheduleRequest) -> Result<(), Failure> {
     query.print(
         async |client| client.api(ApiCall::Schedule, request).await,
         |ScheduleReply { schedule }: &ScheduleReply| match schedule {
-            Some(view) => format!("{}: {}", view.schedule, state(view)),
+            Some(view) => format!("{}: {}", view.schedule, schedule_state(view)),
             None => format!("{} is removed", request.schedule),
         },
     )
@@ -158,15 +159,6 @@ fn row(view: &ScheduleView) -> Vec<String> {
         view.zone.clone(),
         view.submitted.to_string(),
         view.last.as_ref().map_or("-".to_owned(), |last| last.mission.to_string()),
-        state(view),
+        schedule_state(view),
     ]
-}
-
-/// Returns the next occurrence, or why there is none.
-fn state(view: &ScheduleView) -> String {
-    match (&view.pause, view.next_ms) {
-        (Some(pause), _) => format!("paused by {} since {}", pause.by, time_in_zone(pause.since_ms, &view.zone)),
-        (None, Some(next_ms)) => format!("next {}", time_in_zone(next_ms, &view.zone)),
-        (None, None) => "no further occurrence".to_owned(),
-    }
 }

@@ -26,7 +26,7 @@ mod update;
 pub use floor_plan::FloorPlan;
 pub use input::{FleetInput, FleetListener};
 pub use kpi::Kpis;
-pub use schedules::ScheduleModel;
+pub use schedules::{ScheduleModel, schedule_state};
 pub(crate) use state::NodeModel;
 pub use state::{
     AuctionModel, CoordinatorModel, EnsembleModel, LogEntry, MissionModel, PersonModel, Reachability,
@@ -262,6 +262,11 @@ impl FleetModel {
     /// Returns the closures, by the texts of their zones, places and lanes.
     pub fn closures(&self) -> &BTreeMap<String, Closure> {
         &self.closures
+    }
+
+    /// Returns the speed limits, by the texts of their zones, places and lanes.
+    pub fn speed_limits(&self) -> &BTreeMap<String, SpeedLimit> {
+        &self.speed_limits
     }
 
     /// Returns the alarms in force, by name.

@@ -1,7 +1,7 @@
 //! Schedules of the model, with their next occurrences.
 
 use super::{FleetModel, bounds};
-use consort_fleet::recurrence::Recurrence;
+use consort_fleet::recurrence::{Recurrence, time_in_zone};
 use consort_protocol::ledger::{Schedule, ScheduleRule};
 use consort_protocol::view::{ScheduleView, SchedulesView};
 use serde::Serialize;
@@ -30,6 +30,15 @@ impl ScheduleModel {
         let last_ms = view.next_ms.map_or(0, |next| next.saturating_add(SHOWN_MS));
         let upcoming_ms = upcoming.take_while(|time| *time < last_ms).take(bounds::OCCURRENCES).collect();
         ScheduleModel { view, upcoming_ms }
+    }
+}
+
+/// Describes the next occurrence of a schedule, or why there is none: `next 2026-11-27 08:00 CET`.
+pub fn schedule_state(view: &ScheduleView) -> String {
+    match (&view.pause, view.next_ms) {
+        (Some(pause), _) => format!("paused by {} since {}", pause.by, time_in_zone(pause.since_ms, &view.zone)),
+        (None, Some(next_ms)) => format!("next {}", time_in_zone(next_ms, &view.zone)),
+        (None, None) => "no further occurrence".to_owned(),
     }
 }
 
