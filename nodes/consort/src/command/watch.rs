@@ -20,10 +20,15 @@ use tokio::task::JoinSet;
 /// NO_COLOR is set. Keys give orders, as the commands do: each is sent after its effect has been confirmed with y.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
-Keys: q quits; Tab selects the next panel; the arrows, PgUp and PgDn move in it. The auction is that of the selected mission.
+Keys: q quits; Tab selects the next panel; the arrows, PgUp and PgDn move in it. The auction is that of the selected mission;
+the schedules are in its place while they have the focus.
 In the panel of robots: h holds the selected robot, r releases it, m takes it out of service, e returns it to service.
-In the panel of missions: x cancels the selected mission, p changes its priority.
-In each panel: c closes a place or zone, o opens one, a raises an alarm, A clears one.
+In the panel of missions: x cancels the selected mission, X cancels those with a text in their names, parameters or robots,
+p changes the priority, r gives a role to another robot, n pins a role that waits to a robot, or ends the order about it.
+In the panel of schedules: p pauses the selected schedule, r resumes it, x removes it.
+In each panel: H holds all robots, those in a zone or those that meet a condition, R releases them; c closes a place, a zone or
+a lane, o opens one; l limits the speed there, L clears a limit; a raises an alarm, A clears one.
+Enter continues with the next field, Esc leaves an order.
 
 Examples:
   consort watch
@@ -91,7 +96,7 @@ async fn send_orders(
         let text = order.to_string();
         let (call, request) = order.request(by.clone(), new_request_id());
         let result = match client.api(call, &request).await {
-            Ok(_) => "done".to_owned(),
+            Ok(reply) => order.done_text(&reply),
             Err(failure) => failure.to_string(),
         };
         // The user may have left.

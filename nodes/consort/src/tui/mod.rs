@@ -23,8 +23,14 @@ use ratatui::widgets::{Paragraph, Wrap};
 /// Minimum width for two columns.
 const WIDE: u16 = 110;
 
+/// Lines for the key bindings.
+const KEY_LINES: u16 = 2;
+
 /// Lines for a dialog or a note.
-const DIALOG_LINES: u16 = 3;
+const DIALOG_LINES: u16 = 4;
+
+/// Maximum number of names in a list.
+const LISTED_MAX: usize = 8;
 
 /// A part of the screen with a selection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,12 +41,14 @@ pub(crate) enum Panel {
     Missions,
     /// The bids of the latest auction of the selected mission.
     Auction,
+    /// The schedules of missions. They are drawn in place of the auction while they have the focus.
+    Schedules,
     /// The events.
     Log,
 }
 
 impl Panel {
-    const ALL: [Panel; 4] = [Panel::Robots, Panel::Missions, Panel::Auction, Panel::Log];
+    const ALL: [Panel; 5] = [Panel::Robots, Panel::Missions, Panel::Auction, Panel::Schedules, Panel::Log];
 }
 
 /// Result of a key press.
@@ -95,7 +103,7 @@ pub(crate) struct Tui {
     focus: Panel,
     /// The selected row of each panel, in the order of [`Panel::ALL`]; the log counts from the
     /// newest.
-    rows: [usize; 4],
+    rows: [usize; Panel::ALL.len()],
     /// The open dialog, which takes all keys.
     dialog: Option<Dialog>,
     /// Result of the last order, until the next key outside of a dialog.
@@ -105,7 +113,7 @@ pub(crate) struct Tui {
 impl Tui {
     /// Creates the interface with the focus on the missions, the newest first.
     pub(crate) fn new(paint: ColorMode) -> Tui {
-        Tui { paint, focus: Panel::Missions, rows: [0; 4], dialog: None, note: None }
+        Tui { paint, focus: Panel::Missions, rows: [0; Panel::ALL.len()], dialog: None, note: None }
     }
 
     /// Shows the result of an order until the next key outside of a dialog.
@@ -157,24 +165,29 @@ impl Tui {
 
     /// Draws the model at `now_ms`.
     pub(crate) fn draw(&mut self, frame: &mut Frame<'_>, model: &FleetModel, now_ms: u64) {
-        let foot_lines = if self.dialog.is_some() || self.note.is_some() { DIALOG_LINES } else { 1 };
+        let foot_lines = if self.dialog.is_some() || self.note.is_some() { DIALOG_LINES } else { KEY_LINES };
         let lines = [Constraint::Length(2), Constraint::Min(0), Constraint::Length(foot_lines)];
         let [head, body, foot] = Layout::vertical(lines).areas(frame.area());
         let halves = [Constraint::Percentage(50), Constraint::Percentage(50)];
-        let [robots, missions, auction, log] = if body.width >= WIDE {
+        let third = if self.focus == Panel::Schedules { Panel::Schedules } else { Panel::Auction };
+        let [robots, missions, third_area, log] = if body.width >= WIDE {
             let [left, right] = Layout::horizontal(halves).areas::<2>(body);
             let [robots, log] = Layout::vertical(halves).areas(left);
-            let [missions, auction] = Layout::vertical(halves).areas(right);
-            [robots, missions, auction, log]
+            let [missions, third_area] = Layout::vertical(halves).areas(right);
+            [robots, missions, third_area, log]
         } else {
             // The focused panel gets the remaining space.
             let part = |panel| if panel == self.focus { Constraint::Min(5) } else { Constraint::Length(5) };
-            Layout::vertical(Panel::ALL.map(part)).areas(body)
+            Layout::vertical([Panel::Robots, Panel::Missions, third, Panel::Log].map(part)).areas(body)
         };
         self.head(frame, head, model, now_ms);
         self.robots(frame, robots, model, now_ms);
         let chosen = self.missions(frame, missions, model, now_ms);
-        self.auction(frame, auction, model, chosen.as_deref());
+        if third == Panel::Schedules {
+            self.schedules(frame, third_area, model);
+        } else {
+            self.auction(frame, third_area, model, chosen.as_deref());
+        }
         self.log(frame, log, model, now_ms);
         let (text, style) = match (&self.dialog, &self.note) {
             (Some(dialog), _) => (dialog.text(model), Style::new().add_modifier(Modifier::BOLD)),
@@ -184,14 +197,16 @@ impl Tui {
         frame.render_widget(Paragraph::new(text).style(style).wrap(Wrap { trim: false }), foot);
     }
 
-    /// Lists the key bindings, those of orders about the focused panel first.
+    /// Lists the key bindings; on the second line those of orders that every panel has.
     fn key_bindings(&self) -> String {
         let of_panel = match self.focus {
-            Panel::Robots => "h hold  r release  m maintenance  e end it  ",
-            Panel::Missions => "x cancel  p priority  ",
+            Panel::Robots => "h hold  r release  m maintenance  e end it",
+            Panel::Missions => "x cancel  X cancel several  p priority  r reassign  n pin",
+            Panel::Schedules => "p pause  r resume  x remove",
             Panel::Auction | Panel::Log => "",
         };
-        format!(" q quit  Tab panel  {of_panel}c close  o open  a alarm  A clear")
+        let of_all = "H hold all  R release all  c close  o open  l limit  L clear  a alarm  A clear";
+        format!(" q quit  Tab panel  {of_panel}\n {of_all}")
     }
 
     /// Draws the coordinator and the state of the connection; below, key figures.
@@ -242,6 +257,15 @@ fn alarms_text(model: &FleetModel) -> Option<String> {
     (!alarms.is_empty()).then(|| alarms.join(" "))
 }
 
+/// Lists names, at most [`LISTED_MAX`], as `ada, bea and 3 more`.
+fn listed<T: ToString>(names: impl IntoIterator<Item = T>) -> String {
+    let names: Vec<String> = names.into_iter().map(|name| name.to_string()).collect();
+    match names.len().saturating_sub(LISTED_MAX) {
+        0 => names.join(", "),
+        more => format!("{} and {more} more", names[..LISTED_MAX].join(", ")),
+    }
+}
+
 /// Formats a duration in a few characters.
 fn format_span(ms: u64) -> String {
     match ms / 1000 {
@@ -256,6 +280,7 @@ fn format_span(ms: u64) -> String {
 mod tests {
     use super::*;
     use consort_dashboard::fleet_model::FloorPlan;
+    use consort_protocol::api::ScheduleAction;
     use consort_protocol::event::{Event, EventKind};
     use consort_protocol::keys::Key;
     use consort_protocol::ledger::MissionState;
@@ -371,6 +396,72 @@ mod tests {
         assert!(drawn(&mut screen, &model(), 80, 24).contains("the fleet file declares no alarms"));
         press(&mut screen, KeyCode::Tab);
         assert!(drawn(&mut screen, &model(), 80, 24).contains("q quit"));
+    }
+
+    /// At every size the schedules are in place of the auction, while they have the focus.
+    #[test]
+    fn schedules_are_listed_and_paused() {
+        let mut model = model();
+        let schedule = |name: &str, member: &str, value: serde_json::Value| {
+            json!({ "schedule": name, "mission": "lab-samples", "cron": "0 8 * * 1-5", "zone": "UTC",
+                member: value })
+        };
+        let pause = json!({ "by": "Nia", "since_ms": 1_767_225_600_000_u64 });
+        let schedules = [schedule("early", "next_ms", json!(1_767_254_400_000_u64)), schedule("late", "pause", pause)];
+        model.apply_view(&Key::ViewSchedules, &json!({ "schedules": schedules }), NOW_MS);
+        let mut screen = Tui::new(ColorMode::Plain);
+        let mut press = |code| {
+            let outcome = screen.handle_key(KeyEvent::new(code, KeyModifiers::NONE), &model);
+            (outcome, [(140, 40), (80, 24)].map(|(width, height)| drawn(&mut screen, &model, width, height)))
+        };
+        let (_, auction) = press(KeyCode::Tab);
+        let (_, schedules) = press(KeyCode::Tab);
+        for text in auction {
+            assert!(text.contains(" Auction ") && !text.contains(" Schedules "), "{text}");
+        }
+        for text in schedules {
+            for part in ["early", "next 2026-01-01 08:00 UTC", "0 8 * *", "late", "paused by Nia", "p pause  r resume"]
+            {
+                assert!(text.contains(part), "{part} is not in\n{text}");
+            }
+            assert!(!text.contains(" Auction "), "{text}");
+        }
+        press(KeyCode::Char('p'));
+        let pause = Order::ChangeSchedule { schedule: "early".parse().unwrap(), action: ScheduleAction::Pause };
+        assert_eq!(press(KeyCode::Char('y')).0, KeyOutcome::Order(pause));
+        press(KeyCode::Down);
+        let [text, _] = press(KeyCode::Char('p')).1;
+        assert!(text.contains("the schedule late is paused already"), "{text}");
+    }
+
+    #[test]
+    fn orders_about_roles_are_beside_their_robots() {
+        let mut model = model();
+        let mission = json!({ "mission": "lab-samples-1", "detail": "running", "holders": { "r1": "ada" },
+            "orders": { "r2": "pinned to bea" } });
+        model.apply_view(&Key::ViewMissions, &json!({ "missions": [mission] }), NOW_MS);
+        let text = drawn(&mut Tui::new(ColorMode::Plain), &model, 200, 40);
+        assert!(text.contains("r1: ada, r2: pinned to bea"), "{text}");
+    }
+
+    #[test]
+    fn keys_of_orders_fit_on_a_terminal_of_80_columns() {
+        let mut screen = Tui::new(ColorMode::Plain);
+        for focus in Panel::ALL {
+            screen.focus = focus;
+            let keys = screen.key_bindings();
+            assert_eq!(keys.lines().count(), usize::from(KEY_LINES), "{keys}");
+            assert!(keys.lines().all(|line| line.chars().count() <= 80), "{keys}");
+            let text = drawn(&mut screen, &model(), 80, 24);
+            assert!(text.contains("q quit") && text.contains("A clear"), "{text}");
+        }
+    }
+
+    #[test]
+    fn long_lists_are_shortened() {
+        assert_eq!(listed(1..=3), "1, 2, 3");
+        assert_eq!(listed(1..=8), "1, 2, 3, 4, 5, 6, 7, 8");
+        assert_eq!(listed(1..=10), "1, 2, 3, 4, 5, 6, 7, 8 and 2 more");
     }
 
     #[test]

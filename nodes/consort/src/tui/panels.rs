@@ -1,7 +1,9 @@
 //! The panels.
 
 use super::{Panel, Tui, format_span};
-use consort_dashboard::fleet_model::{AuctionModel, FleetModel, MissionModel, RobotModel};
+use consort_dashboard::fleet_model::{
+    AuctionModel, FleetModel, MissionModel, RobotModel, ScheduleModel, schedule_state,
+};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Rect};
 use ratatui::style::{Modifier, Style};
@@ -94,8 +96,9 @@ impl Tui {
             };
             let why =
                 mission.cause.as_ref().or(mission.pending_reason.as_ref()).filter(|_| mission.state != "completed");
-            let holders = mission.holders.iter().map(|(role, robot)| format!("{role}: {robot}"));
-            let detail = why.cloned().unwrap_or_else(|| holders.collect::<Vec<_>>().join(", "));
+            // Holders, and orders of people about roles.
+            let roles = mission.holders.iter().chain(&mission.orders).map(|(role, text)| format!("{role}: {text}"));
+            let detail = why.cloned().unwrap_or_else(|| roles.collect::<Vec<_>>().join(", "));
             let until = mission.ended_ms.unwrap_or(now_ms);
             Row::new([
                 Cell::from((*id).clone()),
@@ -159,6 +162,23 @@ impl Tui {
             Constraint::Fill(1),
         ];
         self.table(frame, area, Panel::Auction, (title, &heads, &widths), rows);
+    }
+
+    pub(super) fn schedules(&mut self, frame: &mut Frame<'_>, area: Rect, model: &FleetModel) {
+        let paint = self.paint;
+        let row = |(name, ScheduleModel { view, .. }): (&String, &ScheduleModel)| {
+            let style = if view.pause.is_some() { paint.bad() } else { Style::new() };
+            Row::new([
+                Cell::from(name.clone()),
+                Cell::from(view.mission.to_string()),
+                Cell::from(schedule_state(view)).style(style),
+                Cell::from(format!("{} {}", view.cron, view.zone)),
+            ])
+        };
+        let rows = model.schedules().iter().map(row).collect();
+        let heads = ["SCHEDULE", "MISSION", "STATE", "TIMES"];
+        let widths = [Constraint::Length(12), Constraint::Length(14), Constraint::Length(26), Constraint::Fill(1)];
+        self.table(frame, area, Panel::Schedules, (" Schedules ".to_owned(), &heads, &widths), rows);
     }
 
     pub(super) fn log(&mut self, frame: &mut Frame<'_>, area: Rect, model: &FleetModel, now_ms: u64) {

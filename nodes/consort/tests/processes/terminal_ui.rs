@@ -137,7 +137,7 @@ fn watch_draws_the_fleet_and_restores_the_terminal() {
         until("the mission appears", LONG, || has(&["lab-samples-1"])(&terminal.screen()).then_some(()));
 
         // BackTab selects the robots, of which ada is the only one.
-        terminal.press("\x1b[Zha spill\r");
+        terminal.press("\x1b[Zha spill\r\r");
         until("the question", LONG, || has(&["Hold ada? It stands still"])(&terminal.screen()).then_some(()));
         terminal.press("y");
         until("the robot is held", LONG, || {
@@ -146,6 +146,10 @@ fn watch_draws_the_fleet_and_restores_the_terminal() {
             (ada["orders"]["hold"]["reason"] == "a spill").then_some(())
         });
         until("the result", LONG, || has(&["hold ada: done"])(&terminal.screen()).then_some(()));
+        terminal.press("Rall\r");
+        until("the question", LONG, || has(&["Release all robots?"])(&terminal.screen()).then_some(()));
+        terminal.press("y");
+        until("the result", LONG, || has(&["release all robots: done: ada"])(&terminal.screen()).then_some(()));
 
         terminal.press("\t\tq");
         let written = until("it has ended", LONG, || Some(terminal.written()).filter(|text| text.contains("ended ")));

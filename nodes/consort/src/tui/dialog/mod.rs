@@ -2,45 +2,41 @@
 //! that the user has confirmed.
 //!
 //! ```text
-//! key ──▶ [a name or number] ──▶ [a reason] ──▶ "Hold ada? …" ── y ──▶ Order
+//! key ──▶ [field, such as a name] ──▶ … ──▶ [last field] ──▶ "Hold ada? …" ── y ──▶ Order
 //!                  Esc leaves the dialog at any time
 //! ```
 
-use super::order::Order;
+mod effect;
+mod kind;
+
+use super::order::{NamedPart, Order, only};
 use super::{Panel, panels};
-use consort_dashboard::fleet_model::FleetModel;
-use consort_protocol::ids::{AlarmId, MissionId, NameError, PlaceId, RobotId};
-use consort_protocol::ledger::{MapPart, Priority};
-use consort_text::count;
+use consort_dashboard::fleet_model::{FleetModel, MissionModel};
+use consort_protocol::api::{
+    AllRobots, CLOSE_S_MAX, HOLD_S_MAX, RobotSelection, RobotZone, SPEED_LIMIT_MIN_MPS, ScheduleAction,
+    SelectionCondition,
+};
+use consort_protocol::ensemble::Eligibility;
+use consort_protocol::ids::{AlarmId, MissionId, NameError, RobotId, RoleId, ScheduleId, ZoneId};
+use consort_protocol::ledger::Priority;
+use consort_protocol::units::MetresPerSecond;
+use kind::{Field, Kind};
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use std::collections::BTreeSet;
 
 /// Maximum number of characters of a field.
 const CHARS_MAX: usize = 200;
 
-/// Kind of an order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Hold,
-    Release,
-    BeginMaintenance,
-    EndMaintenance,
-    Cancel,
-    SetPriority,
-    Close,
-    Open,
-    RaiseAlarm,
-    ClearAlarm,
-}
+/// Word for all robots, and for all active missions.
+const ALL: &str = "all";
 
-/// What the dialog asks for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Part of the dialog.
+#[derive(Debug)]
 enum Stage {
-    /// A name or a number.
-    Argument,
-    /// A reason.
-    Reason,
-    /// The confirmation.
-    Confirmation,
+    /// The user enters the field with this number.
+    Field(usize),
+    /// The user confirms the order. It stays as shown, also if the fleet changes meanwhile.
+    Confirmation(Order),
 }
 
 /// Reason why there is no order. The dialog goes on.
@@ -55,9 +51,27 @@ pub(super) enum Problem {
     /// There is nothing to open, to raise or to clear.
     #[error("{0}")]
     NoChoice(&'static str),
+    /// The schedule is in the wanted state.
+    #[error("the schedule {schedule} is {state}")]
+    NoChange { schedule: String, state: &'static str },
     /// Not a priority.
     #[error("a priority is a whole number from -100 to 100")]
     NoPriority,
+    /// Not a speed limit.
+    #[error("a speed limit is a number of {SPEED_LIMIT_MIN_MPS} or more; close a part that no robot may enter")]
+    NoSpeed,
+    /// Not a time until the end, in minutes.
+    #[error("the minutes are a whole number from 1 to {max}")]
+    NoMinutes { max: u32 },
+    /// Neither yes nor no.
+    #[error("enter yes or no")]
+    NoAnswer,
+    /// Neither all robots, nor a zone, nor a condition.
+    #[error("{text:?} is no zone, and no condition: {problem}")]
+    NoGroup { text: String, problem: String },
+    /// The text is empty, or no active mission has it.
+    #[error("no active mission has this text")]
+    NoMission,
     /// Other orders need none.
     #[error("maintenance needs a reason")]
     NoReason,
@@ -81,59 +95,12 @@ pub(super) enum Outcome {
 #[derive(Debug)]
 pub(super) struct Dialog {
     kind: Kind,
-    /// The selected robot or mission; empty if the order is about neither.
+    /// The selected robot, mission or schedule; empty if the order is about none of them.
     selected: String,
-    /// The name or number.
-    argument: String,
-    reason: String,
+    /// The texts of the fields of the kind, in their order.
+    texts: Vec<String>,
     stage: Stage,
     problem: Option<Problem>,
-}
-
-impl Kind {
-    /// Returns the order of a key. Orders about robots and missions need the focus on their panels.
-    fn of_key(key: KeyEvent, focus: Panel) -> Option<Kind> {
-        if key.modifiers.intersects(KeyModifiers::CONTROL | KeyModifiers::ALT) {
-            return None;
-        }
-        match (key.code, focus) {
-            (KeyCode::Char('h'), Panel::Robots) => Some(Kind::Hold),
-            (KeyCode::Char('r'), Panel::Robots) => Some(Kind::Release),
-            (KeyCode::Char('m'), Panel::Robots) => Some(Kind::BeginMaintenance),
-            (KeyCode::Char('e'), Panel::Robots) => Some(Kind::EndMaintenance),
-            (KeyCode::Char('x'), Panel::Missions) => Some(Kind::Cancel),
-            (KeyCode::Char('p'), Panel::Missions) => Some(Kind::SetPriority),
-            (KeyCode::Char('c'), _) => Some(Kind::Close),
-            (KeyCode::Char('o'), _) => Some(Kind::Open),
-            (KeyCode::Char('a'), _) => Some(Kind::RaiseAlarm),
-            (KeyCode::Char('A'), _) => Some(Kind::ClearAlarm),
-            _ => None,
-        }
-    }
-
-    fn first_stage(self) -> Stage {
-        match self {
-            Kind::SetPriority | Kind::Close | Kind::Open | Kind::RaiseAlarm | Kind::ClearAlarm => Stage::Argument,
-            _ => self.stage_after_argument(),
-        }
-    }
-
-    fn stage_after_argument(self) -> Stage {
-        match self {
-            Kind::Hold | Kind::BeginMaintenance | Kind::Close | Kind::RaiseAlarm => Stage::Reason,
-            _ => Stage::Confirmation,
-        }
-    }
-
-    /// Returns the names from which the user chooses.
-    fn choices(self, model: &FleetModel) -> Vec<String> {
-        match self {
-            Kind::Open => model.closures().keys().cloned().collect(),
-            Kind::RaiseAlarm => model.declared_alarms().keys().cloned().collect(),
-            Kind::ClearAlarm => model.alarms().keys().cloned().collect(),
-            _ => vec![],
-        }
-    }
 }
 
 impl Dialog {
@@ -147,210 +114,233 @@ impl Dialog {
     }
 
     fn open(kind: Kind, row: usize, model: &FleetModel) -> Result<Dialog, Problem> {
-        let choices = kind.choices(model);
-        let no_choice = |text| if choices.is_empty() { Err(Problem::NoChoice(text)) } else { Ok(String::new()) };
-        let selected = match kind {
-            Kind::Hold | Kind::Release | Kind::BeginMaintenance | Kind::EndMaintenance => {
-                model.robots().keys().nth(row).cloned().ok_or(Problem::NoSelection("robot"))?
-            }
-            Kind::Cancel | Kind::SetPriority => match panels::latest_missions(model).get(row) {
-                Some((id, mission)) if mission.ended => return Err(Problem::Ended((*id).clone())),
-                Some((id, _)) => (*id).clone(),
-                None => return Err(Problem::NoSelection("mission")),
-            },
-            Kind::Close => String::new(),
-            Kind::Open if !model.knows_orders() => no_choice("the closures are unknown to this node")?,
-            Kind::Open => no_choice("nothing is closed")?,
-            Kind::RaiseAlarm => no_choice("the fleet file declares no alarms")?,
-            Kind::ClearAlarm if !model.knows_orders() => no_choice("the alarms are unknown to this node")?,
-            Kind::ClearAlarm => no_choice("no alarm is in force")?,
-        };
-        let argument = match <[String; 1]>::try_from(choices) {
-            Ok([only]) => only,
-            Err(_) => String::new(),
-        };
-        let stage = kind.first_stage();
-        Ok(Dialog { kind, selected, argument, reason: String::new(), stage, problem: None })
+        let selected = selected(kind, row, model)?;
+        let choices = kind.choices(&selected, model);
+        if let Some(problem) = no_choice(kind, model).filter(|_| choices.is_empty()) {
+            return Err(Problem::NoChoice(problem));
+        }
+        let texts = kind.fields().iter().map(|field| kind.proposal(*field, &choices)).collect();
+        let mut dialog = Dialog { kind, selected, texts, stage: Stage::Field(0), problem: None };
+        if dialog.texts.is_empty() {
+            dialog.stage = Stage::Confirmation(dialog.order(model)?);
+        }
+        Ok(dialog)
     }
 
-    /// Handles a key press.
+    /// Handles a key press. The user sends the order with `y`; any other key leaves its confirmation.
     pub(super) fn handle_key(&mut self, key: KeyEvent, model: &FleetModel) -> Outcome {
         self.problem = None;
-        if key.code == KeyCode::Esc {
-            return Outcome::Left;
-        }
-        let field = match self.stage {
-            Stage::Argument => &mut self.argument,
-            Stage::Reason => &mut self.reason,
-            Stage::Confirmation => return self.confirm(key, model),
+        let at = match &self.stage {
+            _ if key.code == KeyCode::Esc => return Outcome::Left,
+            Stage::Field(at) => *at,
+            Stage::Confirmation(order) if matches!(key.code, KeyCode::Char('y' | 'Y')) => {
+                return Outcome::Confirmed(order.clone());
+            }
+            Stage::Confirmation(_) => return Outcome::Left,
         };
-        match key.code {
-            KeyCode::Enter => self.next_stage(model),
-            KeyCode::Backspace => {
-                field.pop();
-            }
-            KeyCode::Char(letter)
-                if !key.modifiers.contains(KeyModifiers::CONTROL) && field.chars().count() < CHARS_MAX =>
-            {
-                field.push(letter);
-            }
-            _ => {}
-        }
+        self.edit(at, key, model);
         Outcome::Open
     }
 
-    /// Sends the order with `y`; any other key leaves the dialog.
-    fn confirm(&mut self, key: KeyEvent, model: &FleetModel) -> Outcome {
-        if !matches!(key.code, KeyCode::Char('y' | 'Y')) {
-            return Outcome::Left;
-        }
-        match self.order(model) {
-            Ok(order) => Outcome::Confirmed(order),
-            Err(problem) => {
-                self.problem = Some(problem);
-                Outcome::Open
+    /// Changes the text of a field, or continues with the next.
+    fn edit(&mut self, at: usize, key: KeyEvent, model: &FleetModel) {
+        let text = &mut self.texts[at];
+        match key.code {
+            KeyCode::Enter => match self.order(model) {
+                Ok(order) if at + 1 == self.texts.len() => self.stage = Stage::Confirmation(order),
+                Ok(_) => self.stage = Stage::Field(at + 1),
+                Err(problem) => self.problem = Some(problem),
+            },
+            KeyCode::Backspace => {
+                text.pop();
             }
+            KeyCode::Char(letter)
+                if !key.modifiers.contains(KeyModifiers::CONTROL) && text.chars().count() < CHARS_MAX =>
+            {
+                text.push(letter);
+            }
+            _ => {}
         }
     }
 
-    fn next_stage(&mut self, model: &FleetModel) {
-        let next = match self.stage {
-            Stage::Argument => self.kind.stage_after_argument(),
-            Stage::Reason | Stage::Confirmation => Stage::Confirmation,
-        };
-        match self.order(model) {
-            Ok(_) => self.stage = next,
-            Err(problem) => self.problem = Some(problem),
-        }
+    /// Returns the text of a field without the space around it; nothing if the kind lacks the field.
+    fn text_of(&self, field: Field) -> &str {
+        let mut texts = self.kind.fields().iter().zip(&self.texts);
+        texts.find(|(other, _)| **other == field).map(|(_, text)| text.trim()).unwrap_or_default()
     }
 
     /// Returns the order as far as it is given.
     fn order(&self, model: &FleetModel) -> Result<Order, Problem> {
-        let (argument, reason) = (self.argument.trim(), self.reason.trim().to_owned());
+        let reason = self.text_of(Field::Reason).to_owned();
         let robot = || RobotId::new(self.selected.as_str());
         let mission = || MissionId::new(self.selected.as_str());
+        let schedule = |action| -> Result<Order, Problem> {
+            Ok(Order::ChangeSchedule { schedule: ScheduleId::new(self.selected.as_str())?, action })
+        };
         Ok(match self.kind {
-            Kind::Hold => Order::Hold { robot: robot()?, reason },
-            Kind::Release => Order::Release(robot()?),
+            Kind::Hold => Order::Hold { robots: only(robot()?), for_s: self.for_s(HOLD_S_MAX)?, reason },
+            Kind::Release => Order::Release(only(robot()?)),
+            Kind::HoldGroup => Order::Hold { robots: self.group(model)?, for_s: self.for_s(HOLD_S_MAX)?, reason },
+            Kind::ReleaseGroup => Order::Release(self.group(model)?),
             Kind::BeginMaintenance if reason.is_empty() => return Err(Problem::NoReason),
-            Kind::BeginMaintenance => Order::BeginMaintenance { robot: robot()?, reason },
+            Kind::BeginMaintenance => {
+                let until = Some(self.text_of(Field::Until)).filter(|until| !until.is_empty());
+                Order::BeginMaintenance { robot: robot()?, until: until.map(str::to_owned), reason }
+            }
             Kind::EndMaintenance => Order::EndMaintenance(robot()?),
             Kind::Cancel => Order::Cancel(mission()?),
+            Kind::CancelAll => Order::CancelAll(self.active_missions(model)?),
             Kind::SetPriority => {
-                let number = argument.parse().map_err(|_| Problem::NoPriority)?;
+                let number = self.text_of(Field::Priority).parse().map_err(|_| Problem::NoPriority)?;
                 let priority = Priority::new(number).map_err(|_| Problem::NoPriority)?;
                 Order::SetPriority { mission: mission()?, priority }
             }
-            Kind::Close => Order::Close { place: PlaceId::new(zone_or_place(argument))?, reason },
-            Kind::Open => match model.closures().get(argument).map(|closure| &closure.part) {
-                Some(MapPart::Lane(a, b)) => Order::OpenLane(a.clone(), b.clone()),
-                Some(MapPart::Zone(_) | MapPart::Place(_)) | None => {
-                    Order::OpenPlace(PlaceId::new(zone_or_place(argument))?)
-                }
-            },
-            Kind::RaiseAlarm => Order::RaiseAlarm { alarm: AlarmId::new(argument)?, reason },
-            Kind::ClearAlarm => Order::ClearAlarm(AlarmId::new(argument)?),
+            Kind::Reassign => {
+                let (role, to) = (RoleId::new(self.text_of(Field::Role))?, self.robot()?);
+                Order::Reassign { mission: mission()?, role, to, repeat: self.repeat()? }
+            }
+            Kind::Pin => {
+                let (role, robot) = (RoleId::new(self.text_of(Field::Role))?, self.robot()?);
+                Order::Pin { mission: mission()?, role, robot }
+            }
+            Kind::Close => Order::Close { part: self.part()?, for_s: self.for_s(CLOSE_S_MAX)?, reason },
+            Kind::Open => Order::Open(match model.closures().get(self.text_of(Field::Part)) {
+                Some(closure) => NamedPart::of(&closure.part)?,
+                None => self.part()?,
+            }),
+            Kind::Limit => {
+                let (part, speed, for_s) = (self.part()?, self.speed()?, self.for_s(CLOSE_S_MAX)?);
+                Order::Limit { part, speed, for_s, reason }
+            }
+            Kind::ClearLimit => Order::ClearLimit(match model.speed_limits().get(self.text_of(Field::Part)) {
+                Some(limit) => NamedPart::of(&limit.part)?,
+                None => self.part()?,
+            }),
+            Kind::RaiseAlarm => Order::RaiseAlarm { alarm: AlarmId::new(self.text_of(Field::Alarm))?, reason },
+            Kind::ClearAlarm => Order::ClearAlarm(AlarmId::new(self.text_of(Field::Alarm))?),
+            Kind::PauseSchedule => schedule(ScheduleAction::Pause)?,
+            Kind::ResumeSchedule => schedule(ScheduleAction::Resume)?,
+            Kind::RemoveSchedule => schedule(ScheduleAction::Remove)?,
         })
+    }
+
+    /// Returns the robots of an order to several: all, those in a zone, or those that meet a condition.
+    fn group(&self, model: &FleetModel) -> Result<RobotSelection, Problem> {
+        let text = self.text_of(Field::Group);
+        let zone = text.strip_prefix("zone ").or_else(|| model.zones().contains_key(text).then_some(text));
+        match zone {
+            _ if text == ALL => Ok(RobotSelection::All(AllRobots::All)),
+            Some(zone) => Ok(RobotSelection::Zone(RobotZone { zone: ZoneId::new(zone.trim())? })),
+            None => match Eligibility::compile(text) {
+                Ok(_) => Ok(RobotSelection::Where(SelectionCondition { condition: text.to_owned() })),
+                Err(problem) => Err(Problem::NoGroup { text: text.to_owned(), problem }),
+            },
+        }
+    }
+
+    /// Returns the active missions with the text in their ids, parameters or robots; upper and lower case are alike.
+    fn active_missions(&self, model: &FleetModel) -> Result<BTreeSet<MissionId>, Problem> {
+        let wanted = self.text_of(Field::Filter).to_lowercase();
+        let has_text = |id: &String, mission: &MissionModel| {
+            let mut texts = [id].into_iter().chain(mission.parameters.values()).chain(mission.holders.values());
+            texts.any(|text| text.to_lowercase().contains(&wanted))
+        };
+        let is_meant = |(id, mission): &(&String, &MissionModel)| {
+            !mission.ended && (wanted == ALL || !wanted.is_empty() && has_text(id, mission))
+        };
+        let missions = model.missions().iter().filter(is_meant).map(|(id, _)| MissionId::new(id.as_str()));
+        let missions = missions.collect::<Result<BTreeSet<MissionId>, NameError>>()?;
+        if missions.is_empty() { Err(Problem::NoMission) } else { Ok(missions) }
+    }
+
+    /// Returns the entered robot; `None` if the field is empty.
+    fn robot(&self) -> Result<Option<RobotId>, NameError> {
+        Some(self.text_of(Field::Robot)).filter(|name| !name.is_empty()).map(RobotId::new).transpose()
+    }
+
+    fn repeat(&self) -> Result<bool, Problem> {
+        match self.text_of(Field::Repeat) {
+            "" | "no" | "n" => Ok(false),
+            "yes" | "y" => Ok(true),
+            _ => Err(Problem::NoAnswer),
+        }
+    }
+
+    fn part(&self) -> Result<NamedPart, NameError> {
+        NamedPart::parse(self.text_of(Field::Part))
+    }
+
+    fn speed(&self) -> Result<MetresPerSecond, Problem> {
+        let speed = self.text_of(Field::Speed).parse::<f64>().ok().and_then(|speed| MetresPerSecond::new(speed).ok());
+        speed.filter(|speed| speed.get() >= SPEED_LIMIT_MIN_MPS).ok_or(Problem::NoSpeed)
+    }
+
+    /// Returns the seconds of the entered minutes, at most `max_s`; `None` if the field is empty.
+    fn for_s(&self, max_s: u32) -> Result<Option<u32>, Problem> {
+        let (text, max) = (self.text_of(Field::Minutes), max_s / 60);
+        if text.is_empty() {
+            return Ok(None);
+        }
+        let minutes = text.parse::<u32>().ok().filter(|minutes| (1..=max).contains(minutes));
+        minutes.map(|minutes| Some(minutes * 60)).ok_or(Problem::NoMinutes { max })
     }
 
     /// Returns the text of the dialog: what it asks for, and what the user has entered.
     pub(super) fn text(&self, model: &FleetModel) -> String {
-        let asked = match self.stage {
-            Stage::Argument => {
-                format!(" {}: {}▏  Enter continues, Esc leaves", self.argument_label(model), self.argument)
+        let asked = match &self.stage {
+            Stage::Field(at) => {
+                let label = self.kind.label(self.kind.fields()[*at], &self.selected, model);
+                format!(" {label}: {}▏  Enter continues, Esc leaves", self.texts[*at])
             }
-            Stage::Reason => format!(" Reason: {}▏  Enter continues, Esc leaves", self.reason),
-            Stage::Confirmation => format!(" {}  y sends it, any other key leaves", self.question(model)),
+            Stage::Confirmation(order) => {
+                format!(" {}  y sends it, any other key leaves", effect::question(order, model))
+            }
         };
         match &self.problem {
             Some(problem) => format!("{asked}\n {problem}"),
             None => asked,
         }
     }
+}
 
-    fn argument_label(&self, model: &FleetModel) -> String {
-        let label = match self.kind {
-            Kind::SetPriority => return format!("Priority of {}, -100 to 100", self.selected),
-            Kind::Open => "Place, zone or lane to open",
-            Kind::RaiseAlarm => "Alarm to raise",
-            Kind::ClearAlarm => "Alarm to clear",
-            _ => return "Place or zone to close".to_owned(),
-        };
-        format!("{label} ({})", self.kind.choices(model).join(", "))
-    }
-
-    /// Returns the question before the order is sent: its effect, and what it affects.
-    fn question(&self, model: &FleetModel) -> String {
-        let order = match self.order(model) {
-            Ok(order) => capitalized(&order.to_string()),
-            Err(problem) => return problem.to_string(),
-        };
-        let role = || role_of(model, &self.selected);
-        let effect = match self.kind {
-            Kind::Hold => {
-                let role = role();
-                format!("It stands still at once for 10 min, and keeps {role}. This is not an emergency stop.")
+/// Returns what the order is about: the robot, the mission or the schedule in a row; empty for other orders.
+fn selected(kind: Kind, row: usize, model: &FleetModel) -> Result<String, Problem> {
+    match kind {
+        Kind::Hold | Kind::Release | Kind::BeginMaintenance | Kind::EndMaintenance => {
+            model.robots().keys().nth(row).cloned().ok_or(Problem::NoSelection("robot"))
+        }
+        Kind::Cancel | Kind::SetPriority | Kind::Reassign | Kind::Pin => {
+            match panels::latest_missions(model).get(row) {
+                Some((id, mission)) if mission.ended => Err(Problem::Ended((*id).clone())),
+                Some((id, _)) => Ok((*id).clone()),
+                None => Err(Problem::NoSelection("mission")),
             }
-            Kind::Release => format!("It continues {}.", role()),
-            Kind::BeginMaintenance => format!("It completes {}, and gets no other.", role()),
-            Kind::EndMaintenance => "It gets roles again.".to_owned(),
-            Kind::Cancel => {
-                let holders = model.missions().get(&self.selected).map(|mission| &mission.holders);
-                let robots: Vec<&str> = holders.into_iter().flatten().map(|(_, robot)| robot.as_str()).collect();
-                if robots.is_empty() {
-                    "No robot has a role of it.".to_owned()
-                } else {
-                    format!("Its robots stop safely: {}.", robots.join(", "))
-                }
+        }
+        Kind::PauseSchedule | Kind::ResumeSchedule | Kind::RemoveSchedule => {
+            let (name, schedule) = model.schedules().iter().nth(row).ok_or(Problem::NoSelection("schedule"))?;
+            let no_change = |state| Err(Problem::NoChange { schedule: name.clone(), state });
+            match (kind, &schedule.view.pause) {
+                (Kind::PauseSchedule, Some(_)) => no_change("paused already"),
+                (Kind::ResumeSchedule, None) => no_change("not paused"),
+                _ => Ok(name.clone()),
             }
-            Kind::SetPriority => "Roles that robots hold stay with them.".to_owned(),
-            Kind::Close => {
-                let affected = robots_at(model, self.argument.trim());
-                format!("No robot enters it; there or on the way: {affected}. This is not a safety function.")
-            }
-            Kind::Open => "Robots may enter it again.".to_owned(),
-            Kind::RaiseAlarm => {
-                let plan = model.declared_alarms().get(self.argument.trim());
-                let plan = plan.map_or("It is not in the fleet file".to_owned(), |plan| capitalized(&plan.text()));
-                let held = model.robots().values().filter(|robot| robot.mission.is_some()).count();
-                let waiting = model.missions().values().filter(|mission| !mission.ended).count();
-                let roles = count(held, "robot suspends its role", "robots suspend their roles");
-                let missions = count(waiting, "mission waits", "missions wait");
-                format!("{plan}; {roles}, {missions}. This is not a safety function.")
-            }
-            Kind::ClearAlarm if model.alarms().len() > 1 => "Robots still obey the other alarms.".to_owned(),
-            Kind::ClearAlarm => "Robots continue their roles.".to_owned(),
-        };
-        format!("{order}? {effect}")
+        }
+        _ => Ok(String::new()),
     }
 }
 
-/// Returns the name of a place or zone without the word before that of a zone.
-fn zone_or_place(text: &str) -> &str {
-    text.strip_prefix("zone ").unwrap_or(text)
-}
-
-/// Describes the role that a robot holds.
-fn role_of(model: &FleetModel, robot: &str) -> String {
-    let held = model.robots().get(robot).and_then(|robot| Some((robot.role.as_ref()?, robot.mission.as_ref()?)));
-    held.map_or("no role".to_owned(), |(role, mission)| format!("{role} of {mission}"))
-}
-
-/// Lists the robots that are at a place or in a zone, or on their way through it.
-fn robots_at(model: &FleetModel, name: &str) -> String {
-    let name = zone_or_place(name);
-    let is_within = |place: &String| match model.zones().get(name) {
-        Some(zone) => zone.iter().any(|within| within.as_str() == place),
-        None => place == name,
-    };
-    let robots = model.robots().iter().filter(|(_, robot)| robot.route.iter().chain([&robot.place]).any(is_within));
-    let names: Vec<&str> = robots.map(|(name, _)| name.as_str()).collect();
-    if names.is_empty() { "no robot".to_owned() } else { names.join(", ") }
-}
-
-fn capitalized(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
+/// Describes why the user has no choice; `None` if an order does not depend on a choice.
+fn no_choice(kind: Kind, model: &FleetModel) -> Option<&'static str> {
+    match kind {
+        Kind::Open if !model.knows_orders() => Some("the closures are unknown to this node"),
+        Kind::Open => Some("nothing is closed"),
+        Kind::ClearLimit if !model.knows_orders() => Some("the speed limits are unknown to this node"),
+        Kind::ClearLimit => Some("no speed is limited"),
+        Kind::RaiseAlarm => Some("the fleet file declares no alarms"),
+        Kind::ClearAlarm if !model.knows_orders() => Some("the alarms are unknown to this node"),
+        Kind::ClearAlarm => Some("no alarm is in force"),
+        _ => None,
+    }
 }
 
 #[cfg(test)]
