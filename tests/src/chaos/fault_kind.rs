@@ -4,6 +4,9 @@ use crate::disk::DiskFault;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
 
+/// Largest number of kinds with which a run has all kinds that are drawn separately.
+pub(super) const FEW_KINDS: usize = 4;
+
 /// Kinds of faults as listed on the scoreboard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

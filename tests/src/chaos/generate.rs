@@ -5,7 +5,7 @@ use super::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS, WORLD};
 use super::chargers::add_chargers;
 use super::closures::add_closures;
 use super::control_flow::replace_missions;
-use super::fault_kind::FaultKind;
+use super::fault_kind::{FEW_KINDS, FaultKind};
 use super::mission_changes::add_mission_changes;
 use super::orders::add_orders;
 use super::poison::replace_poison;
@@ -49,9 +49,6 @@ const SEPARATE: f64 = 0.2;
 /// share is larger.
 const SLOW_WORLD: [f64; 2] = [0.25, 0.75];
 const SLOW_SPEED: u32 = 2;
-
-/// Largest number of kinds with which a run has all kinds that are drawn separately.
-pub(super) const FEW_KINDS: usize = 4;
 
 /// Leases and graces in milliseconds. All tolerate as much drift of the clocks as the default does.
 const LEASES_MS: [(u64, u64); 3] = [(4_000, 2_000), (2_000, 1_700), (1_000, 1_550)];

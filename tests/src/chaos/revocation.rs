@@ -2,8 +2,7 @@
 //! gone for good.
 
 use super::chaos_fleet::DATE_MS;
-use super::fault_kind::FaultKind;
-use super::generate::FEW_KINDS;
+use super::fault_kind::{FEW_KINDS, FaultKind};
 use super::run_counters::millis;
 use super::schedule::{CARRIER_OF, ChaosAction, ScheduledAction};
 use super::small_limits::FIRST_SEED_WITH_SMALL_LIMITS;

@@ -133,7 +133,7 @@ async fn the_author_of_a_request_has_the_missions_of_the_certificate() {
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
 async fn a_driver_server_makes_no_requests() {
-    assert_makes_no_requests("host&serves=bob,nurse").await;
+    assert_makes_no_requests("host&serves=bob,clerk").await;
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]

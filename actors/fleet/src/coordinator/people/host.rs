@@ -100,13 +100,13 @@ mod tests {
             let identity = format!("consort://ward/node/world?roles=host&serves={serves}").parse().unwrap();
             Author::verified(Arc::new(identity))
         };
-        let (nurse, r1, ada) = ("nurse".parse().unwrap(), "r1".parse().unwrap(), "ada".parse().unwrap());
-        let task = TaskSpec::of(TaskType::new("deposit").unwrap(), vec![nurse]);
-        let to_nurse = PersonRequest { role: task.roles[0].clone(), holders: BTreeMap::new(), task };
+        let (clerk, r1, ada) = ("clerk".parse().unwrap(), "r1".parse().unwrap(), "ada".parse().unwrap());
+        let task = TaskSpec::of(TaskType::new("deposit").unwrap(), vec![clerk]);
+        let to_clerk = PersonRequest { role: task.roles[0].clone(), holders: BTreeMap::new(), task };
         let command = |request| PersonCommand { id: GoalId(1), request };
-        let (asks, removes) = (command(Some(to_nurse)), command(Some(PersonRequest::taking_items(r1, ada))));
+        let (asks, removes) = (command(Some(to_clerk)), command(Some(PersonRequest::taking_items(r1, ada))));
         let may = |serves: &str| [&asks, &removes].map(|command| may_answer(command, &host(serves)));
-        assert_eq!(may("nurse"), [true, false]);
+        assert_eq!(may("clerk"), [true, false]);
         assert_eq!(may("ada"), [false, true]);
         assert_eq!(may("r1,eve"), [false, false], "the name of a role is no robot");
         assert_eq!(may("*"), [true, true]);
