@@ -22,9 +22,25 @@ pub struct OrderId {
     /// Number of earlier orders for the goal. A vehicle that lost an order in a restart receives
     /// another.
     pub attempt: u32,
-    /// Goal and work of the latest action that was sent before the order, so that the vehicle stores them during
-    /// later drives. `None` for an order with an action, and for a drive before which they are unknown.
-    pub acted: Option<(u64, u32)>,
+    /// Latest actions that were sent before the order, so that the vehicle stores them during later drives. Empty for an
+    /// order with an action, whose id is then the same in every process, and for a drive before which they are unknown.
+    pub acts: Acts,
+}
+
+/// Number of actions that an id names. More let a vehicle show longer tasks, and make the ids longer.
+const ACTS_MAX: usize = 4;
+
+/// Goal and work of the latest actions that may have been sent, the latest first. All actions since the oldest of them
+/// are among them.
+pub(crate) type Acts = [Option<(u64, u32)>; ACTS_MAX];
+
+/// Returns the latest of some actions, which are in the order of [`Acts`].
+pub(crate) fn latest_of(actions: impl IntoIterator<Item = (u64, u32)>) -> Acts {
+    let mut acts = Acts::default();
+    for (place, act) in acts.iter_mut().zip(actions) {
+        *place = Some(act);
+    }
+    acts
 }
 
 /// First part of the text of an id.
@@ -37,10 +53,19 @@ impl OrderId {
         format!("{self}-a{index}")
     }
 
-    /// Returns goal and work of the latest action that may have been sent. An order that does not name them
-    /// counts as an action itself.
-    pub(crate) fn latest_act(&self) -> (u64, u32) {
-        self.acted.unwrap_or((self.goal, self.work))
+    /// Returns the latest actions that may have been sent, with this order and before it.
+    pub(crate) fn latest_acts(&self) -> Acts {
+        self.acts_after(Acts::default())
+    }
+
+    /// Returns the latest actions after this order, from those before it. An order that names none counts as an action
+    /// itself.
+    pub(crate) fn acts_after(&self, before: Acts) -> Acts {
+        if self.acts[0].is_some() {
+            return self.acts;
+        }
+        let earlier = before.into_iter().flatten().filter(|(goal, _)| *goal != self.goal);
+        latest_of([(self.goal, self.work)].into_iter().chain(earlier))
     }
 
     /// Returns the order of an action, from the id of the action.
@@ -55,7 +80,9 @@ impl OrderId {
 impl fmt::Display for OrderId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{PREFIX}-{}-{:08x}-{}", self.goal, self.work, self.attempt)?;
-        self.acted.map_or(Ok(()), |(goal, work)| write!(f, "-{goal}-{work:08x}"))
+        // The distance to an earlier goal is shorter than its id.
+        let mut acts = self.acts.iter().flatten();
+        acts.try_for_each(|(goal, work)| write!(f, "-{}-{work:08x}", self.goal.wrapping_sub(*goal)))
     }
 }
 
@@ -69,19 +96,20 @@ impl FromStr for OrderId {
 
     fn from_str(text: &str) -> Result<OrderId, OrderIdError> {
         let parts: Vec<&str> = text.split('-').collect();
-        let [PREFIX, goal, work, attempt, ref acted @ ..] = parts[..] else { return Err(OrderIdError) };
+        let [PREFIX, goal, work, attempt, ref named @ ..] = parts[..] else { return Err(OrderIdError) };
         let goal_and_work = |goal: &str, work: &str| -> Result<(u64, u32), OrderIdError> {
             let goal = goal.parse().map_err(|_| OrderIdError)?;
             Ok((goal, u32::from_str_radix(work, 16).map_err(|_| OrderIdError)?))
         };
-        let acted = match acted {
-            [] => None,
-            [goal, work] => Some(goal_and_work(goal, work)?),
-            _ => return Err(OrderIdError),
-        };
         let (goal, work) = goal_and_work(goal, work)?;
-        let id = OrderId { goal, work, attempt: attempt.parse().map_err(|_| OrderIdError)?, acted };
-        // Another spelling of the same numbers is the id of another program.
+        let mut acts = Acts::default();
+        for (place, act) in acts.iter_mut().zip(named.chunks(2)) {
+            let [distance, work] = act else { return Err(OrderIdError) };
+            let (distance, work) = goal_and_work(distance, work)?;
+            *place = Some((goal.wrapping_sub(distance), work));
+        }
+        let id = OrderId { goal, work, attempt: attempt.parse().map_err(|_| OrderIdError)?, acts };
+        // Another spelling of the same numbers, or more actions, are the id of another program.
         if id.to_string() == text { Ok(id) } else { Err(OrderIdError) }
     }
 }
@@ -97,12 +125,18 @@ mod tests {
 
     #[test]
     fn an_id_is_read_back_from_its_text() {
-        let id = OrderId { goal: 1 << 60, work: fingerprint("vacuum"), attempt: 2, acted: None };
+        let id = OrderId { goal: 1 << 60, work: fingerprint("vacuum"), attempt: 2, acts: Acts::default() };
         assert_eq!(id.to_string().parse(), Ok(id));
-        let drive = OrderId { acted: Some((7, 1)), ..id };
-        assert_eq!(drive.to_string(), format!("{id}-7-00000001"));
+        let acts = latest_of([(id.goal - 1, 2), (id.goal - 3, 1)]);
+        let drive = OrderId { acts, ..id };
+        assert_eq!(drive.to_string(), format!("{id}-1-00000002-3-00000001"));
         assert_eq!(drive.to_string().parse(), Ok(drive));
-        assert_eq!((id.latest_act(), drive.latest_act()), ((id.goal, id.work), (7, 1)));
+        assert_eq!((id.latest_acts(), drive.latest_acts()), (latest_of([(id.goal, id.work)]), acts));
+        assert_eq!(id.acts_after(latest_of([(7, 1)])), latest_of([(id.goal, id.work), (7, 1)]));
+        let full = OrderId { acts: latest_of((1..9).map(|distance| (id.goal - distance, 5))), ..id };
+        assert_eq!(full.to_string(), format!("{id}-1-00000005-2-00000005-3-00000005-4-00000005"));
+        assert_eq!(full.to_string().parse(), Ok(full));
+        assert_eq!(format!("{full}-5-00000005").parse::<OrderId>(), Err(OrderIdError), "too many");
         assert_eq!(id.action(0), format!("{id}-a0"));
         assert_eq!(OrderId::of_action(&id.action(0)), Ok(id));
         assert_eq!(OrderId::of_action(&id.to_string()), Err(OrderIdError));

@@ -4,7 +4,7 @@ use super::execution::{ActionRun, Verdict};
 use super::goal::ActiveGoal;
 use crate::cause::CauseTable;
 use crate::incoming::VehicleState;
-use crate::order_id::OrderId;
+use crate::order_id::{Acts, OrderId};
 use std::collections::BTreeSet;
 use std::ops::Range;
 
@@ -43,8 +43,8 @@ impl EarlierProcesses {
     /// Compares a goal with the reports of an earlier process: `Absent` if it has not begun the action, and `None` if
     /// that is unknown. `state` is the latest state.
     ///
-    /// The latest order contains the latest action that may have been sent. If this action is older than the first of the
-    /// goals, or is for that goal with other work, the action was not begun.
+    /// The id of the latest order names all actions since the oldest that it names. If that one is not younger than the
+    /// first of the goals, and no action since that goal has the work, the action was not begun.
     pub(super) fn verdict(&self, goal: &ActiveGoal, state: &VehicleState, causes: &CauseTable) -> Option<Verdict> {
         let before = self.before.as_ref().unwrap_or(state);
         let begun = before.action_ids().map(OrderId::of_action).chain([before.order.parse::<OrderId>()]);
@@ -53,15 +53,20 @@ impl EarlierProcesses {
             return ActionRun::adopt(latest.action(0), before).map(|mut run| run.judge(before, causes));
         }
         let since = goal.earlier.as_ref()?.start;
-        let (acted_goal, acted_work) = before.order.parse::<OrderId>().ok()?.latest_act();
-        let is_absent = acted_goal < since || acted_goal == since && acted_work != goal.fingerprint;
-        is_absent.then_some(Verdict::Absent)
+        let acts = before.order.parse::<OrderId>().ok()?.latest_acts();
+        let are_known = acts.iter().flatten().any(|(acted, _)| *acted <= since);
+        let may_have_begun = acts.iter().flatten().any(|(acted, work)| *acted >= since && *work == goal.fingerprint);
+        (are_known && !may_have_begun).then_some(Verdict::Absent)
     }
 }
 
-/// Returns goal and work of the latest action that may have been sent; `None` if the order of the state does not show it.
-pub(super) fn latest_act(state: &VehicleState) -> Option<(u64, u32)> {
-    let order = state.order.parse::<OrderId>().ok()?;
-    let reported = state.action_ids().filter_map(|id| OrderId::of_action(id).ok());
-    reported.chain([order]).map(|order| order.latest_act()).max()
+/// Returns the latest actions that may have been sent; none if the order of the state does not show them.
+pub(super) fn latest_acts(state: &VehicleState) -> Acts {
+    let Ok(order) = state.order.parse::<OrderId>() else { return Acts::default() };
+    let mut reported = Vec::from_iter(state.action_ids().filter_map(|id| OrderId::of_action(id).ok()));
+    reported.sort();
+    // Instant actions after the order.
+    let add =
+        |acts: Acts, act: &OrderId| if acts[0] < Some((act.goal, act.work)) { act.acts_after(acts) } else { acts };
+    reported.iter().fold(order.latest_acts(), add)
 }

@@ -3,7 +3,7 @@
 use super::execution::{ActionRun, OrderRun};
 use super::values::{GoalStatus, Work};
 use crate::cause::Cause;
-use crate::order_id::OrderId;
+use crate::order_id::{Acts, OrderId, latest_of};
 use std::ops::Range;
 use std::time::Duration;
 
@@ -41,11 +41,11 @@ pub(super) struct Stop {
 }
 
 impl ActiveGoal {
-    /// Returns the id of the order for this attempt, after the latest action with its goal and work.
-    pub(super) fn order_id(&self, acted: Option<(u64, u32)>) -> OrderId {
+    /// Returns the id of the order for this attempt, after the latest actions.
+    pub(super) fn order_id(&self, acted: Acts) -> OrderId {
         let is_drive = matches!(self.work, Work::Drive { .. });
-        let acted = acted.filter(|(goal, _)| is_drive && *goal != self.id);
-        OrderId { goal: self.id, work: self.fingerprint, attempt: self.attempt, acted }
+        let acts = latest_of(acted.into_iter().flatten().filter(|(goal, _)| is_drive && *goal != self.id));
+        OrderId { goal: self.id, work: self.fingerprint, attempt: self.attempt, acts }
     }
 
     /// Checks whether an order is for the work, and for this goal or a goal with which an earlier process may

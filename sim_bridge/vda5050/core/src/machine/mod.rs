@@ -29,9 +29,9 @@ mod vehicle_view;
 
 use crate::cause::{Cause, ErrorLevel, VehicleError};
 use crate::incoming::VehicleState;
-use crate::order_id::OrderId;
+use crate::order_id::{Acts, OrderId};
 use crate::outgoing::{BlockingType, VehicleAction};
-use earlier::{EarlierProcesses, latest_act};
+use earlier::{EarlierProcesses, latest_acts};
 use execution::{ActionRun, DriveStart, OrderRun, Verdict};
 use goal::{ActiveGoal, Phase, Stop};
 use serde_json::Value;
@@ -62,9 +62,8 @@ pub struct OrderMachine {
     ended: Option<(u64, GoalStatus)>,
     stray: Option<Stray>,
     earlier: EarlierProcesses,
-    /// Goal and work of the latest action that this or an earlier process may have sent; `None` before this process has
-    /// sent anything.
-    acted: Option<(u64, u32)>,
+    /// Latest actions that this or an earlier process may have sent; none before this process has sent anything.
+    acted: Acts,
     instants_sent: u64,
     cleared_at: Option<Duration>,
     is_shut_down: bool,
@@ -98,7 +97,7 @@ impl OrderMachine {
             ended: None,
             stray: None,
             earlier: EarlierProcesses::default(),
-            acted: None,
+            acted: Acts::default(),
             instants_sent: 0,
             cleared_at: None,
             is_shut_down: false,
@@ -398,7 +397,8 @@ impl OrderMachine {
         now: Duration,
         commands: &mut Vec<Command>,
     ) -> Option<GoalStatus> {
-        let id = goal.order_id(self.acted.max(latest_act(state)));
+        let acted = self.acted.max(latest_acts(state));
+        let id = goal.order_id(acted);
         let (target, speed_max_mps, action) = match &goal.work {
             Work::Drive { to, speed_max_mps } => (Some(to.as_str()), *speed_max_mps, None),
             Work::Act { kind, blocking, parameters, is_instant } => {
@@ -409,7 +409,7 @@ impl OrderMachine {
                     parameters: parameters.clone(),
                 };
                 if *is_instant {
-                    self.acted = Some(id.latest_act());
+                    self.acted = id.acts_after(acted);
                     commands.push(Command::SendInstant(action.clone()));
                     goal.phase = Phase::Action(ActionRun::sent(action, state, now));
                     return None;
@@ -426,7 +426,7 @@ impl OrderMachine {
             return Some(GoalStatus::Succeeded(String::new()));
         }
         self.earlier.keep_state(state);
-        self.acted = Some(id.latest_act());
+        self.acted = id.acts_after(acted);
         let run = OrderRun::new(id, stops, action, speed_max_mps, self.settings.release_ahead, state, now);
         commands.push(Command::SendOrder(run.message(&self.settings.map)));
         goal.phase = Phase::Order(run);

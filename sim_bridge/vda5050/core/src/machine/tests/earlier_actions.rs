@@ -81,6 +81,33 @@ fn an_action_after_the_drives_and_actions_of_its_task_is_executed() {
 }
 
 #[test]
+fn an_action_after_several_actions_of_its_task_is_executed() {
+    let executed = |goals: &[(u64, Work)], is_instant: bool| {
+        let (mut next, mut vehicle) = (machine(1), after_goals(goals));
+        let before = acted(&vehicle);
+        send(&mut next, &mut vehicle, begun_since(7, NEXT, pick(is_instant)), 1);
+        let commands = [2, 3].map(|time| exchange(&mut next, &mut vehicle, time)).concat();
+        (acted(&vehicle) - before, result(&commands).is_some())
+    };
+    for is_instant in [false, true] {
+        let task = [(7, drive("b")), (8, act("undock", true)), (9, act("lift", false)), (10, drive("c"))];
+        assert_eq!(executed(&task, is_instant), (1, false));
+        let after_another = [[(6, pick(is_instant))].as_slice(), &task].concat();
+        assert_eq!(executed(&after_another, is_instant), (1, false));
+        // One of the actions was this one.
+        let begun = [(7, drive("b")), (8, pick(is_instant)), (9, act("lift", false)), (10, drive("c"))];
+        assert_eq!(executed(&begun, is_instant), (0, true));
+        // The id of the latest order does not name all actions of the task: it is that of another action, or that of a
+        // drive after more actions than an id names.
+        let steps = (7_u64..13).map(|id| (id, act(&format!("step {id}"), false)));
+        let (steps, leg) = (Vec::from_iter(steps), [(13, drive("b"))]);
+        assert_eq!(executed(&steps[..2], is_instant), (0, true));
+        assert_eq!(executed(&[&steps[..], &leg].concat(), is_instant), (0, true));
+        assert_eq!(executed(&[&steps[..4], &leg].concat(), is_instant), (1, false));
+    }
+}
+
+#[test]
 fn an_action_that_may_have_happened_is_not_repeated() {
     let refused = |next: &mut OrderMachine, vehicle: &mut FakeVehicle, id: u64, is_instant: bool, time: u64| {
         let before = acted(vehicle);
