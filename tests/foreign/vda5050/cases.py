@@ -2,6 +2,7 @@
 import argparse
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -108,6 +109,11 @@ def every_message_fits_the_official_schemas(case):
     return ", ".join(f"{count} {level}" for level, count in counts.items())
 
 
+def published_schema(file):
+    """A schema as it is published: some of 3.0 have a comma before a closing bracket, which is no JSON."""
+    return json.loads(re.sub(r",(\s*[}\]])", r"\1", file.read_text()))
+
+
 @case
 def messages_of_3_0_fit_the_official_schemas(case):
     import jsonschema
@@ -127,7 +133,7 @@ def messages_of_3_0_fit_the_official_schemas(case):
     driver.result(2)
     counts = {}
     for level in ("order", "instantActions", "state", "connection", "visualization", "factsheet"):
-        official = json.loads((folder / f"{level}.schema").read_text())
+        official = published_schema(folder / f"{level}.schema")
         for message in listener.of(level):
             jsonschema.validate(message, official)
             counts[level] = counts.get(level, 0) + 1

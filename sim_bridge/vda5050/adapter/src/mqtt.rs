@@ -1,7 +1,7 @@
 //! The connection to the broker.
 
 use crate::file::{BrokerAccess, TlsAccess};
-use consort_vda5050_core::{Topic, Vehicle};
+use consort_vda5050_core::{Topic, Vehicle, Version};
 use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, Packet, QoS, SubscribeReasonCode, Transport};
 use rustls::crypto::ring;
 use serde_json::Value;
@@ -41,7 +41,11 @@ impl Publisher {
     /// Publishes a message with the quality of service that the standard prescribes. A lost message is
     /// sent again by the state machine.
     pub(crate) fn publish(&self, topic: Topic, message: &Value) -> Result<(), rumqttc::ClientError> {
-        let is_retained = topic == Topic::Connection;
+        let is_retained = match topic {
+            Topic::Connection => true,
+            Topic::Factsheet => self.vehicle.version() == Version::V3_0,
+            _ => false,
+        };
         self.client.try_publish(self.vehicle.topic(topic), qos(topic), is_retained, message.to_string())
     }
 

@@ -1,6 +1,8 @@
 //! JSON Schemas of the messages, as far as fleet control reads and writes them, and their check.
 //!
-//! The schemas allow further fields, as VDA 5050 does, and accept what the official schemas accept.
+//! The schemas allow further fields, as VDA 5050 does, and accept what the official schemas accept, except for negative
+//! numbers of messages, updates, nodes and edges: the standard describes them as `uint32`. A mode that the standard
+//! does not name is accepted and allows no orders, and an emergency stop that it does not name counts as one.
 
 use crate::identity::{Topic, Version};
 use serde_json::{Value, json};
@@ -54,7 +56,7 @@ pub fn schema(topic: Topic, version: Version) -> Value {
         Topic::State => state(version),
         Topic::Visualization => visualization(version),
         Topic::Connection => connection(version),
-        Topic::Factsheet => factsheet(),
+        Topic::Factsheet => factsheet(version),
     };
     let header = [
         ("headerId", count()),
@@ -63,10 +65,10 @@ pub fn schema(topic: Topic, version: Version) -> Value {
         ("manufacturer", text()),
         ("serialNumber", text()),
     ];
-    // The official schemas require no header of a visualization, and no `headerId` of a factsheet.
+    // Before version 3.0 the official schemas require no header of a visualization, and no `headerId` of a factsheet.
     let required: &[&str] = match topic {
-        Topic::Visualization => &[],
-        Topic::Factsheet => &["version", "manufacturer", "serialNumber"],
+        Topic::Visualization if version < Version::V3_0 => &[],
+        Topic::Factsheet if version < Version::V3_0 => &["version", "manufacturer", "serialNumber"],
         _ => &["headerId", "timestamp", "version", "manufacturer", "serialNumber"],
     };
     for (name, form) in header {
@@ -100,8 +102,18 @@ fn order(version: Version) -> Value {
     // The published schemas round the number to 11 digits.
     let half_turn = (std::f64::consts::PI * 1e11).round() / 1e11;
     let angle = json!({ "type": "number", "minimum": -half_turn, "maximum": half_turn });
-    let position =
-        object(&["x", "y", "mapId"], json!({ "x": number(), "y": number(), "theta": angle, "mapId": text() }));
+    let length = json!({ "type": "number", "minimum": 0 });
+    // A radius before version 3.0, and then an ellipse.
+    let deviation = match version {
+        Version::V3_0 => object(&["a", "b", "theta"], json!({ "a": length.clone(), "b": length, "theta": number() })),
+        _ => length,
+    };
+    let position = object(
+        &["x", "y", "mapId"],
+        json!({
+            "x": number(), "y": number(), "theta": angle, "allowedDeviationXY": deviation, "mapId": text(),
+        }),
+    );
     let node = object(
         &["nodeId", "sequenceId", "released", "actions"],
         json!({
@@ -148,9 +160,10 @@ fn state(version: Version) -> Value {
     } else {
         &["WAITING", "INITIALIZING", "RUNNING", "PAUSED", "FINISHED", "FAILED"]
     };
+    let result = if is_3 { "actionResult" } else { "resultDescription" };
     let action = object(
         &["actionId", "actionStatus"],
-        json!({ "actionId": text(), "actionStatus": one_of(statuses), "resultDescription": text(), "actionResult": text() }),
+        json!({ "actionId": text(), "actionStatus": one_of(statuses), result: text() }),
     );
     let levels: &[&str] = if is_3 { &["WARNING", "URGENT", "CRITICAL", "FATAL"] } else { &["WARNING", "FATAL"] };
     let reference =
@@ -209,7 +222,10 @@ fn state(version: Version) -> Value {
 
 fn visualization(version: Version) -> Value {
     let (name, form) = position(version);
-    object(&[], json!({ name: form }))
+    match version {
+        Version::V3_0 => object(&["referenceStateHeaderId"], json!({ "referenceStateHeaderId": count(), name: form })),
+        _ => object(&[], json!({ name: form })),
+    }
 }
 
 fn connection(version: Version) -> Value {
@@ -220,16 +236,23 @@ fn connection(version: Version) -> Value {
     object(&["connectionState"], json!({ "connectionState": one_of(states) }))
 }
 
-fn factsheet() -> Value {
+fn factsheet(version: Version) -> Value {
     let action = object(&["actionType"], json!({ "actionType": text() }));
+    let (speed, actions) = match version {
+        Version::V3_0 => ("maximumSpeed", "mobileRobotActions"),
+        _ => ("speedMax", "agvActions"),
+    };
+    // Version 3.0 requires all parts; fleet control reads these.
+    let required: &[&str] = match version {
+        Version::V3_0 => &["typeSpecification", "physicalParameters", "protocolFeatures"],
+        _ => &[],
+    };
     object(
-        &[],
+        required,
         json!({
             "typeSpecification": object(&[], json!({ "seriesName": text() })),
-            "physicalParameters": object(&[], json!({
-                "speedMax": number(), "speedMin": number(), "width": number(), "length": number(), "heightMax": number(),
-            })),
-            "protocolFeatures": object(&[], json!({ "agvActions": list(action.clone()), "mobileRobotActions": list(action) })),
+            "physicalParameters": object(&[], json!({ speed: number(), "width": number(), "length": number() })),
+            "protocolFeatures": object(&[], json!({ actions: list(action) })),
         }),
     )
 }
@@ -344,6 +367,26 @@ mod tests {
         assert_eq!((error.path.as_str(), error.rule.as_str()), ("/", "/required"));
         let error = check(&schema, &with(json!(7))).unwrap_err();
         assert_eq!(error.problem, "7 is number; allowed: string");
+    }
+
+    #[test]
+    fn a_visualization_and_a_factsheet_of_3_0_need_what_their_official_schemas_require() {
+        let header =
+            json!({ "headerId": 1, "timestamp": "t", "version": "3.0.0", "manufacturer": "a", "serialNumber": "b" });
+        let missing = |topic, version, message: &Value| {
+            check(&schema(topic, version), message).err().map(|violation| violation.problem)
+        };
+        let needed = |name: &str| Some(format!("`{name}` is missing"));
+        assert_eq!(missing(Topic::Visualization, Version::V2_1, &json!({})), None);
+        assert_eq!(missing(Topic::Visualization, Version::V3_0, &json!({})), needed("headerId"));
+        assert_eq!(missing(Topic::Visualization, Version::V3_0, &header), needed("referenceStateHeaderId"));
+        assert_eq!(missing(Topic::Factsheet, Version::V2_1, &header), None);
+        assert_eq!(missing(Topic::Factsheet, Version::V3_0, &header), needed("typeSpecification"));
+        let mut sheet = header;
+        (sheet["typeSpecification"], sheet["protocolFeatures"]) = (json!({}), json!({}));
+        sheet["physicalParameters"] = json!({ "maximumSpeed": "fast" });
+        let error = check(&schema(Topic::Factsheet, Version::V3_0), &sheet).unwrap_err();
+        assert_eq!(error.path, "/physicalParameters/maximumSpeed");
     }
 
     #[test]

@@ -62,6 +62,8 @@ pub struct OrderExecutor {
 struct OrderProgress {
     id: String,
     update: u64,
+    /// The latest accepted message.
+    received: Option<ReceivedOrder>,
     is_cancelled: bool,
     last_node: String,
     last_sequence: u64,
@@ -115,6 +117,7 @@ impl OrderProgress {
 
     fn begin(&mut self, order: ReceivedOrder) {
         *self = OrderProgress {
+            received: Some(order.clone()),
             id: order.id,
             update: order.update,
             last_node: mem::take(&mut self.last_node),
@@ -135,6 +138,7 @@ impl OrderProgress {
         self.nodes.retain(|node| node.released);
         self.edges.retain(|edge| edge.released);
         self.update = order.update;
+        self.received = Some(order.clone());
         self.edges.extend(order.edges);
         self.add(order.nodes.into_iter().skip(1));
     }
@@ -245,7 +249,12 @@ impl OrderExecutor {
                 return Err((Rejection::OutdatedUpdate, format!("the latest update is {}", progress.update)));
             }
             if order.update == progress.update {
-                return Ok(Acceptance::Repeated);
+                let is_equal = progress.received.as_ref() == Some(order);
+                if self.settings.version < Version::V3_0 || is_equal {
+                    return Ok(Acceptance::Repeated);
+                }
+                let problem = "its content differs from that of the message with the same number".to_owned();
+                return Err((Rejection::UnequalRepetition, problem));
             }
             if progress.is_cancelled || self.is_cancelling {
                 return Err((Rejection::UpdateAfterCancel, "the order was cancelled".to_owned()));

@@ -5,6 +5,7 @@ use crate::cause::{ErrorLevel, VehicleError};
 use crate::identity::Version;
 use crate::incoming::{ActionStatus, ConnectionState};
 use serde_json::{Map, Value, json};
+use std::f64::consts::PI;
 
 /// Returns the body of a connection message.
 pub fn connection(state: ConnectionState, version: Version) -> Map<String, Value> {
@@ -78,7 +79,8 @@ impl OrderExecutor {
         let (name, flag) =
             if self.is_3() { ("mobileRobotPosition", "localized") } else { ("agvPosition", "positionInitialized") };
         let json = json!({
-            "x": position.x_m, "y": position.y_m, "theta": position.yaw_rad, "mapId": position.map, flag: true,
+            "x": position.x_m, "y": position.y_m, "theta": within_half_turn(position.yaw_rad),
+            "mapId": position.map, flag: true,
         });
         (name, json)
     }
@@ -162,6 +164,11 @@ impl OrderExecutor {
             })
         })
     }
+}
+
+/// Returns the same heading between -π and π, as version 3.0 demands.
+fn within_half_turn(yaw_rad: f64) -> f64 {
+    if yaw_rad.abs() <= PI { yaw_rad } else { yaw_rad.sin().atan2(yaw_rad.cos()) }
 }
 
 fn object(value: Value) -> Map<String, Value> {

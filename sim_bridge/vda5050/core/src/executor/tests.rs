@@ -154,6 +154,27 @@ fn orders_that_do_not_fit_are_rejected_by_the_names_of_the_version() {
 }
 
 #[test]
+fn another_order_with_the_same_update_is_ignored_with_a_warning_in_3_0() {
+    for (version, kind) in [(Version::V2_1, None), (Version::V3_0, Some("SAME_ORDER_UPDATE_ID"))] {
+        let mut executor = executor(version);
+        executor.step(order("o", 0, 0, &[("a", true), ("b", true)]));
+        assert_eq!(executor.step(order("o", 0, 0, &[("a", true), ("b", true)])), [], "the same order");
+        let commands = executor.step(order("o", 0, 0, &[("a", true), ("c", true)]));
+        assert_eq!((target(&commands), kinds(&executor)), (None, Vec::from_iter(kind)), "{version}");
+        assert_eq!(executor.state()["nodeStates"][0]["nodeId"], json!("b"));
+    }
+}
+
+#[test]
+fn a_heading_is_reported_within_half_a_turn() {
+    let mut executor = executor(Version::V3_0);
+    let position = Position { yaw_rad: 4.0, ..condition(0.0).position };
+    executor.step(ExecutorEvent::Condition(RobotCondition { position, ..condition(0.0) }));
+    let theta = executor.state()["mobileRobotPosition"]["theta"].as_f64().unwrap();
+    assert!((theta - (4.0 - std::f64::consts::TAU)).abs() < 1e-9, "{theta}");
+}
+
+#[test]
 fn a_cancel_stops_the_robot_and_ends_the_order() {
     let mut executor = executor(Version::V3_0);
     assert_eq!(executor.step(instant("early", "cancelOrder")), [ExecutorCommand::PublishState]);
