@@ -10,7 +10,7 @@ use super::held::may_be_over;
 use super::obeyed::Obeyed;
 use super::reference_ledger::ReferenceLedger;
 use crate::Fleet;
-use crate::order_bounds::heeds_closures_within;
+use crate::order_bounds::{SPEED_TOLERANCE_MPS, heeds_closures_within};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::ledger::{MapPart, SpeedLimit};
 use consort_protocol::pose::Pose;
@@ -19,9 +19,6 @@ use consort_skills::actions::RobotBackend as _;
 use consort_skills::environment::SpeedLimits;
 use std::collections::BTreeMap;
 use std::time::Duration;
-
-/// Rounding of a measured speed, in metres per second.
-const TOLERANCE_MPS: f64 = 0.001;
 
 pub(super) struct Limited {
     lease: Duration,
@@ -93,7 +90,8 @@ impl Limited {
             let (from, to) = &motion.lane;
             let limit = limits.on(from, to).map(MetresPerSecond::get);
             let speed = earlier.get(robot).and_then(|earlier| motion.speed_mps(earlier));
-            if let Some((limit, speed)) = limit.zip(speed).filter(|(limit, speed)| *speed > limit + TOLERANCE_MPS) {
+            if let Some((limit, speed)) = limit.zip(speed).filter(|(limit, speed)| *speed > limit + SPEED_TOLERANCE_MPS)
+            {
                 let reason = format!("{robot} drives from {from} to {to} at {speed:.2} m/s, allowed are {limit} m/s");
                 return Err(reason.into());
             }

@@ -6,6 +6,7 @@
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
+use crate::order_bounds::CHARGER_CONTACT;
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId};
 use consort_protocol::ledger::ResourceLease;
@@ -13,10 +14,6 @@ use consort_skills::actions::{Dock, Goal};
 use consort_world::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::BTreeMap;
 use std::time::Duration;
-
-/// Time for which two nodes must have been in contact, so that each has the claim of the other: the least age of a claim
-/// on which a robot acts (2 s), and lost records.
-const CONTACT: Duration = Duration::from_secs(10);
 
 /// Interval at which the contact of the robots is examined.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -50,12 +47,13 @@ impl OnePerCharger {
     fn connects(&mut self, at: Duration, robot: &RobotId) -> Result<(), InvariantViolation> {
         let Some(charger) = self.docks.get(robot).cloned() else { return Ok(()) };
         let in_contact =
-            |other: &RobotId| self.contact.get(&pair(robot, other)).is_some_and(|since| at >= *since + CONTACT);
+            |other: &RobotId| self.contact.get(&pair(robot, other)).is_some_and(|since| at >= *since + CHARGER_CONTACT);
         let mut connected = self.connected.iter().filter(|(_, place)| **place == charger);
         if let Some((other, _)) = connected.find(|(other, _)| in_contact(other)) {
             return Err(format!("{robot} connects to the charger {charger} while {other} is connected to it").into());
         }
-        let leased = self.leased.get(&charger).filter(|(other, since)| other != robot && at >= *since + CONTACT);
+        let leased =
+            self.leased.get(&charger).filter(|(other, since)| other != robot && at >= *since + CHARGER_CONTACT);
         if let Some((other, _)) = leased.filter(|(other, _)| in_contact(other)) {
             return Err(format!("{robot} connects to the charger {charger}, which {other} has leased").into());
         }
