@@ -46,7 +46,7 @@ impl CopyState {
 }
 
 impl LedgerCopies {
-    /// Records the copy of a node for ever.
+    /// Records for ever what the copy of a node states about these robots while they are under orders.
     pub async fn record(self, bus: SharedBus, keys: Keys, node: NodeId, robots: Vec<RobotId>) {
         loop {
             let asked = Instant::now();
@@ -55,9 +55,8 @@ impl LedgerCopies {
             let alarms: Vec<String> = alarms.into_iter().map(|alarm| alarm.order.by).collect();
             for robot in &robots {
                 let view: Option<RobotView> = view_of(&bus, &keys, &node, Key::ViewRobot(robot.clone())).await;
-                if let Some(state) = view.and_then(|view| CopyState::of(robot, view, &alarms, Instant::now())) {
-                    self.lock().push(state);
-                }
+                let state = view.and_then(|view| CopyState::of(robot, view, &alarms, Instant::now()));
+                self.lock().extend(state.filter(|state| !state.ordered_by.is_empty()));
             }
             sleep_until(asked + INTERVAL).await;
         }

@@ -21,7 +21,7 @@ fn two_minutes_of_faults_violate_nothing() {
     let (verdict, log) = (String::from_utf8_lossy(&ended.stdout), String::from_utf8_lossy(&ended.stderr));
     assert!(ended.status.success(), "{verdict}\n{log}");
     let verdict: serde_json::Value = serde_json::from_str(&verdict).expect("a verdict in JSON");
-    for counted in ["acknowledged", "own", "replies", "orders", "occurrences", "terms"] {
+    for counted in ["acknowledged", "own", "replies", "orders", "charges", "occurrences", "terms"] {
         assert!(verdict[counted].as_u64() > Some(0), "{counted}: {verdict}");
     }
     assert_eq!(verdict["violations"], serde_json::json!([]), "{verdict}");

@@ -95,7 +95,7 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
         .map_err(|problem| Failure::Usage(format!("{} cannot be created: {problem}", folder.display())))?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(unsuccessful)?;
     let figures = runtime.block_on(async {
-        let kind = FleetKind { open: true, large: false };
+        let kind = FleetKind { open: true, large: false, charging: false };
         let mut fleet = ProcessFleet::start(&folder, kind, &[], &UserParticipants::default()).await?;
         let figures = measure(&mut fleet, args).await;
         fleet.stop();

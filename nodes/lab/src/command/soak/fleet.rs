@@ -1,6 +1,7 @@
 //! The processes of the fleet, each on its own host.
 
 use super::certificates::Certificates;
+use super::{charging, orders};
 use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_nodes::exit::Failure;
@@ -72,6 +73,28 @@ pub(in super::super) struct FleetKind {
     /// The fleet has the settings of a large one: carriers are clients of the stations, which relay for them, and
     /// auctions ask candidates first.
     pub(in super::super) large: bool,
+    /// The carriers use their batteries, and a charger.
+    pub(in super::super) charging: bool,
+}
+
+impl FleetKind {
+    /// Returns the fleet file.
+    fn fleet_file(self) -> Table {
+        let mut fleet = example("fleet");
+        fleet.insert("name".to_owned(), FLEET.into());
+        fleet.insert("bootstrap_expect".to_owned(), (STATIONS.len() as i64).into());
+        if self.large {
+            fleet.insert("planned_nodes".to_owned(), PLANNED_NODES.into());
+            if let Some(auction) = fleet.get_mut("auction").and_then(toml::Value::as_table_mut) {
+                auction.insert("candidates".to_owned(), CANDIDATES.into());
+            }
+        }
+        if self.charging {
+            charging::change_fleet(&mut fleet);
+        }
+        orders::change_fleet(&mut fleet);
+        fleet
+    }
 }
 
 /// Fleet with a process for each node.
@@ -145,16 +168,7 @@ impl ProcessFleet {
     }
 
     fn write_files(&self, participants: &UserParticipants) -> Result<(), Failure> {
-        let mut fleet = example("fleet");
-        fleet.insert("name".to_owned(), FLEET.into());
-        fleet.insert("bootstrap_expect".to_owned(), (STATIONS.len() as i64).into());
-        if self.kind.large {
-            fleet.insert("planned_nodes".to_owned(), PLANNED_NODES.into());
-            if let Some(auction) = fleet.get_mut("auction").and_then(toml::Value::as_table_mut) {
-                auction.insert("candidates".to_owned(), CANDIDATES.into());
-            }
-        }
-        self.write("fleet", &fleet)?;
+        self.write("fleet", &self.kind.fleet_file())?;
         for station in STATIONS {
             self.write_node(station, example("station"), &STATIONS)?;
         }
@@ -166,11 +180,15 @@ impl ProcessFleet {
             second.insert("id".to_owned(), "bob".into());
             second.insert("place".to_owned(), "PC Room 4".into());
             bodies.push(second.into());
-            // Robots do not charge by themselves, and nobody empties the drawers after a failed mission.
             for body in bodies.iter_mut().filter_map(toml::Value::as_table_mut) {
-                body.insert("discharge_share_per_s".to_owned(), 0.0.into());
+                if self.kind.charging {
+                    charging::change_body(body);
+                } else {
+                    charging::remove_discharge(body);
+                }
             }
         }
+        // Nobody empties the drawers after a failed mission.
         if let Some(limits) = world.get_mut("limits").and_then(toml::Value::as_table_mut) {
             limits.insert("drawer_slots".to_owned(), DRAWER_SLOTS.into());
         }
@@ -188,7 +206,11 @@ impl ProcessFleet {
                 skills.extend(more);
             }
             node.insert("may_vote".to_owned(), false.into());
-            node.insert("discharge_share_per_s".to_owned(), 0.0.into());
+            if is_arm || !self.kind.charging {
+                charging::remove_discharge(&mut node);
+            } else {
+                charging::change_robot(&mut node);
+            }
             let mut neighbours = STATIONS.to_vec();
             if !self.is_client(robot) {
                 neighbours.push(WORLD);
@@ -375,4 +397,22 @@ fn nurse(room: &str) -> Table {
     nurse.insert("place".to_owned(), room.into());
     nurse.insert("samples".to_owned(), samples.into());
     nurse
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_nodes::config::{FleetConfig, from_text};
+    use consort_skills::extensions::Extensions;
+
+    #[test]
+    fn fleet_files_can_be_read() {
+        let domain = Extensions::default().domain();
+        for (large, charging) in [(false, false), (true, true)] {
+            let file = FleetKind { open: false, large, charging }.fleet_file().to_string();
+            let fleet: FleetConfig = from_text(&file, "fleet.toml", &domain).expect("a fleet file");
+            assert_eq!((fleet.planned_nodes == Some(30), fleet.alarms.len()), (large, 2));
+            assert_eq!(fleet.charging.is_some_and(|settings| !settings.parking.is_empty()), charging);
+        }
+    }
 }

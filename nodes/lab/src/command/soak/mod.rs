@@ -1,10 +1,12 @@
 //! `consort-lab soak`: a fleet of real processes under random faults, with clients at work.
 
 mod certificates;
+mod charging;
 mod faults;
 pub(super) mod fleet;
 mod occurrences;
 mod orders;
+mod supervisors;
 mod verdict;
 mod workload;
 
@@ -33,8 +35,9 @@ const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
 /// the ledger on disk, two carriers, an arm and the host of the simulated world. For the given time
 /// nodes are killed, stopped and restarted, cables are cut, packets are lost and the network is
 /// partitioned. Meanwhile clients submit, cancel and read missions over Zenoh, a schedule submits one
-/// each minute, and a person holds robots and closes places. Then all faults end, and every mission must
-/// end.
+/// each minute, a person holds robots and closes places, and another has robots in maintenance, limits the
+/// speed and raises alarms. The carriers share a charger, and charge and park by themselves. Then all faults
+/// and orders end, and every mission must end.
 ///
 /// The fleet is closed: each node has a certificate with the roles that it needs, and the clients sign their requests as
 /// a person. With an even seed it has the settings of a large fleet (`--large`).
@@ -44,8 +47,10 @@ const TOOLS: [&str; 3] = ["ip", "nft", "kill"];
 ///
 /// The verdict depends only on what is visible from outside: all calls of the clients must be
 /// linearizable, no acknowledged mission may be lost or executed as two missions, each occurrence of the
-/// schedule must be one mission, held robots must stand still, no robot may enter a closed place, no term
-/// may have two coordinators, and no process may end by itself.
+/// schedule must be one mission, robots must stand still when they are held or an alarm stops them, enter no
+/// closed place, exceed no speed limit, and get no roles while they are held, in maintenance or under an alarm,
+/// no two may be connected to the charger, no term may have two coordinators, and no process may end by
+/// itself.
 ///
 /// It needs Linux with unprivileged user namespaces, or root, and the programs ip (iproute2) and nft
 /// (nftables). Nothing is sent outside of its own namespaces. The program `consort` must be beside
@@ -122,7 +127,7 @@ fn soak(args: &Args, seed: u64, own: UserWorkload, participants: &UserParticipan
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
     let verdict = runtime.block_on(async {
-        let kind = FleetKind { open: args.open, large: args.large || seed.is_multiple_of(2) };
+        let kind = FleetKind { open: args.open, large: args.large || seed.is_multiple_of(2), charging: true };
         let mut fleet = ProcessFleet::start(&folder, kind, own.extensions.domains, participants).await?;
         let history = History::new(HistoryLimits::default().missions_max as usize);
         let workload = Workload::start(&fleet, &history, own, seed).await?;

@@ -1,100 +1,119 @@
-//! A person who holds robots, and closes and opens places.
+//! Orders of people: what they are about, the requests that give and end them, and what must hold meanwhile.
 
-use super::fleet::{CARRIERS, ProcessFleet, ROOMS, WORLD};
-use consort_bus::SharedBus;
-use consort_nodes::exit::Failure;
+use super::fleet::{CARRIERS, ROBOTS, ROOMS};
 use consort_protocol::ids::{PlaceId, RobotId};
-use consort_protocol::keys::{ApiCall, DriverCall, Key};
+use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::LeaseTerms;
 use consort_tests::body_log::BodyLog;
-use consort_tests::history::RecordingClient;
+use consort_tests::ledger_copies::LedgerCopies;
+use consort_tests::own_records::OwnRecords;
 use consort_tests::slug;
-use rand::{RngExt, SeedableRng};
+use rand::RngExt;
+use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::time::Duration;
-use tokio::sync::watch;
-use tokio::task::{JoinHandle, JoinSet};
-use tokio::time::{Instant, timeout};
-
-/// Milliseconds between two orders. A request without a reply may be executed until the fault of its node has ended.
-const PAUSE_MS: Range<u64> = 15_000..25_000;
+use tokio::time::Instant;
+use toml::Table;
 
 /// Milliseconds for which an order is in force. Robots have to follow it within a part of this time.
-const IN_FORCE_MS: Range<u64> = 25_000..40_000;
+pub(super) const IN_FORCE_MS: Range<u64> = 25_000..40_000;
 
-/// Seconds after which a hold would end by itself: longer than it is in force.
-const HOLD_S: u32 = 120;
+/// Seconds after which a hold or a speed limit would end by itself: longer than it is in force.
+const FOR_S: u32 = 120;
 
-/// Places besides the rooms that the person closes: many ways lead through them.
+/// Places besides the rooms that people close, and to which they limit the speed: many ways lead through them.
 const CORRIDORS: [&str; 3] = ["Crossing", "IC Corridor 4", "PC Corridor 5"];
 
+/// Speed limits in metres per second. The carriers drive at 0.6 m/s.
+const SPEEDS_MPS: [f64; 3] = [0.2, 0.3, 0.4];
+
+/// Shares of maintenance and of speed limits among the orders of the second person. The others are alarms, which stop all
+/// robots.
+const MAINTENANCE: f64 = 0.4;
+const LIMITS: f64 = 0.4;
+
+/// Alarm of the example of a fleet file: robots drive to assembly places, and these rooms are closed.
+const FIRE: &str = "fire";
+const CLOSED_BY_FIRE: [&str; 3] = ["IC Room 4", "IC Room 5", "IC Room 6"];
+
+/// Alarm at which robots stand still.
+const FREEZE: &str = "freeze";
+
+/// Draws what the next order of a person is about.
+pub(super) type Draw = fn(&mut ChaCha8Rng) -> Subject;
+
 /// What an order is about.
-#[derive(Debug, Clone)]
-enum Subject {
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Subject {
+    /// They are held.
     Robots(Vec<RobotId>),
+    /// It is closed.
     Place(PlaceId),
+    /// It is in maintenance.
+    Maintenance(RobotId),
+    /// The speed at it is limited, in metres per second.
+    Limit(PlaceId, f64),
+    /// It is raised.
+    Alarm(&'static str),
 }
 
-/// An acknowledged order, and the period from its acknowledgement to the request that ended it.
+/// An acknowledged order.
 #[derive(Debug, Clone)]
-struct GivenOrder {
-    subject: Subject,
-    in_force: Range<Instant>,
+pub(super) struct GivenOrder {
+    /// The person, as the ledger and the robots name it: the beginning of the name.
+    pub(super) person: String,
+    pub(super) subject: Subject,
+    /// Period from the acknowledgement to the request that ended the order.
+    pub(super) in_force: Range<Instant>,
 }
 
-/// The person at work, and the log that shows how the robots follow the orders.
-pub(super) struct Supervisor {
-    giver: JoinHandle<Vec<GivenOrder>>,
-    given: Vec<GivenOrder>,
-    bodies: BodyLog,
-    recorders: JoinSet<()>,
-    /// Client of the host of the world, for the log.
-    _bus: SharedBus,
+/// Logs that show how robots follow orders.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Logs {
+    /// Bodies of the carriers.
+    pub(super) bodies: BodyLog,
+    /// Own records of the carriers.
+    pub(super) records: OwnRecords,
+    /// The ledger of the stations.
+    pub(super) copies: LedgerCopies,
 }
 
-impl Supervisor {
-    /// Starts the person, who works until the end, and the log.
-    ///
-    /// # Errors
-    /// [`Failure::Unsuccessful`] if the client for the log cannot be opened.
-    pub(super) async fn start(
-        fleet: &ProcessFleet,
-        client: RecordingClient,
-        seed: u64,
-        end: watch::Receiver<bool>,
-    ) -> Result<Supervisor, Failure> {
-        let bus = fleet.client(&[WORLD]).await?;
-        let (bodies, mut recorders) = (BodyLog::default(), JoinSet::new());
-        for carrier in CARRIERS {
-            let states = bus.subscribe(&fleet.keys.write(&Key::Driver(slug(carrier), DriverCall::State))).await;
-            let states = states.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
-            recorders.spawn(bodies.clone().record(states));
-        }
-        let giver = tokio::spawn(give_orders(client, seed, end));
-        Ok(Supervisor { giver, given: vec![], bodies, recorders, _bus: bus })
+/// Declares the second alarm in the example of a fleet file.
+pub(super) fn change_fleet(fleet: &mut Table) {
+    if let Some(alarms) = fleet.get_mut("alarms").and_then(toml::Value::as_table_mut) {
+        alarms.insert(FREEZE.to_owned(), Table::from_iter([("robots".to_owned(), "stop".into())]).into());
     }
+}
 
-    /// Waits until the last order has ended.
-    pub(super) async fn finish(&mut self) {
-        if let Ok(given) = (&mut self.giver).await {
-            self.given = given;
-        }
-    }
+/// Returns the requests that end all orders, also those of requests without a reply that were executed later.
+pub(super) fn all_over() -> [(ApiCall, Value); 5] {
+    let places: Vec<&str> = places().collect();
+    [
+        (ApiCall::Alarm, json!({ "action": "clear" })),
+        (ApiCall::Release, json!({ "robots": "all" })),
+        (ApiCall::Maintenance, json!({ "robots": "all", "action": "end" })),
+        (ApiCall::Open, json!({ "places": places })),
+        (ApiCall::Limit, json!({ "places": places, "action": "clear" })),
+    ]
+}
 
-    /// Ends the log. Returns for each order the number of states of robots that follow it, or what a robot did instead.
-    pub(super) async fn end(mut self) -> Vec<Result<usize, String>> {
-        self.recorders.shutdown().await;
-        self.given.iter().map(|order| order.check(&self.bodies)).collect()
-    }
+fn places() -> impl Iterator<Item = &'static str> {
+    ROOMS.into_iter().chain(CORRIDORS)
+}
+
+fn draw_place(chance: &mut ChaCha8Rng) -> PlaceId {
+    let places: Vec<&str> = places().collect();
+    slug(places[chance.random_range(0..places.len())])
 }
 
 impl Subject {
-    fn draw(chance: &mut ChaCha8Rng) -> Subject {
+    /// Draws a hold or a closure.
+    pub(super) fn hold_or_closure(chance: &mut ChaCha8Rng) -> Subject {
         if chance.random_bool(0.5) {
-            let places: Vec<&str> = ROOMS.into_iter().chain(CORRIDORS).collect();
-            return Subject::Place(slug(places[chance.random_range(0..places.len())]));
+            return Subject::Place(draw_place(chance));
         }
         let robots: Vec<RobotId> = CARRIERS.into_iter().map(slug).collect();
         match robots.get(chance.random_range(0..=robots.len())) {
@@ -103,85 +122,216 @@ impl Subject {
         }
     }
 
+    /// Draws a maintenance, a speed limit or an alarm.
+    pub(super) fn maintenance_limit_or_alarm(chance: &mut ChaCha8Rng) -> Subject {
+        let kind = chance.random_range(0.0..1.0);
+        if kind < MAINTENANCE {
+            return Subject::Maintenance(slug(CARRIERS[chance.random_range(0..CARRIERS.len())]));
+        }
+        if kind < MAINTENANCE + LIMITS {
+            let speed_mps = *SPEEDS_MPS.choose(chance).expect("there are three");
+            return Subject::Limit(draw_place(chance), speed_mps);
+        }
+        Subject::Alarm(if chance.random_bool(0.5) { FIRE } else { FREEZE })
+    }
+
+    /// Returns the kind of the order, for the verdict.
+    pub(super) fn kind(&self) -> &'static str {
+        match self {
+            Subject::Robots(_) => "holds",
+            Subject::Place(_) => "closures",
+            Subject::Maintenance(_) => "maintenance",
+            Subject::Limit(..) => "limits",
+            Subject::Alarm(_) => "alarms",
+        }
+    }
+
     /// Returns the requests that begin and end the order.
-    fn requests(&self) -> [(ApiCall, Value); 2] {
+    pub(super) fn requests(&self) -> [(ApiCall, Value); 2] {
         match self {
             Subject::Robots(robots) => [
-                (ApiCall::Hold, json!({ "robots": robots, "for_s": HOLD_S, "reason": "soak" })),
+                (ApiCall::Hold, json!({ "robots": robots, "for_s": FOR_S, "reason": "soak" })),
                 (ApiCall::Release, json!({ "robots": robots })),
             ],
             Subject::Place(place) => [
                 (ApiCall::Close, json!({ "places": [place], "reason": "soak" })),
                 (ApiCall::Open, json!({ "places": [place] })),
             ],
+            Subject::Maintenance(robot) => [
+                (ApiCall::Maintenance, json!({ "robots": [robot], "action": "begin", "reason": "soak" })),
+                (ApiCall::Maintenance, json!({ "robots": [robot], "action": "end" })),
+            ],
+            Subject::Limit(place, speed_mps) => {
+                let set = json!({
+                    "places": [place], "action": "set", "speed_mps": speed_mps, "for_s": FOR_S, "reason": "soak",
+                });
+                [(ApiCall::Limit, set), (ApiCall::Limit, json!({ "places": [place], "action": "clear" }))]
+            }
+            Subject::Alarm(alarm) => [
+                (ApiCall::Alarm, json!({ "action": "raise", "alarm": alarm, "reason": "soak" })),
+                (ApiCall::Alarm, json!({ "action": "clear", "alarm": alarm })),
+            ],
         }
     }
 }
 
 impl GivenOrder {
-    /// Checks that the robots have followed the order. Returns the number of states of robots that show it.
+    /// Checks that the robots have followed the order. Returns the number of states of robots and of the ledger that show it.
     ///
     /// # Errors
     /// Description of what a robot did.
-    fn check(&self, log: &BodyLog) -> Result<usize, String> {
-        let lease = LeaseTerms::default().lease;
+    pub(super) fn check(&self, logs: &Logs) -> Result<usize, String> {
+        let all: Vec<RobotId> = ROBOTS.into_iter().map(slug).collect();
         match &self.subject {
-            Subject::Robots(robots) => robots.iter().map(|robot| log.check_held(robot, &self.in_force, lease)).sum(),
-            Subject::Place(place) => {
-                let carriers = CARRIERS.into_iter().map(slug);
-                carriers.map(|robot: RobotId| log.check_closed(&robot, place, &self.in_force, lease)).sum()
+            Subject::Robots(robots) => Ok(self.check_still(robots, logs)? + self.check_no_award(robots, logs)?),
+            Subject::Place(place) => self.check_closed(&BTreeSet::from([place.clone()]), logs),
+            Subject::Maintenance(robot) => self.check_no_award(std::slice::from_ref(robot), logs),
+            Subject::Limit(place, speed_mps) => self.check_limited((place, *speed_mps), logs),
+            Subject::Alarm(FREEZE) => Ok(self.check_still(&carriers(), logs)? + self.check_no_award(&all, logs)?),
+            Subject::Alarm(_) => {
+                let closed = CLOSED_BY_FIRE.into_iter().map(slug).collect();
+                Ok(self.check_closed(&closed, logs)? + self.check_no_award(&all, logs)?)
             }
         }
     }
-}
 
-/// Gives orders, one at a time, until the end. The last is ended, too. Returns those that were acknowledged.
-async fn give_orders(client: RecordingClient, seed: u64, mut end: watch::Receiver<bool>) -> Vec<GivenOrder> {
-    let mut chance = ChaCha8Rng::seed_from_u64(seed ^ 0x0a5d);
-    let mut given = vec![];
-    for number in 1_u64.. {
-        if ends_within(&mut end, chance.random_range(PAUSE_MS)).await {
-            break;
-        }
-        let subject = Subject::draw(&mut chance);
-        let [(begin, begin_request), (finish, finish_request)] = subject.requests();
-        let person = format!("soak person {number}");
-        let is_acknowledged = client.order(begin, begin_request, &person).await.is_some();
-        let from = Instant::now();
-        ends_within(&mut end, chance.random_range(IN_FORCE_MS)).await;
-        let in_force = from..Instant::now();
-        client.order(finish, finish_request, &format!("{person}, afterwards")).await;
-        given.extend(is_acknowledged.then_some(GivenOrder { subject, in_force }));
+    fn check_still(&self, robots: &[RobotId], logs: &Logs) -> Result<usize, String> {
+        let parts = parts(robots, |robot| logs.records.bound(robot, &self.person, &self.in_force));
+        parts.iter().map(|(robot, part)| logs.bodies.check_still(robot, part, lease())).sum()
     }
-    given
+
+    fn check_closed(&self, places: &BTreeSet<PlaceId>, logs: &Logs) -> Result<usize, String> {
+        let parts = self.in_role(logs);
+        parts.iter().map(|(robot, part)| logs.bodies.check_closed(robot, places, part, lease())).sum()
+    }
+
+    fn check_limited(&self, limit: (&PlaceId, f64), logs: &Logs) -> Result<usize, String> {
+        let parts = self.in_role(logs);
+        parts.iter().map(|(robot, part)| logs.bodies.check_limited(robot, limit, part, lease())).sum()
+    }
+
+    fn check_no_award(&self, robots: &[RobotId], logs: &Logs) -> Result<usize, String> {
+        robots.iter().map(|robot| logs.copies.check_no_award(robot, &self.person, &self.in_force)).sum()
+    }
+
+    /// Returns the periods in which the carriers have roles: others may lack closures and limits.
+    fn in_role(&self, logs: &Logs) -> Vec<(RobotId, Range<Instant>)> {
+        parts(&carriers(), |robot| logs.records.in_role(robot, &self.in_force))
+    }
 }
 
-/// Waits for this time, or until the end. Returns whether the end has come.
-async fn ends_within(end: &mut watch::Receiver<bool>, for_ms: u64) -> bool {
-    timeout(Duration::from_millis(for_ms), end.wait_for(|end| *end)).await.is_ok()
+fn carriers() -> Vec<RobotId> {
+    CARRIERS.into_iter().map(slug).collect()
+}
+
+/// Returns the duration of leases in the example of a fleet file.
+fn lease() -> Duration {
+    LeaseTerms::default().lease
+}
+
+/// Returns the periods of each of these robots.
+fn parts(robots: &[RobotId], of: impl Fn(&RobotId) -> Vec<Range<Instant>>) -> Vec<(RobotId, Range<Instant>)> {
+    robots.iter().flat_map(|robot| of(robot).into_iter().map(move |part| (robot.clone(), part))).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::api::{CloseRequest, HoldRequest, OpenRequest, ReleaseRequest};
+    use consort_nodes::config::{FleetConfig, from_text};
+    use consort_protocol::api::{
+        AlarmRequest, CloseRequest, HoldRequest, LimitRequest, MaintenanceRequest, OpenRequest, ReleaseRequest,
+    };
+    use consort_protocol::ids::{AlarmId, ZoneId};
+    use consort_protocol::ledger::AlarmResponse;
+    use consort_skills::extensions::Extensions;
+    use consort_tests::example_files::example;
+    use rand::SeedableRng;
 
-    #[test]
-    fn requests_are_those_of_the_api() {
-        let [(begin, hold), (finish, release)] = Subject::Robots(vec![slug("ada")]).requests();
-        assert_eq!((begin, finish), (ApiCall::Hold, ApiCall::Release));
-        let longest_ms = u64::from(serde_json::from_value::<HoldRequest>(hold).unwrap().for_s.unwrap()) * 1_000;
-        assert!(longest_ms > IN_FORCE_MS.end, "the person ends the hold");
-        serde_json::from_value::<ReleaseRequest>(release).unwrap();
-        let [(begin, close), (finish, open)] = Subject::Place(slug("Crossing")).requests();
-        assert_eq!((begin, finish), (ApiCall::Close, ApiCall::Open));
-        serde_json::from_value::<CloseRequest>(close).unwrap();
-        serde_json::from_value::<OpenRequest>(open).unwrap();
+    /// Checks that a request is one of the API. Returns its duration, if it states one.
+    fn for_s((call, request): (ApiCall, Value)) -> Option<u32> {
+        let for_s = request["for_s"].as_u64().and_then(|for_s| for_s.try_into().ok());
+        match call {
+            ApiCall::Hold => drop(serde_json::from_value::<HoldRequest>(request).unwrap()),
+            ApiCall::Release => drop(serde_json::from_value::<ReleaseRequest>(request).unwrap()),
+            ApiCall::Close => drop(serde_json::from_value::<CloseRequest>(request).unwrap()),
+            ApiCall::Open => drop(serde_json::from_value::<OpenRequest>(request).unwrap()),
+            ApiCall::Maintenance => drop(serde_json::from_value::<MaintenanceRequest>(request).unwrap()),
+            ApiCall::Limit => drop(serde_json::from_value::<LimitRequest>(request).unwrap()),
+            ApiCall::Alarm => drop(serde_json::from_value::<AlarmRequest>(request).unwrap()),
+            call => panic!("{call:?} is no order"),
+        }
+        for_s
     }
 
     #[test]
-    fn the_closed_places_are_on_the_map() {
+    fn requests_are_those_of_the_api() {
+        use ApiCall::{Alarm, Close, Hold, Limit, Maintenance, Open, Release};
+        let (ada, crossing) = (slug::<RobotId>("ada"), slug::<PlaceId>("Crossing"));
+        for (subject, calls) in [
+            (Subject::Robots(vec![ada.clone()]), [Hold, Release]),
+            (Subject::Place(crossing.clone()), [Close, Open]),
+            (Subject::Maintenance(ada), [Maintenance; 2]),
+            (Subject::Limit(crossing, 0.3), [Limit; 2]),
+            (Subject::Alarm(FIRE), [Alarm; 2]),
+        ] {
+            let requests = subject.requests();
+            assert_eq!(requests.clone().map(|(call, _)| call), calls);
+            let longest_s = requests.into_iter().filter_map(for_s).max();
+            assert!(
+                longest_s.is_none_or(|for_s| u64::from(for_s) * 1_000 > IN_FORCE_MS.end),
+                "a person ends {subject:?}"
+            );
+        }
+        for request in all_over() {
+            for_s(request);
+        }
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_orders_of_all_kinds() {
+        let people: [(Draw, Vec<&str>); 2] = [
+            (Subject::hold_or_closure, vec!["closures", "holds"]),
+            (Subject::maintenance_limit_or_alarm, vec!["alarms", "limits", "maintenance"]),
+        ];
+        for (draw, kinds) in people {
+            let orders = |seed| {
+                let mut chance = ChaCha8Rng::seed_from_u64(seed);
+                (0..50).map(|_| draw(&mut chance)).collect::<Vec<_>>()
+            };
+            assert_eq!(orders(7), orders(7));
+            assert_ne!(orders(7), orders(8));
+            let drawn: BTreeSet<&str> = orders(7).iter().map(Subject::kind).collect();
+            assert_eq!(drawn.into_iter().collect::<Vec<_>>(), kinds);
+        }
+    }
+
+    #[test]
+    fn the_places_are_on_the_map() {
         let map = consort_world::map::shipped("hospital").expect("it is shipped");
-        assert!(ROOMS.into_iter().chain(CORRIDORS).all(|place| map.place(&slug(place)).is_some()));
+        assert!(places().chain(CLOSED_BY_FIRE).all(|place| map.place(&slug(place)).is_some()));
+    }
+
+    #[test]
+    fn the_fleet_file_declares_the_alarms() {
+        let mut fleet = example("fleet");
+        change_fleet(&mut fleet);
+        let domain = Extensions::default().domain();
+        let fleet: FleetConfig = from_text(&fleet.to_string(), "fleet.toml", &domain).expect("a fleet file");
+        assert_eq!(fleet.alarms[&slug::<AlarmId>(FREEZE)].robots, AlarmResponse::Stop);
+        assert_eq!(fleet.alarms[&slug::<AlarmId>(FIRE)].robots, AlarmResponse::Assemble);
+        let closed: BTreeSet<PlaceId> = CLOSED_BY_FIRE.into_iter().map(slug).collect();
+        assert_eq!(fleet.zones[&slug::<ZoneId>("icu")], closed);
+        assert_eq!(Duration::from_millis(fleet.lease.lease_ms), lease());
+    }
+
+    #[test]
+    fn orders_without_any_log_are_not_violated() {
+        let now = Instant::now();
+        let mut chance = ChaCha8Rng::seed_from_u64(7);
+        for _ in 0..50 {
+            let subject = Subject::maintenance_limit_or_alarm(&mut chance);
+            let order = GivenOrder { person: "person 1, attempt".to_owned(), subject, in_force: now..now };
+            assert_eq!(order.check(&Logs::default()), Ok(0));
+        }
     }
 }

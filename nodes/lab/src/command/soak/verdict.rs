@@ -30,10 +30,14 @@ pub(super) struct Verdict {
     pub(super) states: BTreeMap<&'static str, usize>,
     /// Calls of clients with a definite reply.
     pub(super) replies: usize,
-    /// Acknowledged orders to robots: holds and closures.
+    /// Acknowledged orders of people.
     pub(super) orders: usize,
-    /// States of robots that follow them.
+    /// Number of these orders of each kind.
+    pub(super) order_kinds: BTreeMap<&'static str, usize>,
+    /// States of robots and of the ledger that show that the orders are followed.
     pub(super) order_states: usize,
+    /// Number of times for which a carrier was connected to the charger.
+    pub(super) charges: usize,
     /// Submitted occurrences of the schedule.
     pub(super) occurrences: u64,
     /// Number of terms with a coordinator.
@@ -77,7 +81,7 @@ pub(super) async fn reach(
         }
         sleep(LOOK_INTERVAL).await;
     }
-    let Observed { elected: terms, orders, occurrences } = workload.end().await;
+    let Observed { elected: terms, followed, occurrences } = workload.end().await;
     let requested = missions.missions.iter().filter(|mission| !is_occurrence(mission));
     let known: BTreeSet<String> = requested.map(|mission| mission.brief.mission.to_string()).collect();
     violations.extend(acknowledged.difference(&known).map(|mission| format!("{mission} was acknowledged and is lost")));
@@ -85,7 +89,7 @@ pub(super) async fn reach(
         .extend(known.difference(&acknowledged).map(|mission| format!("{mission} is a second mission of a request")));
     let submitted = occurrences.as_ref().map_or(0, |occurrences| occurrences.submitted);
     violations.extend(occurrences.and_then(|occurrences| occurrences.check(&missions)).err());
-    violations.extend(orders.iter().filter_map(|order| order.clone().err()));
+    violations.extend(followed.violations);
     for (term, nodes) in terms.iter().filter(|(_, nodes)| nodes.len() > 1) {
         let names: Vec<&str> = nodes.iter().map(|node| node.as_str()).collect();
         violations.push(format!("term {term} had several coordinators: {}", names.join(", ")));
@@ -102,8 +106,10 @@ pub(super) async fn reach(
         own,
         states,
         replies: history.replies(),
-        orders: orders.len(),
-        order_states: orders.iter().flatten().sum(),
+        orders: followed.orders.values().sum(),
+        order_kinds: followed.orders,
+        order_states: followed.states,
+        charges: followed.charges,
         occurrences: submitted,
         terms,
         failures_of_zenoh: fleet.failures_of_zenoh,
@@ -136,16 +142,20 @@ impl fmt::Display for Verdict {
         let missions = count(self.acknowledged, "mission", "missions");
         let states = self.states.iter().map(|(state, number)| format!("{number} {}", state.replace('_', " ")));
         let states: Vec<String> = states.collect();
+        let kinds = self.order_kinds.iter().map(|(kind, number)| format!("{number} {kind}"));
+        let kinds: Vec<String> = kinds.collect();
         let held = if self.violations.is_empty() { "held" } else { "violated" };
         write!(
             f,
-            "{held}: {missions} acknowledged ({}), {} checked, {}, {} followed in {}, {}, {}; {} ({kills} kills, \
+            "{held}: {missions} acknowledged ({}), {} checked, {}, {} ({}) followed in {}, {}, {}, {}; {} ({kills} kills, \
              {stops} stops, {cuts} cuts, {losses} losses, {partitions} partitions)",
             states.join(", "),
             count(self.replies, "reply", "replies"),
             count(self.occurrences as usize, "occurrence", "occurrences"),
             count(self.orders, "order", "orders"),
-            count(self.order_states, "state of a robot", "states of robots"),
+            kinds.join(", "),
+            count(self.order_states, "state", "states"),
+            count(self.charges, "charge", "charges"),
             count(self.terms, "term", "terms"),
             count(self.failures_of_zenoh as usize, "failure of Zenoh", "failures of Zenoh"),
             count(self.faults.total() as usize, "fault", "faults"),

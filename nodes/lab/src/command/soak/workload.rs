@@ -2,7 +2,7 @@
 
 use super::fleet::{ProcessFleet, ROOMS, STATIONS};
 use super::occurrences::{self, Occurrences};
-use super::orders::Supervisor;
+use super::supervisors::{Followed, Supervisors};
 use consort_bus::{SharedBus, Stream};
 use consort_nodes::exit::Failure;
 use consort_protocol::ids::NodeId;
@@ -40,7 +40,7 @@ pub(super) struct Workload {
     submitter: JoinHandle<JoinSet<()>>,
     end_submitter: tokio::sync::watch::Sender<bool>,
     readers: JoinSet<()>,
-    supervisor: Supervisor,
+    supervisors: Supervisors,
     /// Time of the first occurrence of the schedule, in milliseconds since 1970.
     first_occurrence_ms: u64,
     /// The occurrences, once the schedule is paused.
@@ -51,15 +51,15 @@ pub(super) struct Workload {
 pub(super) struct Observed {
     /// Nodes that were elected, by term.
     pub(super) elected: BTreeMap<u64, Vec<NodeId>>,
-    /// For each order to robots: the number of states of robots that follow it, or what a robot did instead.
-    pub(super) orders: Vec<Result<usize, String>>,
+    /// How the robots followed orders, and charged.
+    pub(super) followed: Followed,
     /// The occurrences of the schedule.
     pub(super) occurrences: Result<Occurrences, String>,
 }
 
 impl Workload {
     /// Starts the clients: one that submits and cancels, a reader of each kind at its own station, a person who
-    /// resolves missions, one who holds robots and closes places, and a schedule.
+    /// resolves missions, people who give orders, and a schedule.
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if a client cannot be opened, or the schedule is refused.
@@ -91,7 +91,7 @@ impl Workload {
         let elected = tokio::spawn(record_elected(events, end));
         let first_occurrence_ms = occurrences::add(&client, &own).await.map_err(Failure::Unsuccessful)?;
         let (end_submitter, end) = tokio::sync::watch::channel(false);
-        let supervisor = Supervisor::start(fleet, client.clone(), seed, end.clone()).await?;
+        let supervisors = Supervisors::start(fleet, client.clone(), seed, &end).await?;
         let submitter = tokio::spawn(submit(client.clone(), acknowledged.clone(), own, seed, end));
         Ok(Workload {
             acknowledged,
@@ -101,7 +101,7 @@ impl Workload {
             submitter,
             end_submitter,
             readers,
-            supervisor,
+            supervisors,
             first_occurrence_ms,
             occurrences: Err("the schedule was not paused".to_owned()),
         })
@@ -113,7 +113,7 @@ impl Workload {
         if let Ok(open) = (&mut self.submitter).await {
             open.join_all().await;
         }
-        self.supervisor.finish().await;
+        self.supervisors.finish().await;
         self.occurrences = occurrences::pause(&self.client, self.first_occurrence_ms).await;
     }
 
@@ -122,7 +122,7 @@ impl Workload {
         self.readers.shutdown().await;
         let _ = self.end_elected.send(());
         let elected = self.elected.await.unwrap_or_default();
-        Observed { elected, orders: self.supervisor.end().await, occurrences: self.occurrences }
+        Observed { elected, followed: self.supervisors.end().await, occurrences: self.occurrences }
     }
 }
 
