@@ -19,7 +19,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{BenchError, Fleet, QUERY_TIMEOUT, acknowledged, figures, in_fleet, lab_samples, ms, query_json};
+use support::{BenchError, Fleet, QUERY_TIMEOUT, acknowledged, figures, lab_samples, ms, query_json};
 use tokio::time::Instant;
 
 /// Mobile robots.
@@ -40,7 +40,7 @@ async fn measure(missions: usize) -> Result<Value, BenchError> {
     // The default ensemble: every robot with any skill. So all of them receive the call and
     // respond.
     let fleet = consort_nodes::config::FleetConfig { ensemble: vec![], ..scenario.fleet.clone() };
-    let mut fleet = Fleet::start(&in_fleet(scenario, fleet)).await?;
+    let mut fleet = Fleet::start(&scenario.in_fleet(fleet)).await?;
     let measured = measure_in(&mut fleet, missions).await;
     let unexpected_exit = fleet.processes.unexpected_exit();
     fleet.end().await;

@@ -24,7 +24,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{BenchError, Fleet, acknowledged, figures, in_fleet, lab_samples, ms, query_json};
+use support::{BenchError, Fleet, acknowledged, figures, lab_samples, ms, query_json};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, interval, sleep};
 
@@ -85,7 +85,7 @@ fn stations(timing: Timing) -> DemoScenario {
     let stations = (1..=STATIONS).map(|number| StationConfig::new(name(number))).collect();
     let fleet = FleetConfig { bootstrap_expect: STATIONS, timing, ..FleetConfig::default() };
     let (world, robots, requests) = (WorldConfig::default(), vec![], vec![]);
-    in_fleet(DemoScenario { fleet: fleet.clone(), world, robots, stations, requests }, fleet)
+    DemoScenario { fleet: fleet.clone(), world, robots, stations, requests }.in_fleet(fleet)
 }
 
 async fn takeover(fleet: &mut Fleet, end: End, number: usize) -> Result<(f64, f64), BenchError> {

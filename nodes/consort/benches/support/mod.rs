@@ -3,7 +3,6 @@
 mod figures;
 
 use consort_bus::{Sample, SharedBus, Stream};
-use consort_nodes::config::{FleetConfig, FleetRef};
 use consort_nodes::demo::{DemoFleet, DemoScenario, ProcessFleet};
 use consort_protocol::event::Event;
 use consort_protocol::ids::MissionId;
@@ -84,16 +83,6 @@ impl Fleet {
     pub(crate) async fn end(self) {
         self.processes.shut_down().await;
     }
-}
-
-/// Returns the same setup for another fleet; all its nodes use its settings.
-pub(crate) fn in_fleet(mut scenario: DemoScenario, fleet: FleetConfig) -> DemoScenario {
-    let reference = FleetRef::from(fleet.clone());
-    scenario.fleet = fleet;
-    scenario.world.fleet = reference.clone();
-    scenario.robots.iter_mut().for_each(|robot| robot.fleet = reference.clone());
-    scenario.stations.iter_mut().for_each(|station| station.fleet = reference.clone());
-    scenario
 }
 
 /// Returns a request for lab samples.

@@ -1,6 +1,6 @@
 //! The demo's robots, arms, nurses and missions, derived from its flags.
 
-use crate::config::{FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConfig};
+use crate::config::{ChargerConfig, ChargingConfig, FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConfig};
 use consort_driver::DriverSetting;
 use consort_protocol::ensemble::EnsembleSpec;
 use consort_protocol::ids::{EnsembleId, FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
@@ -44,6 +44,15 @@ const SERVICES: [&str; 5] = ["wait", "carry", "disinfect", "measure_vital_signs"
 
 /// Skills that need an arm.
 const OF_ARMS: [&str; 3] = ["pick_up", "grasp", "deposit"];
+
+/// Places of chargers, in the order of use: few robots pass or visit them.
+const CHARGERS: [&str; 6] = ["Dock", "PC Corridor 8", "IC Corridor 6", "PC Room 4", "IC Room 3", "PC Room 7"];
+
+/// Charge below which a robot charges, as a share.
+const CHARGES_BELOW: f64 = 0.4;
+
+/// Charge that a robot gains at a charger, as a share per second: about four times what it uses while it works.
+const CHARGING: f64 = 0.002;
 
 /// A kind of robot: its differences from the other kinds.
 struct Kind {
@@ -110,6 +119,26 @@ fn slug<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
     text.parse().expect("the demo's own names are names")
 }
 
+/// Returns the chargers of a fleet with `robots` mobile robots: one for each three robots, but at least two.
+fn charging(robots: usize) -> ChargingConfig {
+    let count = robots.div_ceil(3).clamp(2, CHARGERS.len());
+    let charger = |place: &&str| ChargerConfig { place: slug(place), power_w: None, eligible: None };
+    ChargingConfig {
+        below: BatteryShare::new(CHARGES_BELOW).expect("a share"),
+        charger: CHARGERS[..count].iter().map(charger).collect(),
+        ..ChargingConfig::default()
+    }
+}
+
+/// Returns the simulated robot of a mobile robot.
+fn simulated_carrier(robot: &RobotConfig, speed: MetresPerSecond) -> RobotSetup {
+    let (id, place) = (robot.name.clone(), robot.place.clone());
+    RobotSetup {
+        charging: SharePerSecond::new(CHARGING).expect("a rate"),
+        ..RobotSetup::carrier(id, place, speed, robot.battery, robot.discharge_share_per_s)
+    }
+}
+
 /// Creates mobile robots, with random start places and speeds.
 fn carriers(robots: usize, rng: &mut ChaCha8Rng, simulated: &mut Vec<RobotSetup>) -> Vec<RobotConfig> {
     let mut starts: Vec<&str> = ROOMS.into_iter().chain(["Dock"]).collect();
@@ -126,13 +155,14 @@ fn carriers(robots: usize, rng: &mut ChaCha8Rng, simulated: &mut Vec<RobotSetup>
         let own = CARRIER.into_iter().filter(|skill| Some(*skill) != kind.lacks);
         let skills = own.chain(SERVICES).map(slug).collect();
         let id: RobotId = slug(&name);
-        simulated.push(RobotSetup::carrier(id.clone(), place.clone(), speed, battery, discharge));
-        RobotConfig {
+        let robot = RobotConfig {
             speed_mps: Some(speed),
             battery,
             discharge_share_per_s: discharge,
             ..RobotConfig::new(id, place, skills)
-        }
+        };
+        simulated.push(simulated_carrier(&robot, speed));
+        robot
     };
     (0..robots).map(&mut carrier).collect()
 }
@@ -188,15 +218,22 @@ impl DemoScenario {
                 slug::<EnsembleId>("logistics"),
                 BTreeSet::from([slug("operate_drawer"), slug("pick_up")]),
             )],
+            charging: Some(charging(robots)),
             ..FleetConfig::default()
         };
         let world = WorldConfig { seed, speed, robot: simulated, person: nurses(missions), ..WorldConfig::default() };
-        let mut scenario = DemoScenario { fleet: fleet.clone(), world, robots: scenario, stations, requests };
-        let reference = FleetRef::from(fleet);
-        scenario.world.fleet = reference.clone();
-        scenario.robots.iter_mut().for_each(|robot| robot.fleet = reference.clone());
-        scenario.stations.iter_mut().for_each(|station| station.fleet = reference.clone());
-        scenario
+        DemoScenario { fleet: fleet.clone(), world, robots: scenario, stations, requests }.in_fleet(fleet)
+    }
+
+    /// Returns the same scenario in another fleet; all its nodes use its settings.
+    #[must_use]
+    pub fn in_fleet(mut self, fleet: FleetConfig) -> DemoScenario {
+        let reference = FleetRef::from(fleet.clone());
+        self.fleet = fleet;
+        self.world.fleet = reference.clone();
+        self.robots.iter_mut().for_each(|robot| robot.fleet = reference.clone());
+        self.stations.iter_mut().for_each(|station| station.fleet = reference.clone());
+        self
     }
 
     /// Adds skills to all robots.
@@ -241,18 +278,16 @@ impl DemoScenario {
             let speed = MetresPerSecond::new(0.7).expect("a speed");
             let (battery, discharge) = (BatteryShare::FULL, SharePerSecond::new(0.000_5).expect("a rate"));
             let has_arm = skills.iter().any(|skill| OF_ARMS.contains(&skill.as_str()));
-            self.world.robot.push(RobotSetup {
-                has_arm,
-                has_drawer: !has_arm,
-                ..RobotSetup::carrier(id.clone(), place.clone(), speed, battery, discharge)
-            });
-            self.robots.push(RobotConfig {
+            let robot = RobotConfig {
                 speed_mps: Some(speed),
                 battery,
                 discharge_share_per_s: discharge,
                 fleet: self.world.fleet.clone(),
                 ..RobotConfig::new(id, place, skills)
-            });
+            };
+            let simulated = RobotSetup { has_arm, has_drawer: !has_arm, ..simulated_carrier(&robot, speed) };
+            self.world.robot.push(simulated);
+            self.robots.push(robot);
         }
         self
     }
@@ -276,14 +311,16 @@ impl DemoScenario {
         people.iter().fold(scenario, |scenario, role| scenario.with_person(role, None, |_| true))
     }
 
-    /// Gives all mobile robots a driver, in place of the simulator.
+    /// Gives all mobile robots a driver, in place of the simulator. They do not charge by themselves, since a driver
+    /// need not have the action `dock`.
     #[must_use]
     pub fn with_driver(mut self, driver: &DriverSetting) -> DemoScenario {
         for robot in self.robots.iter_mut().filter(|robot| robot.speed_mps.is_some()) {
             robot.driver = Some(driver.clone());
             self.world.robot.retain(|simulated| simulated.id != robot.name);
         }
-        self
+        let fleet = FleetConfig { charging: None, ..self.fleet.clone() };
+        self.in_fleet(fleet)
     }
 
     /// Returns all nodes that may vote, by name.
@@ -296,6 +333,8 @@ impl DemoScenario {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wiring;
+    use consort_skills::extensions::Extensions;
 
     #[test]
     fn the_seed_determines_the_scenario() {
@@ -313,6 +352,20 @@ mod tests {
         assert_eq!(skills.len(), 3);
         assert_eq!(scenario.robots.len(), 7);
         assert!(scenario.stations.is_empty());
+    }
+
+    #[test]
+    fn robots_charge_unless_a_driver_replaces_the_simulator() {
+        for (robots, chargers) in [(1, 2), (6, 2), (12, 4), (100, 6)] {
+            let scenario = DemoScenario::new(robots, 1, 8.0, 1);
+            // The places of the chargers are on the map.
+            let settings = wiring::fleet_settings(&scenario.fleet, Extensions::default()).unwrap();
+            assert_eq!(settings.charging.map(|charging| charging.chargers.len()), Some(chargers));
+        }
+        let scenario = DemoScenario::new(6, 1, 8.0, 1).with_driver(&DriverSetting::Command(vec!["driver".to_owned()]));
+        assert_eq!(scenario.fleet.charging, None);
+        let reference = FleetRef::from(scenario.fleet);
+        assert!(scenario.world.fleet == reference && scenario.robots.iter().all(|robot| robot.fleet == reference));
     }
 
     #[test]
