@@ -1,11 +1,11 @@
 //! Test of a demo that is kept running: any mix of missions, with missions among them that no robot can do.
 
 use super::fleet::DemoFleet as _;
-use super::scenario::DemoScenario;
 use super::virtual_fleet::VirtualFleet;
+use super::{Args, requested_scenario};
 use crate::config::FleetConfig;
 use crate::map_loader;
-use crate::rendering::RenderFlags;
+use clap::Parser as _;
 use consort_dashboard::query::{QueryTarget, query_once};
 use consort_protocol::api::SubmitReply;
 use consort_protocol::ids::{MissionId, PlaceId};
@@ -24,11 +24,13 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-const ROBOTS: usize = 12;
+/// `consort demo` with a fleet that is kept running.
+const DEMO: [&str; 4] = ["demo", "--keep-running", "--robots", "12"];
+
 const MISSIONS: usize = 100;
 const POISON: usize = 10;
 
-/// World seconds per second of random missions. The batteries last until the end.
+/// World seconds per second of random missions.
 const SPEED: f64 = 1.0;
 
 /// World seconds per second of a demo with a mission, without `--speed`.
@@ -50,6 +52,13 @@ const AFTERWARDS_S: u64 = 300;
 
 fn extensions() -> Extensions {
     Extensions::default().with_domain("failing.yaml", failing_domain())
+}
+
+/// A command line of `consort demo`.
+#[derive(clap::Parser)]
+struct Command {
+    #[command(flatten)]
+    args: Args,
 }
 
 /// A request in the format of the API, and its time in milliseconds.
@@ -102,14 +111,12 @@ fn poison(chance: &mut ChaCha8Rng) -> Vec<Submission> {
 
 /// Submits the missions to a demo and returns their states at the end, by the name of the request.
 async fn run(seed: u64, speed: f64, mut submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
+    let flags = [format!("--seed={seed}"), format!("--speed={speed}")];
+    let Command { args } = Command::parse_from(DEMO.map(str::to_owned).into_iter().chain(flags));
     let extensions = extensions();
-    let map = map_loader::load(&FleetConfig::default().map).unwrap();
-    let domain = extensions.domain().with_places(map.topology.places.into_keys());
-    let scenario = DemoScenario::new(ROBOTS, 3, speed, seed)
-        .with_skills(&extensions.declared_task_types())
-        .with_participants_of_all_missions(&domain);
+    let (scenario, _) = requested_scenario(&args, extensions).unwrap();
     let keys = Keys::new(&scenario.fleet.name);
-    let fleet = VirtualFleet::start(&scenario, seed, &RenderFlags::default(), extensions).await.unwrap();
+    let fleet = VirtualFleet::start(&scenario, seed, &args.render, extensions).await.unwrap();
     let bus = fleet.bus();
     let query = async |key: &Key, payload: &str| {
         let limit = Duration::from_secs(2);
@@ -163,7 +170,7 @@ fn run_to_end(seed: u64, speed: f64, submissions: Vec<Submission>) -> BTreeMap<S
     runtime.block_on(run(seed, speed, submissions))
 }
 
-/// Each of these missions needs the only arm, so they take turns.
+/// Each of these missions needs the only arm of the laboratory.
 #[test]
 fn sixty_lab_samples_over_five_minutes_are_completed() {
     let seed = 1;

@@ -36,7 +36,7 @@ use consort_dashboard::server::{Dashboard, FleetContents};
 use consort_driver::{DriverEndpoint, DriverSetting};
 use consort_skills::extensions::Extensions;
 use reporter::DemoReporter;
-use runner::{DemoOptions, DemoRunner};
+use runner::{DemoOptions, DemoRunner, RequestedMission};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use virtual_fleet::VirtualFleet;
@@ -130,6 +130,21 @@ impl Args {
     }
 }
 
+/// Returns the scenario for these flags, and the mission that the demo submits.
+///
+/// # Errors
+/// [`Failure`] if the mission is unknown or invalid.
+fn requested_scenario(args: &Args, extensions: Extensions) -> Result<(DemoScenario, RequestedMission), Failure> {
+    let scenario = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed)
+        .with_skills(&extensions.declared_task_types());
+    let places = map_loader::load(&scenario.fleet.map)?.topology.places;
+    let domain = extensions.domain().with_places(places.into_keys());
+    let requested = runner::request_mission(&args.mission, &args.people.people, &domain)?;
+    let scenario = scenario.with_participants(&requested.mission, &domain);
+    let scenario = if args.keep_running { scenario.with_participants_of_all_missions(&domain) } else { scenario };
+    Ok((args.driver.iter().fold(scenario, DemoScenario::with_driver), requested))
+}
+
 /// Runs the demo.
 ///
 /// # Errors
@@ -139,14 +154,7 @@ pub fn run(args: Args, extensions: Extensions) -> Result<(), Failure> {
         let what = "--record and --svg go with --virtual; of a fleet of processes, `consort world` records its world";
         return Err(Failure::Usage(what.to_owned()));
     }
-    let scenario = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed)
-        .with_skills(&extensions.declared_task_types());
-    let places = map_loader::load(&scenario.fleet.map)?.topology.places;
-    let domain = extensions.domain().with_places(places.into_keys());
-    let requested = runner::request_mission(&args.mission, &args.people.people, &domain)?;
-    let scenario = scenario.with_participants(&requested.mission, &domain);
-    let scenario = if args.keep_running { scenario.with_participants_of_all_missions(&domain) } else { scenario };
-    let scenario = args.driver.iter().fold(scenario, DemoScenario::with_driver);
+    let (scenario, requested) = requested_scenario(&args, extensions)?;
     let reporter = DemoReporter::new(args.json, &scenario);
     let options = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, requested };
     if args.virtual_time {
