@@ -1,4 +1,4 @@
-//! Test of a demo that is kept running: any mix of missions, with missions among them that no robot can do.
+//! Test of a demo that is kept running: any mix of missions for hours, with missions among them that no robot can do.
 
 use super::fleet::DemoFleet as _;
 use super::virtual_fleet::VirtualFleet;
@@ -13,6 +13,7 @@ use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::mission::{TemplateKind, TemplateParameter};
 use consort_protocol::view::{CoordinatorView, MissionsView};
+use consort_skills::actions::RobotBackend as _;
 use consort_skills::extensions::Extensions;
 use consort_skills::missions;
 use consort_tests::{FAILING_TASKS, failing_domain};
@@ -24,17 +25,23 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// `consort demo` with a fleet that is kept running.
+/// `consort demo` with a fleet that is kept running. It has 8 world seconds per second.
 const DEMO: [&str; 4] = ["demo", "--keep-running", "--robots", "12"];
+
+/// The same with a world second per second.
+const SLOW_DEMO: [&str; 6] = ["demo", "--keep-running", "--robots", "12", "--speed", "1"];
+
+/// A demo with six robots, and the speed at which it plays nine missions.
+const FAST_DEMO: [&str; 4] = ["demo", "--keep-running", "--speed", "24"];
+
+/// Time in which a fast demo plays three hours of world time, in seconds.
+const THREE_HOURS_S: u64 = 450;
+
+/// Missions in these three hours.
+const THREE_HOURS_MISSIONS: usize = 45;
 
 const MISSIONS: usize = 100;
 const POISON: usize = 10;
-
-/// World seconds per second of random missions.
-const SPEED: f64 = 1.0;
-
-/// World seconds per second of a demo with a mission, without `--speed`.
-const DEMO_SPEED: f64 = 8.0;
 
 /// Time in which the missions are submitted, in seconds.
 const SUBMITTED_S: u64 = 600;
@@ -47,8 +54,11 @@ const SAMPLES: usize = 60;
 /// Maximum time until there is a coordinator.
 const START_MAX: Duration = Duration::from_secs(60);
 
-/// Time afterwards in which running missions can end, in seconds.
+/// Maximum time afterwards in which running missions can end, in seconds.
 const AFTERWARDS_S: u64 = 300;
+
+/// Interval of queries for the states of the missions.
+const QUERY_EVERY: Duration = Duration::from_secs(5);
 
 fn extensions() -> Extensions {
     Extensions::default().with_domain("failing.yaml", failing_domain())
@@ -109,10 +119,11 @@ fn poison(chance: &mut ChaCha8Rng) -> Vec<Submission> {
     (0..POISON).map(request).collect()
 }
 
-/// Submits the missions to a demo and returns their states at the end, by the name of the request.
-async fn run(seed: u64, speed: f64, mut submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
-    let flags = [format!("--seed={seed}"), format!("--speed={speed}")];
-    let Command { args } = Command::parse_from(DEMO.map(str::to_owned).into_iter().chain(flags));
+/// Submits the missions to a demo and returns their states at the end, by the name of the request: when all have ended,
+/// or the time is over. No robot has a battery that is too low to move.
+async fn run(seed: u64, command: &[&str], mut submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
+    let seed_flag = format!("--seed={seed}");
+    let Command { args } = Command::parse_from(command.iter().copied().chain([seed_flag.as_str()]));
     let extensions = extensions();
     let (scenario, _) = requested_scenario(&args, extensions).unwrap();
     let keys = Keys::new(&scenario.fleet.name);
@@ -142,11 +153,24 @@ async fn run(seed: u64, speed: f64, mut submissions: Vec<Submission>) -> BTreeMa
         requests.insert(mission, request["request"].as_str().unwrap().to_owned());
     }
     let end = begin + Duration::from_millis(last_ms) + Duration::from_secs(AFTERWARDS_S);
-    tokio::time::sleep(end.saturating_sub(fleet.elapsed())).await;
-    let view = query(&Key::ViewMissions, "").await.unwrap_or_else(|problem| panic!("seed {seed}: {problem:?}"));
+    let states = loop {
+        let view = query(&Key::ViewMissions, "").await.unwrap_or_else(|problem| panic!("seed {seed}: {problem:?}"));
+        let missions = MissionsView::deserialize(view).unwrap().missions.into_iter().map(|mission| mission.brief);
+        let states: BTreeMap<String, MissionState> = missions
+            .filter_map(|mission| Some((requests.get(&mission.mission)?.clone(), mission.status.detail)))
+            .collect();
+        let have_ended = states.len() == requests.len() && states.values().all(MissionState::is_final);
+        if have_ended || fleet.elapsed() >= end {
+            break states;
+        }
+        tokio::time::sleep(QUERY_EVERY).await; // virtual time
+    };
+    let world = fleet.world();
+    let robots = scenario.world.robot.iter().map(|robot| &robot.id);
+    let stranded: Vec<_> = robots.filter(|robot| world.telemetry(robot).is_none_or(|report| !report.able)).collect();
+    assert!(stranded.is_empty(), "seed {seed}: {stranded:?} cannot move; {states:#?}");
     fleet.shut_down().await;
-    let missions = MissionsView::deserialize(view).unwrap().missions.into_iter().map(|mission| mission.brief);
-    missions.filter_map(|mission| Some((requests.remove(&mission.mission)?, mission.status.detail))).collect()
+    states
 }
 
 /// Returns the number of missions of the mix that were completed. All others are still under way.
@@ -164,10 +188,10 @@ fn places() -> Vec<PlaceId> {
     map_loader::load(&FleetConfig::default().map).unwrap().topology.places.into_keys().collect()
 }
 
-fn run_to_end(seed: u64, speed: f64, submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
+fn run_to_end(seed: u64, command: &[&str], submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().unwrap();
-    runtime.block_on(run(seed, speed, submissions))
+    runtime.block_on(run(seed, command, submissions))
 }
 
 /// Each of these missions needs the only arm of the laboratory.
@@ -176,8 +200,19 @@ fn sixty_lab_samples_over_five_minutes_are_completed() {
     let seed = 1;
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let samples = mix(|name| name == "lab-samples", (SAMPLES, SAMPLES_SUBMITTED_S), &places(), &mut chance);
-    let states = run_to_end(seed, DEMO_SPEED, samples);
+    let states = run_to_end(seed, &DEMO, samples);
     assert_eq!(completed(seed, SAMPLES, &states), SAMPLES, "seed {seed}: {states:#?}");
+}
+
+/// Without chargers, most robots would have too little charge to move in the end: the missions need more than a full battery
+/// of each robot, and three idle hours half of one.
+#[test]
+fn the_robots_and_missions_of_a_demo_go_on_for_hours() {
+    let seed = 1;
+    let mut chance = ChaCha8Rng::seed_from_u64(seed);
+    let missions = mix(|_| true, (THREE_HOURS_MISSIONS, THREE_HOURS_S), &places(), &mut chance);
+    let states = run_to_end(seed, &FAST_DEMO, missions);
+    assert_eq!(completed(seed, THREE_HOURS_MISSIONS, &states), THREE_HOURS_MISSIONS, "seed {seed}: {states:#?}");
 }
 
 /// Runs two demos at once, with and without missions that no robot can do among the others. A single pair differs by
@@ -189,7 +224,7 @@ fn missions_that_no_robot_can_do_cost_the_others_nothing() {
         let mix = mix(|_| true, (MISSIONS, SUBMITTED_S), &places(), &mut chance);
         let poisoned: Vec<Submission> = mix.iter().cloned().chain(poison(&mut chance)).collect();
         let [alone, among] =
-            [mix, poisoned].map(|submissions| std::thread::spawn(move || run_to_end(seed, SPEED, submissions)));
+            [mix, poisoned].map(|submissions| std::thread::spawn(move || run_to_end(seed, &SLOW_DEMO, submissions)));
         let (alone, among) = (alone.join().unwrap(), among.join().unwrap());
         let unexpected = among
             .iter()
