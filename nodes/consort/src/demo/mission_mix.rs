@@ -28,9 +28,6 @@ use std::time::Duration;
 /// `consort demo` with a fleet that is kept running. It has 8 world seconds per second.
 const DEMO: [&str; 4] = ["demo", "--keep-running", "--robots", "12"];
 
-/// The same with a world second per second.
-const SLOW_DEMO: [&str; 6] = ["demo", "--keep-running", "--robots", "12", "--speed", "1"];
-
 /// A demo with six robots, and the speed at which it plays nine missions.
 const FAST_DEMO: [&str; 4] = ["demo", "--keep-running", "--speed", "24"];
 
@@ -39,6 +36,9 @@ const THREE_HOURS_S: u64 = 450;
 
 /// Missions in these three hours.
 const THREE_HOURS_MISSIONS: usize = 45;
+
+/// Beginning of the names of the requests for missions that can be completed.
+const MIX: &str = "mix-";
 
 const MISSIONS: usize = 100;
 const POISON: usize = 10;
@@ -54,8 +54,12 @@ const SAMPLES: usize = 60;
 /// Maximum time until there is a coordinator.
 const START_MAX: Duration = Duration::from_secs(60);
 
-/// Maximum time afterwards in which running missions can end, in seconds.
+/// Maximum time after the last request until all missions have ended, in seconds: 40 minutes of world time.
 const AFTERWARDS_S: u64 = 300;
+
+/// Maximum time by which missions that no robot can do delay the end of the others. A change of any time changes all later
+/// assignments, so a few of the last missions end earlier or later; each takes up to a minute.
+const DELAY_MAX: Duration = Duration::from_secs(120);
 
 /// Interval of queries for the states of the missions.
 const QUERY_EVERY: Duration = Duration::from_secs(5);
@@ -91,7 +95,7 @@ fn mix(
         };
         let parameters: BTreeMap<String, String> = template.parameters().iter().filter_map(parameter).collect();
         let at_ms = chance.random_range(0..within_s * 1000);
-        (at_ms, json!({ "mission": name, "parameters": parameters, "request": format!("mix-{number}") }))
+        (at_ms, json!({ "mission": name, "parameters": parameters, "request": format!("{MIX}{number}") }))
     };
     (0..count).map(request).collect()
 }
@@ -119,9 +123,32 @@ fn poison(chance: &mut ChaCha8Rng) -> Vec<Submission> {
     (0..POISON).map(request).collect()
 }
 
-/// Submits the missions to a demo and returns their states at the end, by the name of the request: when all have ended,
-/// or the time is over. No robot has a battery that is too low to move.
-async fn run(seed: u64, command: &[&str], mut submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
+/// End of the missions of a demo.
+struct Outcome {
+    /// State of each mission, by the name of its request.
+    states: BTreeMap<String, MissionState>,
+    /// Time from the start until all missions of the mix had ended, or the time was over.
+    mix_ended: Duration,
+}
+
+impl Outcome {
+    /// Checks that each mission of the mix was completed, and that each other mission failed.
+    fn assert_expected(&self, seed: u64, mix: usize) {
+        let is_mix = |request: &str| request.starts_with(MIX);
+        assert_eq!(self.states.keys().filter(|request| is_mix(request)).count(), mix, "seed {seed}");
+        let is_expected = |request: &str, state: &MissionState| match state {
+            MissionState::Completed => is_mix(request),
+            MissionState::Failed { .. } => !is_mix(request),
+            _ => false,
+        };
+        let unexpected = self.states.iter().filter(|(request, state)| !is_expected(request, state));
+        assert_eq!(unexpected.collect::<Vec<_>>(), [], "seed {seed}");
+    }
+}
+
+/// Submits the missions to a demo. Waits until all have ended, or the time is over. Checks that no robot has a battery that
+/// is too low to move.
+async fn run(seed: u64, command: &[&str], mut submissions: Vec<Submission>) -> Outcome {
     let seed_flag = format!("--seed={seed}");
     let Command { args } = Command::parse_from(command.iter().copied().chain([seed_flag.as_str()]));
     let extensions = extensions();
@@ -153,14 +180,19 @@ async fn run(seed: u64, command: &[&str], mut submissions: Vec<Submission>) -> B
         requests.insert(mission, request["request"].as_str().unwrap().to_owned());
     }
     let end = begin + Duration::from_millis(last_ms) + Duration::from_secs(AFTERWARDS_S);
+    let mut mix_ended = None;
     let states = loop {
         let view = query(&Key::ViewMissions, "").await.unwrap_or_else(|problem| panic!("seed {seed}: {problem:?}"));
         let missions = MissionsView::deserialize(view).unwrap().missions.into_iter().map(|mission| mission.brief);
         let states: BTreeMap<String, MissionState> = missions
             .filter_map(|mission| Some((requests.get(&mission.mission)?.clone(), mission.status.detail)))
             .collect();
-        let have_ended = states.len() == requests.len() && states.values().all(MissionState::is_final);
-        if have_ended || fleet.elapsed() >= end {
+        let running: Vec<&String> =
+            requests.values().filter(|request| !states.get(*request).is_some_and(MissionState::is_final)).collect();
+        if !running.iter().any(|request| request.starts_with(MIX)) {
+            mix_ended.get_or_insert(fleet.elapsed() - begin);
+        }
+        if running.is_empty() || fleet.elapsed() >= end {
             break states;
         }
         tokio::time::sleep(QUERY_EVERY).await; // virtual time
@@ -169,26 +201,16 @@ async fn run(seed: u64, command: &[&str], mut submissions: Vec<Submission>) -> B
     let robots = scenario.world.robot.iter().map(|robot| &robot.id);
     let stranded: Vec<_> = robots.filter(|robot| world.telemetry(robot).is_none_or(|report| !report.able)).collect();
     assert!(stranded.is_empty(), "seed {seed}: {stranded:?} cannot move; {states:#?}");
+    let mix_ended = mix_ended.unwrap_or_else(|| fleet.elapsed() - begin);
     fleet.shut_down().await;
-    states
-}
-
-/// Returns the number of missions of the mix that were completed. All others are still under way.
-fn completed(seed: u64, count: usize, states: &BTreeMap<String, MissionState>) -> usize {
-    let mix = || states.iter().filter(|(request, _)| request.starts_with("mix-"));
-    let bad: Vec<_> = mix()
-        .filter(|(_, state)| !matches!(state, MissionState::Completed | MissionState::Running | MissionState::Pending))
-        .collect();
-    assert!(bad.is_empty(), "seed {seed}: {bad:#?}");
-    assert_eq!(mix().count(), count, "seed {seed}");
-    mix().filter(|(_, state)| **state == MissionState::Completed).count()
+    Outcome { states, mix_ended }
 }
 
 fn places() -> Vec<PlaceId> {
     map_loader::load(&FleetConfig::default().map).unwrap().topology.places.into_keys().collect()
 }
 
-fn run_to_end(seed: u64, command: &[&str], submissions: Vec<Submission>) -> BTreeMap<String, MissionState> {
+fn run_to_end(seed: u64, command: &[&str], submissions: Vec<Submission>) -> Outcome {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().unwrap();
     runtime.block_on(run(seed, command, submissions))
@@ -200,8 +222,7 @@ fn sixty_lab_samples_over_five_minutes_are_completed() {
     let seed = 1;
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let samples = mix(|name| name == "lab-samples", (SAMPLES, SAMPLES_SUBMITTED_S), &places(), &mut chance);
-    let states = run_to_end(seed, &DEMO, samples);
-    assert_eq!(completed(seed, SAMPLES, &states), SAMPLES, "seed {seed}: {states:#?}");
+    run_to_end(seed, &DEMO, samples).assert_expected(seed, SAMPLES);
 }
 
 /// Without chargers, most robots would have too little charge to move in the end: the missions need more than a full battery
@@ -211,29 +232,25 @@ fn the_robots_and_missions_of_a_demo_go_on_for_hours() {
     let seed = 1;
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let missions = mix(|_| true, (THREE_HOURS_MISSIONS, THREE_HOURS_S), &places(), &mut chance);
-    let states = run_to_end(seed, &FAST_DEMO, missions);
-    assert_eq!(completed(seed, THREE_HOURS_MISSIONS, &states), THREE_HOURS_MISSIONS, "seed {seed}: {states:#?}");
+    run_to_end(seed, &FAST_DEMO, missions).assert_expected(seed, THREE_HOURS_MISSIONS);
 }
 
-/// Runs two demos at once, with and without missions that no robot can do among the others. A single pair differs by
-/// a few missions either way, because each change of a time changes all later assignments.
+/// All missions are completed, with and without missions among them that no robot can do.
 #[test]
 fn missions_that_no_robot_can_do_cost_the_others_nothing() {
-    let pairs = [1, 2].map(|seed| {
+    for seed in [1, 2] {
         let mut chance = ChaCha8Rng::seed_from_u64(seed);
         let mix = mix(|_| true, (MISSIONS, SUBMITTED_S), &places(), &mut chance);
         let poisoned: Vec<Submission> = mix.iter().cloned().chain(poison(&mut chance)).collect();
         let [alone, among] =
-            [mix, poisoned].map(|submissions| std::thread::spawn(move || run_to_end(seed, &SLOW_DEMO, submissions)));
-        let (alone, among) = (alone.join().unwrap(), among.join().unwrap());
-        let unexpected = among
-            .iter()
-            .filter(|(request, state)| request.starts_with("poison-") && !matches!(state, MissionState::Failed { .. }));
-        assert_eq!(unexpected.collect::<Vec<_>>(), [], "seed {seed}");
-        let (alone, among) = (completed(seed, MISSIONS, &alone), completed(seed, MISSIONS, &among));
-        assert!(alone >= 30, "seed {seed}: {alone} missions were completed");
-        (alone, among)
-    });
-    let (alone, among) = pairs.iter().fold((0, 0), |(alone, among), pair| (alone + pair.0, among + pair.1));
-    assert!(among * 10 >= alone * 9, "completed alone and beside the others: {pairs:?}");
+            [mix, poisoned].map(|submissions| std::thread::spawn(move || run_to_end(seed, &DEMO, submissions)));
+        let [alone, among] = [alone, among].map(|demo| demo.join().unwrap());
+        alone.assert_expected(seed, MISSIONS);
+        among.assert_expected(seed, MISSIONS);
+        let (alone, among) = (alone.mix_ended, among.mix_ended);
+        assert!(
+            among <= alone + DELAY_MAX,
+            "seed {seed}: all have ended after {alone:?} alone, {among:?} beside others"
+        );
+    }
 }
