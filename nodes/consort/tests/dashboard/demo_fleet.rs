@@ -185,7 +185,10 @@ fn the_demo_is_usable_without_a_mouse() {
     );
     check_access(&browser, "history");
 
+    // Meanwhile the new mission must not end by itself.
+    order_all(&browser, "hold");
     submit_and_cancel_by_keyboard(&browser);
+    order_all(&browser, "release");
     check_dark_and_narrow(&browser);
     assert_eq!(browser.console(), Vec::<String>::new());
     assert_eq!(browser.value("window.loadedOnce"), true);
@@ -231,6 +234,13 @@ fn look_at_the_schedule(browser: &Browser) {
         "its panel",
         "!document.querySelector('#panel-missions').hidden && document.activeElement.id === 'mission'",
     );
+}
+
+/// Holds or releases all robots.
+fn order_all(browser: &Browser, order: &str) {
+    let (json, robots) = ("'content-type': 'application/json'", r#"{"robots": "all"}"#);
+    let sent = format!("fetch('/api/{order}', {{ method: 'POST', headers: {{ {json} }}, body: '{robots}' }})");
+    assert_eq!(browser.value(&format!("{sent}.then((answer) => answer.status)")), 200);
 }
 
 fn submit_and_cancel_by_keyboard(browser: &Browser) {
