@@ -168,6 +168,23 @@ impl HostNetwork {
         }
     }
 
+    /// Cuts the direct cable of two hosts: both ends see the link go down.
+    pub fn cut(&self, a: &str, b: &str) {
+        self.set_link(a, b, "down");
+    }
+
+    /// Restores a direct cable that was cut.
+    pub fn restore(&self, a: &str, b: &str) {
+        self.set_link(a, b, "up");
+    }
+
+    fn set_link(&self, a: &str, b: &str, state: &str) {
+        for (host, other) in [(a, b), (b, a)] {
+            let device = &self.host(host).links[other].device;
+            ip(&format!("-n {host} link set {device} {state}"));
+        }
+    }
+
     /// Returns the address of `to`, as seen by `from` if they have a direct cable.
     pub fn address(&self, to: &str, from: &str) -> String {
         let host = self.host(to);

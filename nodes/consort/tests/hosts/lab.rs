@@ -99,6 +99,16 @@ impl Lab {
         self.network.limit(a, b, rate);
     }
 
+    /// Cuts the direct cable of two hosts: both ends see the link go down.
+    pub(crate) fn cut(&self, a: &str, b: &str) {
+        self.network.cut(a, b);
+    }
+
+    /// Restores a direct cable that was cut.
+    pub(crate) fn restore(&self, a: &str, b: &str) {
+        self.network.restore(a, b);
+    }
+
     /// Returns the address of `to`, as seen by `from` if they have a direct cable.
     pub(crate) fn address(&self, to: &str, from: &str) -> String {
         format!("{}/{}:7447", self.protocol(), self.network.address(to, from))
@@ -110,11 +120,11 @@ impl Lab {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
         let connect: Vec<String> = neighbours.iter().map(|other| self.address(other, &name)).collect();
         let mut bus = Table::new();
-        let relay = node.get("bus").and_then(|bus| bus.get("relay")).and_then(toml::Value::as_str);
-        match relay {
-            Some("no") => bus.insert("relay".to_owned(), "no".into()),
-            _ => bus.insert("listen".to_owned(), vec![format!("{}/0.0.0.0:7447", self.protocol())].into()),
-        };
+        let relay = node.get("bus").and_then(|bus| bus.get("relay")).and_then(toml::Value::as_str).unwrap_or("auto");
+        bus.insert("relay".to_owned(), relay.into());
+        if relay != "no" {
+            bus.insert("listen".to_owned(), vec![format!("{}/0.0.0.0:7447", self.protocol())].into());
+        }
         if self.closed {
             bus.insert("certs".to_owned(), self.certs(&name).display().to_string().into());
         }
