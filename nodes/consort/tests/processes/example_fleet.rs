@@ -40,7 +40,11 @@ fn ended(client: &Client, missions: &Value) -> Vec<(Value, Value, Value)> {
 #[test]
 fn commands_submit_watch_and_cancel_missions_of_the_example_fleet() {
     let mut fleet = Fleet::new(&example("fleet"));
-    fleet.start("station", example("station"), &[]);
+    let data = fleet.path("station-1-data").display().to_string();
+    let mut station = example("station");
+    station.insert("data_dir".to_owned(), data.clone().into());
+    station.insert("archive".to_owned(), toml::Table::new().into());
+    fleet.start("station", station, &[]);
     let mut world = example("world");
     world.insert("speed".to_owned(), 20.0.into());
     fleet.start("world", world, &["station-1"]);
@@ -120,6 +124,33 @@ fn commands_submit_watch_and_cancel_missions_of_the_example_fleet() {
     assert!(output.contains("lab-samples-1") && output.contains("completed"), "{output}");
     let output = fleet.run(&["cancel", "lab-samples-9"], "ada").expect(1).stderr;
     assert!(output.contains("lab-samples-9"), "{output}");
+
+    // The station has archived what happened, each mission once.
+    let export = ["history", "export", "--data-dir", &data, "--format", "json"];
+    let is_cancel = |record: &Value| {
+        let change = &record["content"]["audit"];
+        change["action"] == "cancel" && change["by"] == "ward 3"
+    };
+    let archived = until("the cancellation is in the archive", LONG, || {
+        let records = fleet.tool(&export).expect(0).json_lines();
+        records.iter().any(is_cancel).then_some(records)
+    });
+    let of_kind = |kind: &'static str| archived.iter().map(move |record| &record["content"][kind]);
+    let missions: Vec<_> = of_kind("mission")
+        .filter(|ended| ended.is_object())
+        .map(|ended| json!([ended["mission"], ended["state"]]))
+        .collect();
+    let canceled = json!({ "canceled": { "by": "ward 3" } });
+    assert_eq!(missions, [json!(["lab-samples-1", "completed"]), json!(["bed-transfer-2", canceled])]);
+    let is_award =
+        |auction: &Value| auction["auction"]["mission"] == "lab-samples-1" && auction["chosen"]["r1"] == "ada";
+    assert!(of_kind("auction").any(is_award), "{archived:#?}");
+    let is_of_ada = |report: &Value| report["node"] == "ada" && report["event"]["task"] == "navto_lab";
+    assert!(of_kind("report").any(is_of_ada), "{archived:#?}");
+    let export = ["history", "export", "--data-dir", &data, "--kind", "mission", "--mission", "lab-samples-1"];
+    let csv = fleet.tool(&export).expect(0).stdout;
+    let lines: Vec<&str> = csv.lines().collect();
+    assert!(lines.len() == 2 && lines[1].contains(",mission,lab-samples-1,"), "{csv}");
 
     fleet.stop();
 }
