@@ -50,7 +50,7 @@ pub(in super::super) struct HostArgs {
 }
 
 /// Report of a process on the time since its report before.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Report {
     /// Number of sessions.
     pub(super) sessions: usize,
@@ -60,6 +60,8 @@ pub(super) struct Report {
     pub(super) longest_gap_ms: f64,
     /// Times without a beacon after which a voter campaigns.
     pub(super) alarms: u64,
+    /// Longest time without a beacon at each session that has moved to another relay, in milliseconds.
+    pub(super) moved_gaps_ms: Vec<f64>,
 }
 
 /// Gaps between the beacons of a session.
@@ -68,10 +70,15 @@ struct Gaps {
     last: Option<Instant>,
     longest: Duration,
     alarms: u64,
+    /// Id of the session on the bus at the last beacon. A client that moves to another relay gets another.
+    id: String,
+    has_moved: bool,
 }
 
 impl Gaps {
-    fn beacon(&mut self, now: Instant) {
+    fn beacon(&mut self, now: Instant, id: String) {
+        self.has_moved |= self.last.is_some() && self.id != id;
+        self.id = id;
         if let Some(last) = self.last {
             let gap = now - last;
             self.longest = self.longest.max(gap);
@@ -87,6 +94,8 @@ impl Gaps {
             last: self.last,
             longest: std::mem::take(&mut self.longest).max(open),
             alarms: std::mem::take(&mut self.alarms),
+            id: self.id.clone(),
+            has_moved: std::mem::take(&mut self.has_moved),
         }
     }
 }
@@ -118,8 +127,10 @@ pub(in super::super) fn run(args: HostArgs) -> Result<(), Failure> {
         for gaps in &sessions {
             let gaps = lock(gaps).take(now);
             report.receiving += usize::from(gaps.last.is_some_and(|last| now - last < RECEIVING));
-            report.longest_gap_ms = report.longest_gap_ms.max(gaps.longest.as_secs_f64() * 1000.0);
+            let longest_ms = gaps.longest.as_secs_f64() * 1000.0;
+            report.longest_gap_ms = report.longest_gap_ms.max(longest_ms);
             report.alarms += gaps.alarms;
+            report.moved_gaps_ms.extend(gaps.has_moved.then_some(longest_ms));
         }
         output::json(&report)?;
     }
@@ -152,9 +163,10 @@ async fn session(settings: ZenohSettings, number: usize, is_robot: bool, sends_b
         }
     };
     let mut beacons = bus.subscribe(BEACON).await.expect("a valid key");
+    let receiver = bus.clone();
     tokio::spawn(async move {
         while beacons.recv().await.is_some() {
-            lock(&gaps).beacon(Instant::now());
+            lock(&gaps).beacon(Instant::now(), receiver.id());
         }
     });
     if !is_robot {
@@ -181,18 +193,32 @@ async fn session(settings: ZenohSettings, number: usize, is_robot: bool, sends_b
 mod tests {
     use super::*;
 
+    fn at(start: Instant, ms: u64) -> Instant {
+        start + Duration::from_millis(ms)
+    }
+
     #[test]
     fn a_gap_that_has_not_ended_counts() {
         let start = Instant::now();
-        let at = |ms: u64| start + Duration::from_millis(ms);
         let mut gaps = Gaps::default();
-        assert_eq!(gaps.take(at(0)).longest, Duration::ZERO);
+        assert_eq!(gaps.take(start).longest, Duration::ZERO);
         for ms in [100, 200, 700] {
-            gaps.beacon(at(ms));
+            gaps.beacon(at(start, ms), "a".to_owned());
         }
-        let first = gaps.take(at(800));
+        let first = gaps.take(at(start, 800));
         assert_eq!((first.longest, first.alarms), (Duration::from_millis(500), 1));
-        let second = gaps.take(at(1700));
+        let second = gaps.take(at(start, 1700));
         assert_eq!((second.longest, second.alarms), (Duration::from_secs(1), 0));
+    }
+
+    #[test]
+    fn a_session_with_another_id_has_moved() {
+        let start = Instant::now();
+        let mut gaps = Gaps::default();
+        let moved = ["a", "a", "b", "b"].map(|id| {
+            gaps.beacon(start, id.to_owned());
+            gaps.take(start).has_moved
+        });
+        assert_eq!(moved, [false, false, true, false]);
     }
 }

@@ -16,14 +16,15 @@ use clap::{Args as ClapArgs, ValueEnum};
 use consort_bus::zenoh_bus::Mode;
 use consort_nodes::exit::Failure;
 use consort_nodes::output::{self, Progress};
-use consort_tests::host_network::{HostNetwork, is_inside};
+use consort_tests::host_network::{HostNetwork, Way, is_inside};
+use consort_tests::percentiles::Percentiles;
 use host::Report;
 use process::HostProcess;
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
-/// Programs that the namespaces need.
-const TOOLS: [&str; 1] = ["ip"];
+/// Programs that the namespaces need, the last one only to lose packets.
+const TOOLS: [&str; 2] = ["ip", "nft"];
 
 const RELAYS: [&str; 3] = ["relay-1", "relay-2", "relay-3"];
 
@@ -51,18 +52,23 @@ const FLAP: Duration = Duration::from_secs(1);
 /// With `--mode client` robots are clients of the relays, as in a fleet with `planned_nodes`; with `router` they are
 /// routers with two neighbours, as in a fleet without.
 ///
-/// It needs Linux with unprivileged user namespaces, or root, and the program ip (iproute2). Nothing is sent outside of its
-/// own namespaces.
+/// With `--loss` packets to and from the robots are lost, as on wireless links.
+///
+/// It needs Linux with unprivileged user namespaces, or root, and the program ip (iproute2), for losses also nft. Nothing is
+/// sent outside of its own namespaces.
 #[derive(Debug, ClapArgs)]
 #[command(after_long_help = "\
 Examples:
   consort-lab bench relays                                   # 50, 100 and 300 robots, clients
   consort-lab bench relays --robots 100,300 --mode router    # as routers
+  consort-lab bench relays --robots 50 --loss 0,2            # without and with a loss of 2 %
   consort-lab bench relays --robots 300 --json | jq .kill.longest_gap_ms
 
 longest_gap_ms is the longest time that a robot received no beacon; of the robots behind the unplugged cable it is
-affected_gap_ms. vanish is the phase of the unplugged relay. false_takeovers counts the times that a relay missed the
-beacons for 300 ms, after which a voter of a fleet with the timing `lan` campaigns.")]
+affected_gap_ms. moved has the number of robots that moved to another relay in a phase, and the time for which these
+received no beacon: to notice the failure, and to move. vanish is the phase of the unplugged relay. false_takeovers
+counts the times that a relay missed the beacons for 300 ms, after which a voter of a fleet with the timing `lan`
+campaigns.")]
 pub(super) struct Args {
     /// Number of robots: a run for each number, from 3 to 1000
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_values_t = [50, 100, 300],
@@ -71,6 +77,10 @@ pub(super) struct Args {
     /// Role of the robots' sessions
     #[arg(long, value_enum, default_value = "client")]
     mode: RobotMode,
+    /// Packets to and from robots that are lost, in percent: a run for each value, from 0 to 20
+    #[arg(long, value_name = "PERCENT,…", value_delimiter = ',', default_values_t = [0],
+        value_parser = clap::value_parser!(u32).range(0..=20))]
+    loss: Vec<u32>,
     /// Print a JSON object for each number
     #[arg(long)]
     json: bool,
@@ -107,6 +117,8 @@ impl RobotMode {
 struct RelayFigures {
     robots: usize,
     mode: RobotMode,
+    /// Lost packets to and from robots, in percent.
+    loss_percent: u32,
     /// Seconds until all sessions received beacons.
     start_s: f64,
     calm: PhaseFigures,
@@ -132,10 +144,29 @@ struct PhaseFigures {
     /// The same for the robots behind the unplugged cable.
     #[serde(skip_serializing_if = "Option::is_none")]
     affected_gap_ms: Option<f64>,
+    /// The robots that moved to another relay.
+    moved: MovedFigures,
     /// Number of times that a relay missed beacons for as long as a voter waits before it campaigns.
     false_takeovers: u64,
     /// Robots without a beacon in the last second of the phase.
     silent_robots: usize,
+}
+
+/// Robots that moved to another relay in a phase.
+#[derive(Debug, Serialize)]
+struct MovedFigures {
+    robots: usize,
+    /// Time without a beacon of the median robot, in milliseconds.
+    p50_ms: Option<f64>,
+    /// The same of the slowest robot.
+    max_ms: Option<f64>,
+}
+
+impl MovedFigures {
+    fn of(gaps_ms: Vec<f64>) -> MovedFigures {
+        let (robots, max_ms) = (gaps_ms.len(), gaps_ms.iter().copied().reduce(f64::max));
+        MovedFigures { robots, p50_ms: Percentiles::of(gaps_ms).map(|gaps| gaps.p50), max_ms }
+    }
 }
 
 /// Runs the command.
@@ -145,9 +176,11 @@ struct PhaseFigures {
 pub(super) fn run(args: &Args) -> Result<(), Failure> {
     if !is_inside() {
         let robots = args.robots.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
-        let mut arguments = vec!["bench", "relays", "--robots", &robots, "--mode", args.mode.name()];
+        let loss = args.loss.iter().map(u32::to_string).collect::<Vec<_>>().join(",");
+        let mut arguments = vec!["bench", "relays", "--robots", &robots, "--mode", args.mode.name(), "--loss", &loss];
         arguments.extend(args.json.then_some("--json"));
-        return run_in_namespaces(&arguments, &TOOLS);
+        let loses = args.loss.iter().any(|percent| *percent > 0);
+        return run_in_namespaces(&arguments, if loses { &TOOLS[..] } else { &TOOLS[..1] });
     }
     if !args.json {
         output::line(HEADER)?;
@@ -156,18 +189,37 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
     for host in RELAYS.into_iter().chain(ROBOT_HOSTS) {
         network.add(host);
     }
-    for robots in &args.robots {
-        let figures = measure(&network, *robots, args.mode)?;
-        if args.json {
-            output::json(&figures)?;
-        } else {
-            output::line(row(&figures))?;
+    for loss_percent in args.loss.iter().copied() {
+        set_loss(&network, loss_percent);
+        for robots in &args.robots {
+            let figures = measure(&network, *robots, args.mode, loss_percent)?;
+            if args.json {
+                output::json(&figures)?;
+            } else {
+                output::line(row(&figures))?;
+            }
         }
+        end_loss(&network, loss_percent);
     }
     Ok(())
 }
 
-fn measure(network: &HostNetwork, robots: usize, mode: RobotMode) -> Result<RelayFigures, Failure> {
+/// Loses packets to and from robots.
+fn set_loss(network: &HostNetwork, percent: u32) {
+    for host in ROBOT_HOSTS.into_iter().filter(|_| percent > 0) {
+        network.lose(host, Way::In, percent);
+        network.lose(host, Way::Out, percent);
+    }
+}
+
+/// Ends the loss of packets, if there is any.
+fn end_loss(network: &HostNetwork, percent: u32) {
+    for host in ROBOT_HOSTS.into_iter().filter(|_| percent > 0) {
+        network.lose_nothing(host);
+    }
+}
+
+fn measure(network: &HostNetwork, robots: usize, mode: RobotMode, loss_percent: u32) -> Result<RelayFigures, Failure> {
     let mut progress = Progress::on_terminal();
     progress.show(format_args!("{robots} robots: the sessions open"));
     let began = Instant::now();
@@ -232,6 +284,7 @@ fn measure(network: &HostNetwork, robots: usize, mode: RobotMode) -> Result<Rela
     Ok(RelayFigures {
         robots,
         mode,
+        loss_percent,
         start_s,
         calm,
         flap,
@@ -259,31 +312,51 @@ fn phase(
     Ok(PhaseFigures {
         longest_gap_ms: others.map(|(_, report)| report.longest_gap_ms).fold(0.0, f64::max),
         affected_gap_ms: affected.map(|number| of_hosts[number].longest_gap_ms),
+        moved: MovedFigures::of(of_hosts.iter().flat_map(|report| report.moved_gaps_ms.iter().copied()).collect()),
         false_takeovers: of_relays.iter().map(|report| report.alarms).sum(),
         silent_robots: of_hosts.iter().map(|report| report.sessions - report.receiving).sum(),
     })
 }
 
 const HEADER: &str = "\
-robots  mode    start  longest gap without beacon, ms                          false      silent  CPU of relay  CPU of robot  relay
-                s      calm    cable   behind cable  relay silent  relay dead  takeovers  robots  % of a core   % of a core   MB";
+robots  mode    loss  start  longest gap without beacon, ms                          moved: p50, ms            false      silent  CPU of relay  CPU of robot  relay
+                %     s      calm    cable   behind cable  relay silent  relay dead  relay silent  relay dead  takeovers  robots  % of a core   % of a core   MB";
 
 fn row(figures: &RelayFigures) -> String {
     let phases = [&figures.calm, &figures.flap, &figures.vanish, &figures.kill];
+    let p50 = |phase: &PhaseFigures| phase.moved.p50_ms.map_or("-".to_owned(), |gap_ms| format!("{gap_ms:.0}"));
     format!(
-        "{:<7} {:<7} {:<6.1} {:<7.0} {:<7.0} {:<13.0} {:<13.0} {:<11.0} {:<10} {:<7} {:<13.1} {:<13.2} {:.0}",
+        "{:<7} {:<7} {:<5} {:<6.1} {:<7.0} {:<7.0} {:<13.0} {:<13.0} {:<11.0} {:<13} {:<11} {:<10} {:<7} {:<13.1} {:<13.2} {:.0}",
         figures.robots,
         figures.mode.name(),
+        figures.loss_percent,
         figures.start_s,
         figures.calm.longest_gap_ms,
         figures.flap.longest_gap_ms,
         figures.flap.affected_gap_ms.unwrap_or_default(),
         figures.vanish.longest_gap_ms,
         figures.kill.longest_gap_ms,
+        p50(&figures.vanish),
+        p50(&figures.kill),
         phases.iter().map(|phase| phase.false_takeovers).sum::<u64>(),
         figures.kill.silent_robots,
         figures.relay_cpu_percent,
         figures.robot_cpu_percent,
         figures.relay_memory_mb,
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_times_of_moved_robots_have_a_median_and_a_maximum() {
+        let figures = |gaps_ms: &[f64]| {
+            let MovedFigures { robots, p50_ms, max_ms } = MovedFigures::of(gaps_ms.to_vec());
+            (robots, p50_ms, max_ms)
+        };
+        assert_eq!(figures(&[]), (0, None, None));
+        assert_eq!(figures(&[900.0, 600.0, 700.0]), (3, Some(700.0), Some(900.0)));
+    }
 }
