@@ -1,4 +1,5 @@
-//! Robots that do not relay: each is a client of a station, and moves to another when that one fails.
+//! Robots that do not relay: each is a client of a station, or of a robot that relays where no station is in reach, and moves to
+//! another relay when its own fails.
 
 use crate::lab::{Lab, inside};
 use crate::scenario::{FLEET, assert_completes_once, fleet, robot, wait_for_first_task, wait_for_members, with, world};
@@ -23,7 +24,7 @@ fn relay_of(lab: &Lab, robot: &str) -> &'static str {
     })
 }
 
-/// Returns the table `[bus]` of a node with this setting.
+/// Returns the file of a node with this setting of `relay`.
 fn with_relay(node: Table, setting: &str) -> Table {
     with(node, "bus", with(Table::new(), "relay", setting))
 }
