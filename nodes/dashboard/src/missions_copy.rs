@@ -13,8 +13,8 @@ use serde::Deserialize;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Maximum number of missions in the copy: several times as many as a ledger contains. Of a longer list the whole is
-/// read each time.
+/// Maximum number of missions in the copy: several times as many as a ledger contains. A longer list is not
+/// copied, so it is read as a whole each time.
 const MISSIONS_MAX: usize = 20_000;
 
 /// Name of the list in the view.

@@ -55,7 +55,8 @@ pub enum Event {
         /// Epoch of the award concerned.
         epoch: Epoch,
     },
-    /// Time has passed.
+    /// Time has passed. While goals that stop slowly are in progress, the robot passes a time that is later by their
+    /// [lead](stop_lead), so that they are stopped before the lease ends.
     Tick,
 }
 
@@ -66,7 +67,7 @@ pub enum Action {
     Report,
     /// Start the plan; the given steps have ended already.
     Start(Box<Award>, BTreeSet<StepIndex>),
-    /// Stop safely and keep the progress in the plan: the lease has run out.
+    /// Stop safely and keep the progress in the plan: the lease has run out by the time of the [tick](Event::Tick).
     Suspend,
     /// Continue the plan.
     Resume,

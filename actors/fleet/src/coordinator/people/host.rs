@@ -29,7 +29,7 @@ impl PeopleHost {
     }
 
     /// Sends a command, and passes the replies to `receive`. Returns whether a host has done what is requested. Each host
-    /// replies; of those of other robots and people only the presence counts.
+    /// replies. A reply of a host that serves neither the robot nor the person shows only that a host is there.
     pub(super) async fn send(&self, command: &PersonCommand, receive: impl Fn(PersonRequestState, Author)) -> bool {
         let bytes = match codec::encode(command) {
             Ok(bytes) => bytes.into(),

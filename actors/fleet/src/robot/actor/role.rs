@@ -227,7 +227,7 @@ impl RobotState {
     fn suspend(&mut self) {
         let Some(active) = self.execution.plan.as_mut() else { return };
         active.suspend();
-        warn!(robot = %self.settings.robot, mission = %active.award.mission, "lease expired: suspended");
+        warn!(robot = %self.settings.robot, mission = %active.award.mission, "lease not renewed in time: suspended");
         let (mission, role) = active.mission_and_role();
         self.emit_event(EventKind::Suspended { mission, role });
     }

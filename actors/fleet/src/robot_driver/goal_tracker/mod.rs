@@ -37,7 +37,7 @@ pub(super) struct GoalTracker {
     moving: BTreeSet<GoalId>,
     /// Time by which the permission of a goal ends before the lease, by action, where it is not zero.
     stop_leads: BTreeMap<ActionName, Duration>,
-    /// The same by goal of this incarnation.
+    /// Time by which the permission ends before the lease, for goals of this incarnation with such an action.
     slow: BTreeMap<GoalId, Duration>,
     /// First goal of this incarnation.
     first: GoalId,
