@@ -89,8 +89,8 @@ impl Kind {
         }
     }
 
-    /// Returns the fields, in the order in which the user enters them. While later fields have their proposals, the
-    /// fields before are checked.
+    /// Returns the fields, in the order in which the user enters them. Each Enter checks the whole order, so a field must
+    /// be valid with its [proposal](Kind::proposal) once the user has entered the fields before it.
     pub(super) fn fields(self) -> &'static [Field] {
         match self {
             Kind::Hold => &[Field::Reason, Field::Minutes],
@@ -138,34 +138,38 @@ impl Kind {
 
     /// Returns the label of a field.
     pub(super) fn label(self, field: Field, selected: &str, model: &FleetModel) -> String {
-        let choices = || listed(self.choices(selected, model));
+        let choose = |text| with_names(text, self.choices(selected, model));
         match (field, self) {
             (Field::Group, _) => {
                 let verb = if self == Kind::HoldGroup { "hold" } else { "release" };
-                let zones = model.zones();
-                let zones = if zones.is_empty() { String::new() } else { format!(" ({})", listed(zones.keys())) };
-                format!("Robots to {verb}: all, a zone{zones}, or a condition")
+                format!("Robots to {verb}: all, {}, or a condition", with_names("a zone", model.zones().keys()))
             }
             (Field::Filter, _) => "Missions to cancel: a text in their names, parameters or robots, or all".to_owned(),
             (Field::Priority, _) => format!("Priority of {selected}, -100 to 100"),
-            (Field::Role, Kind::Pin) => format!("Role to pin, or to unpin ({})", choices()),
-            (Field::Role, _) => format!("Role to reassign ({})", choices()),
+            (Field::Role, Kind::Pin) => choose("Role to pin, or to unpin"),
+            (Field::Role, _) => choose("Role to reassign"),
             (Field::Robot, Kind::Pin) => "Only robot that may get it (nothing: any)".to_owned(),
             (Field::Robot, _) => "Robot that gets it (nothing: any other)".to_owned(),
             (Field::Repeat, _) => "May tasks of it that have ended be repeated? yes or no (nothing: no)".to_owned(),
-            (Field::Part, Kind::Open) => format!("Place, zone or lane to open ({})", choices()),
-            (Field::Part, Kind::ClearLimit) => format!("Place, zone or lane with the limit to clear ({})", choices()),
+            (Field::Part, Kind::Open) => choose("Place, zone or lane to open"),
+            (Field::Part, Kind::ClearLimit) => choose("Place, zone or lane with the limit to clear"),
             (Field::Part, Kind::Limit) => "Place, zone or lane (A -- B) with the limit".to_owned(),
             (Field::Part, _) => "Place, zone or lane (A -- B) to close".to_owned(),
             (Field::Speed, _) => "Highest speed in metres per second".to_owned(),
-            (Field::Alarm, Kind::RaiseAlarm) => format!("Alarm to raise ({})", choices()),
-            (Field::Alarm, _) => format!("Alarm to clear ({})", choices()),
+            (Field::Alarm, Kind::RaiseAlarm) => choose("Alarm to raise"),
+            (Field::Alarm, _) => choose("Alarm to clear"),
             (Field::Reason, _) => "Reason".to_owned(),
             (Field::Minutes, Kind::Hold | Kind::HoldGroup) => "Minutes until it ends (nothing: 10)".to_owned(),
             (Field::Minutes, _) => "Minutes until it ends (nothing: no end)".to_owned(),
             (Field::Until, _) => "Its end, as 2026-12-31T18:00:00+01:00 (nothing: no end)".to_owned(),
         }
     }
+}
+
+/// Adds the names to choose from to a label. The roles of a mission are unknown until its own view has arrived.
+fn with_names(text: &str, names: impl IntoIterator<Item: ToString>) -> String {
+    let names = listed(names);
+    if names.is_empty() { text.to_owned() } else { format!("{text} ({names})") }
 }
 
 /// Returns the roles of robots in a mission that have not ended.

@@ -346,7 +346,10 @@ fn with_roles(mut model: FleetModel) -> FleetModel {
 
 #[test]
 fn a_role_is_reassigned_with_its_effect() {
-    let model = with_roles(busy());
+    let model = busy();
+    let text = open('r', Panel::Missions, &model).unwrap().text(&model);
+    assert!(text.starts_with(" Role to reassign: ▏"), "the roles are not known yet: {text}");
+    let model = with_roles(model);
     for (entered, to, repeat, question) in [
         (
             "r1\n\n\n",
