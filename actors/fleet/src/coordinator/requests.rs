@@ -9,6 +9,7 @@ use super::settings::NodeParts;
 use consort_bus::{Query, RequestAuthority, Requester, reply};
 use consort_protocol::api::ErrorReply;
 use consort_protocol::keys::{ApiCall, Key};
+use consort_protocol::ledger::Ledger;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tracing::info;
@@ -52,8 +53,8 @@ impl Requests {
             }
         };
         if let Some(requester) = &requester
-            && !is_remembered(call)
             && requester.signed_at_ms < session_start_ms(context)
+            && !context.read_ledger(|ledger| is_remembered(call, ledger))
         {
             let text = "the request was signed before this node became coordinator, by its clock: sign it again, and \
                         compare the clocks if that does not help";
@@ -110,11 +111,13 @@ impl Requests {
 
 /// Checks whether the ledger shows that a request was executed: by its id, or because it has ended its mission. An
 /// earlier coordinator may have executed any other request, and a copy would be executed again.
-fn is_remembered(call: ApiCall) -> bool {
+fn is_remembered(call: ApiCall, ledger: &Ledger) -> bool {
     match call {
+        // Without a history the ledger cancels the missions one by one and keeps no id. The condition of a copy would
+        // select later missions.
+        ApiCall::CancelMissions => ledger.history_limits().is_some(),
         ApiCall::Submit
         | ApiCall::Cancel
-        | ApiCall::CancelMissions
         | ApiCall::Priority
         | ApiCall::Reassign
         | ApiCall::Resolve
@@ -142,4 +145,19 @@ fn is_remembered(call: ApiCall) -> bool {
 fn session_start_ms(context: &SessionContext) -> u64 {
     let age_ms = u64::try_from(context.now().since(context.since).as_millis()).unwrap_or(u64::MAX);
     context.settings.parts.clock.wall_ms().saturating_sub(age_ms)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::lease::Epoch;
+    use consort_protocol::ledger::Command;
+
+    #[test]
+    fn a_ledger_without_a_history_remembers_no_cancelation_of_several_missions() {
+        let mut ledger = Ledger::default();
+        assert!(is_remembered(ApiCall::Cancel, &ledger) && !is_remembered(ApiCall::CancelMissions, &ledger));
+        ledger.apply(Epoch { term: 1, index: 1 }, Command::first_wire_version(3));
+        assert!(is_remembered(ApiCall::CancelMissions, &ledger) && !is_remembered(ApiCall::Answer, &ledger));
+    }
 }
