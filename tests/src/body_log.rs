@@ -76,19 +76,21 @@ impl BodyLog {
     }
 
     /// Checks that a robot does not enter places while they are closed: from the time at which it is bound by the closure
-    /// to the order that opens them. It may leave one of them through another. Returns the number of checked states.
+    /// to the order that opens them. It may leave one of them through another, and so also a place of `others`: those that
+    /// other orders may have closed. Returns the number of checked states.
     ///
     /// # Errors
     /// Description of the first entry.
     pub fn check_closed(
         &self,
         robot: &RobotId,
-        places: &BTreeSet<PlaceId>,
+        (places, others): (&BTreeSet<PlaceId>, &BTreeSet<PlaceId>),
         closed: &Range<Instant>,
         lease: Duration,
     ) -> Result<usize, String> {
         let segments = self.segments(robot, closed, heeds_closures_within(lease) + STATE_GAP);
-        let enters = |pair: &&[BodyState]| !places.contains(&pair[0].place) && places.contains(&pair[1].place);
+        let is_closed = |place: &PlaceId| places.contains(place) || others.contains(place);
+        let enters = |pair: &&[BodyState]| !is_closed(&pair[0].place) && places.contains(&pair[1].place);
         for segment in &segments {
             if let Some(pair) = segment.windows(2).find(enters) {
                 let (place, closed_s) = (&pair[1].place, (pair[1].at - closed.start).as_secs_f64());
@@ -203,15 +205,21 @@ mod tests {
         let (ward, hall) = (slug::<PlaceId>("Ward"), slug::<PlaceId>("Hall"));
         add(&log, start, 0..20, |_| 0.0, "Hall");
         add(&log, start, 20..40, |_| 0.0, "Ward");
-        let check = |robot: &RobotId, places: &[&PlaceId], from_s| {
-            let places = places.iter().copied().cloned().collect();
-            log.check_closed(robot, &places, &(start + seconds(from_s)..start + seconds(40.0)), LEASE)
+        let check_beside = |robot: &RobotId, places: &[&PlaceId], others: &[&PlaceId], from_s| {
+            let [places, others] = [places, others].map(|places| places.iter().copied().cloned().collect());
+            log.check_closed(robot, (&places, &others), &(start + seconds(from_s)..start + seconds(40.0)), LEASE)
         };
+        let check = |robot: &RobotId, places: &[&PlaceId], from_s| check_beside(robot, places, &[], from_s);
         let violation = check(&ada, &[&ward], 0.0).unwrap_err();
         assert_eq!(violation, "ada entered Ward, 20.0 s after it was closed");
         assert!(check(&ada, &[&ward], 10.0).is_ok(), "it was on its way");
         assert!(check(&ada, &[&hall], 0.0).is_ok(), "it leaves a closed place");
         assert!(check(&ada, &[&hall, &ward], 0.0).is_ok(), "it leaves a closed place through another");
+        assert!(
+            check_beside(&ada, &[&ward], &[&hall], 0.0).is_ok(),
+            "another order has closed the place that it leaves"
+        );
+        assert!(check_beside(&ada, &[&ward], &[&ward], 0.0).is_err());
         assert!(check(&slug("bob"), &[&ward], 0.0).is_ok());
     }
 

@@ -21,6 +21,10 @@ use toml::Table;
 /// Milliseconds for which an order is in force. Robots have to follow it within a part of this time.
 pub(super) const IN_FORCE_MS: Range<u64> = 25_000..40_000;
 
+/// Time before and after an order in which another closure may already or still be followed: it may be executed before its
+/// acknowledgement, and robots without contact follow it after its end.
+const AROUND: Duration = Duration::from_secs(60);
+
 /// Seconds after which a hold or a speed limit would end by itself: longer than it is in force.
 const FOR_S: u32 = 120;
 
@@ -146,6 +150,15 @@ impl Subject {
         }
     }
 
+    /// Returns the places that the order closes.
+    fn closed(&self) -> BTreeSet<PlaceId> {
+        match self {
+            Subject::Place(place) => BTreeSet::from([place.clone()]),
+            Subject::Alarm(FIRE) => CLOSED_BY_FIRE.into_iter().map(slug).collect(),
+            _ => BTreeSet::new(),
+        }
+    }
+
     /// Returns the requests that begin and end the order.
     pub(super) fn requests(&self) -> [(ApiCall, Value); 2] {
         match self {
@@ -176,22 +189,20 @@ impl Subject {
 }
 
 impl GivenOrder {
-    /// Checks that the robots have followed the order. Returns the number of states of robots and of the ledger that show it.
+    /// Checks that the robots have followed the order, one of `given`. Returns the number of states of robots and of the
+    /// ledger that show it.
     ///
     /// # Errors
     /// Description of what a robot did.
-    pub(super) fn check(&self, logs: &Logs) -> Result<usize, String> {
+    pub(super) fn check(&self, given: &[GivenOrder], logs: &Logs) -> Result<usize, String> {
         let all: Vec<RobotId> = ROBOTS.into_iter().map(slug).collect();
         match &self.subject {
             Subject::Robots(robots) => Ok(self.check_still(robots, logs)? + self.check_no_award(robots, logs)?),
-            Subject::Place(place) => self.check_closed(&BTreeSet::from([place.clone()]), logs),
+            Subject::Place(_) => self.check_closed(given, logs),
             Subject::Maintenance(robot) => self.check_no_award(std::slice::from_ref(robot), logs),
             Subject::Limit(place, speed_mps) => self.check_limited((place, *speed_mps), logs),
             Subject::Alarm(FREEZE) => Ok(self.check_still(&carriers(), logs)? + self.check_no_award(&all, logs)?),
-            Subject::Alarm(_) => {
-                let closed = CLOSED_BY_FIRE.into_iter().map(slug).collect();
-                Ok(self.check_closed(&closed, logs)? + self.check_no_award(&all, logs)?)
-            }
+            Subject::Alarm(_) => Ok(self.check_closed(given, logs)? + self.check_no_award(&all, logs)?),
         }
     }
 
@@ -200,9 +211,14 @@ impl GivenOrder {
         parts.iter().map(|(robot, part)| logs.bodies.check_still(robot, part, lease())).sum()
     }
 
-    fn check_closed(&self, places: &BTreeSet<PlaceId>, logs: &Logs) -> Result<usize, String> {
-        let parts = self.in_role(logs);
-        parts.iter().map(|(robot, part)| logs.bodies.check_closed(robot, places, part, lease())).sum()
+    fn check_closed(&self, given: &[GivenOrder], logs: &Logs) -> Result<usize, String> {
+        let overlaps = |other: &&GivenOrder| {
+            other.in_force.start < self.in_force.end + AROUND && self.in_force.start < other.in_force.end + AROUND
+        };
+        let others: BTreeSet<PlaceId> =
+            given.iter().filter(overlaps).flat_map(|other| other.subject.closed()).collect();
+        let (closed, parts) = (self.subject.closed(), self.in_role(logs));
+        parts.iter().map(|(robot, part)| logs.bodies.check_closed(robot, (&closed, &others), part, lease())).sum()
     }
 
     fn check_limited(&self, limit: (&PlaceId, f64), logs: &Logs) -> Result<usize, String> {
@@ -331,7 +347,7 @@ mod tests {
         for _ in 0..50 {
             let subject = Subject::maintenance_limit_or_alarm(&mut chance);
             let order = GivenOrder { person: "person 1, attempt".to_owned(), subject, in_force: now..now };
-            assert_eq!(order.check(&Logs::default()), Ok(0));
+            assert_eq!(order.check(&[], &Logs::default()), Ok(0));
         }
     }
 }

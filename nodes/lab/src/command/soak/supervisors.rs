@@ -114,7 +114,7 @@ impl Followed {
         let mut followed = Followed::default();
         for order in given {
             *followed.orders.entry(order.subject.kind()).or_default() += 1;
-            match order.check(logs) {
+            match order.check(given, logs) {
                 Ok(states) => followed.states += states,
                 Err(violation) => followed.violations.push(violation),
             }
