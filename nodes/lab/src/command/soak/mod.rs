@@ -4,6 +4,7 @@ mod certificates;
 mod charging;
 mod faults;
 pub(super) mod fleet;
+mod mission_log;
 mod occurrences;
 mod orders;
 mod supervisors;

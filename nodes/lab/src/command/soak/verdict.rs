@@ -2,12 +2,13 @@
 
 use super::faults::FaultCounts;
 use super::fleet::ProcessFleet;
+use super::mission_log::listed;
 use super::occurrences::is_occurrence;
 use super::workload::{OWN_REQUEST, Observed, Workload};
 use consort_protocol::view::MissionsView;
 use consort_tests::history::History;
 use consort_text::count;
-use serde::{Deserialize as _, Serialize};
+use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::time::Duration;
@@ -66,7 +67,7 @@ pub(super) async fn reach(
     let acknowledged: BTreeSet<String> = workload.acknowledged.borrow().values().cloned().collect();
     let mut missions = MissionsView::default();
     loop {
-        if let Some(list) = workload.client.list().await.and_then(|list| MissionsView::deserialize(list).ok()) {
+        if let Some(list) = listed(&workload.client).await {
             missions = list;
             if missions.missions.iter().all(|mission| mission.brief.status.detail.is_final()) {
                 break;
@@ -81,6 +82,8 @@ pub(super) async fn reach(
         }
         sleep(LOOK_INTERVAL).await;
     }
+    workload.missions.add(&missions);
+    let missions = workload.missions.missions();
     let Observed { elected: terms, followed, occurrences } = workload.end().await;
     let requested = missions.missions.iter().filter(|mission| !is_occurrence(mission));
     let known: BTreeSet<String> = requested.map(|mission| mission.brief.mission.to_string()).collect();

@@ -1,6 +1,7 @@
 //! The clients of the fleet.
 
 use super::fleet::{ProcessFleet, ROOMS, STATIONS};
+use super::mission_log::MissionLog;
 use super::occurrences::{self, Occurrences};
 use super::supervisors::{Followed, Supervisors};
 use consort_bus::{SharedBus, Stream};
@@ -34,6 +35,7 @@ const RESOLVE_INTERVAL: Duration = Duration::from_secs(5);
 pub(super) struct Workload {
     pub(super) acknowledged: Acknowledged,
     pub(super) client: RecordingClient,
+    pub(super) missions: MissionLog,
     /// Nodes that were elected, by term.
     elected: JoinHandle<BTreeMap<u64, Vec<NodeId>>>,
     end_elected: tokio::sync::oneshot::Sender<()>,
@@ -85,6 +87,8 @@ impl Workload {
                 tokio::time::sleep(RESOLVE_INTERVAL).await;
             }
         });
+        let missions = MissionLog::default();
+        readers.spawn(missions.clone().record(client.clone()));
         let events = bus.subscribe(&fleet.keys.any_events()).await;
         let events = events.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
         let (end_elected, end) = tokio::sync::oneshot::channel();
@@ -96,6 +100,7 @@ impl Workload {
         Ok(Workload {
             acknowledged,
             client,
+            missions,
             elected,
             end_elected,
             submitter,
