@@ -1,4 +1,5 @@
-//! The user limits the speed in a zone and on a lane on the map, and clears a limit. No robot is there to be held.
+//! The user limits the speed in a zone and on a lane on the map, and clears a limit. A hold of a zone without robots
+//! holds none.
 
 use crate::browser::{Browser, SOON};
 use crate::closures::{is_drawn, select};
