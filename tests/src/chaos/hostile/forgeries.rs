@@ -40,7 +40,7 @@ const BIDS: f64 = 0.2;
 /// A place of the map.
 const PLACE: &str = "IC Room 6";
 
-/// Sources of the content that the hostile node forges: it knows everything.
+/// Sources of the content that the hostile node forges: the whole state of the fleet.
 pub(super) struct Sources {
     pub(super) replicas: Vec<Replica<Ledger>>,
     pub(super) known: Option<SharedKnowledge>,

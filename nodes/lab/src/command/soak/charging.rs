@@ -12,8 +12,8 @@ const CAPACITY_WH: f64 = 100.0;
 /// Charges of the carriers at the start. They suffice for two or three missions, so both need the charger soon.
 const CHARGES: [f64; CARRIERS.len()] = [0.35, 0.3];
 
-/// Charge that a role must leave. Faults and orders prolong drives beyond their estimates, and nobody replaces the battery
-/// of a robot that strands below 0.05.
+/// Charge that a role must leave. Faults and orders prolong drives beyond their estimates, and the battery of a robot that
+/// strands below 0.05 is not replaced.
 const CHARGE_MIN: f64 = 0.15;
 
 /// Places for idle robots.

@@ -188,7 +188,7 @@ impl ProcessFleet {
                 }
             }
         }
-        // Nobody empties the drawers after a failed mission.
+        // The drawers are not emptied after a failed mission.
         if let Some(limits) = world.get_mut("limits").and_then(toml::Value::as_table_mut) {
             limits.insert("drawer_slots".to_owned(), DRAWER_SLOTS.into());
         }

@@ -52,15 +52,15 @@ pub(super) type Draw = fn(&mut ChaCha8Rng) -> Subject;
 /// What an order is about.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Subject {
-    /// They are held.
+    /// Robots to hold.
     Robots(Vec<RobotId>),
-    /// It is closed.
+    /// Place to close.
     Place(PlaceId),
-    /// It is in maintenance.
+    /// Robot to take out of service.
     Maintenance(RobotId),
-    /// The speed at it is limited, in metres per second.
+    /// Place at which the speed is limited, and the limit in metres per second.
     Limit(PlaceId, f64),
-    /// It is raised.
+    /// Alarm to raise.
     Alarm(&'static str),
 }
 
