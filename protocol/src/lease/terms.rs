@@ -99,11 +99,11 @@ impl LeaseTerms {
     }
 
     /// Returns the longest time that a body may need from the cancel of a goal until it is at rest. The
-    /// permission of such a goal ends [before the lease](stop_lead). What is left must outlast the time
-    /// between two renewals, which is a quarter of the lease; otherwise the goal would be stopped although
-    /// the coordinator renews the lease.
+    /// permission of such a goal ends [before the lease](stop_lead). What is left must outlast a lost
+    /// report: two times a quarter of the lease. Otherwise the goal would be stopped although the
+    /// coordinator renews the lease.
     pub fn cancel_within_max(lease: Duration) -> Duration {
-        STOPPING_TIME + (lease - lease / 4).saturating_sub(RENEWAL_LATENESS)
+        STOPPING_TIME + (lease / 2).saturating_sub(RENEWAL_LATENESS)
     }
 
     /// Returns the smallest lease with which a body may need `cancel_within` from the cancel of a goal
@@ -112,7 +112,7 @@ impl LeaseTerms {
     pub fn lease_min(cancel_within: Duration) -> Duration {
         match stop_lead(cancel_within) {
             Duration::ZERO => Duration::ZERO,
-            lead => Duration::from_millis(((lead + RENEWAL_LATENESS).as_secs_f64() / 0.75 * 1e3).ceil() as u64),
+            lead => Duration::from_millis(((lead + RENEWAL_LATENESS).as_secs_f64() * 2e3).ceil() as u64),
         }
     }
 

@@ -243,8 +243,8 @@ fn a_body_that_stops_slowly_rests_no_later_than_others() {
 #[test]
 fn a_lease_leaves_a_body_that_stops_slowly_time_to_act() {
     let (ms, longest) = (Duration::from_millis, LeaseTerms::cancel_within_max);
-    assert_eq!([1_000, 2_000, 4_000, 6_000].map(|lease| longest(ms(lease))), [500, 1_000, 2_500, 4_000].map(ms));
-    assert_eq!([500, 3_000].map(|cancel| LeaseTerms::lease_min(ms(cancel))), [0, 4_667].map(ms));
+    assert_eq!([1_000, 2_000, 4_000, 6_000].map(|lease| longest(ms(lease))), [500, 500, 1_500, 2_500].map(ms));
+    assert_eq!([500, 3_000].map(|cancel| LeaseTerms::lease_min(ms(cancel))), [0, 7_000].map(ms));
     for cancel_within in [501, 1_000, 3_000, 60_000].map(ms) {
         let lease = LeaseTerms::lease_min(cancel_within);
         assert!(longest(lease) >= cancel_within && longest(lease - ms(2)) < cancel_within, "{cancel_within:?}");

@@ -15,7 +15,7 @@
 //!       effects: { tank_l: { add: -0.5 } }
 //!   load:                                      # a goal that hands an item over
 //!     hands_over: true
-//!     cancel: { within_s: 2 }
+//!     cancel: { within_s: 1.5 }
 //!     simulate: { moves: { from: table, to: container } }
 //! readings:                                    # what a driver publishes
 //!   tank_l: { type: number, unit: l, minimum: 0, maximum: 5, simulate: { value: 5 } }

@@ -241,10 +241,10 @@ fn a_lease_that_leaves_no_time_for_an_action_is_rejected() {
         (ran.code, format!("{}{}", ran.out, ran.err))
     };
     let (code, text) = check("lease_4000.toml", 4000);
-    let expected = "actions.press.cancel.within_s is 3, allowed with lease.lease_ms 4000 is 2.5 or less, and it is \
-                    allowed with lease.lease_ms 4667 or more";
+    let expected = "actions.press.cancel.within_s is 3, allowed with lease.lease_ms 4000 is 1.5 or less, and it is \
+                    allowed with lease.lease_ms 7000 or more";
     assert!(code == Some(1) && text.contains(expected), "{text}");
-    let (code, text) = check("lease_4667.toml", 4667);
+    let (code, text) = check("lease_7000.toml", 7000);
     assert_eq!(code, Some(0), "{text}");
 }
 
