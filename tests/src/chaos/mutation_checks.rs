@@ -90,7 +90,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::new(Mutant::SignersUnchecked, 3),
     MutantCheck::new(Mutant::AuthorsUnchecked, 12),
     MutantCheck::under(Mutant::RefusalsUnsigned, &[FaultKind::Hostile], 24),
-    MutantCheck::under(Mutant::RecordsUnverified, &[FaultKind::Hostile], 6),
+    MutantCheck::under(Mutant::RecordsUnverified, &[FaultKind::Hostile], 12),
     MutantCheck::under(Mutant::BeaconsBelieved, &[FaultKind::Hostile], 12),
     MutantCheck::under(Mutant::SuspensionNotCounted, &[FaultKind::Suspend], 6),
     MutantCheck::under(Mutant::GraceTooSmall, &[FaultKind::LeaseEnd, FaultKind::Drift], 90),
