@@ -182,7 +182,10 @@ fn hold_and_release_group(browser: &Browser) {
         "the problem",
         "/has no field `wheels`/.test(document.querySelector('#order-problem').innerText) && document.querySelector('#order-send').innerText === 'Preview'",
     );
-    let logged = browser.console();
+    let logged = until("the refusal in the log of the browser", SOON, || {
+        let logged = browser.console();
+        (!logged.is_empty()).then_some(logged)
+    });
     assert!(logged.iter().all(|line| line.contains("/api/robots/select")), "{logged:#?}");
     fill(browser, "#order [name=where]", r#"robot.name == "ada""#);
     browser.press(ENTER);
