@@ -38,6 +38,7 @@ impl ChargingSetup {
                 chargers,
                 parking: BTreeSet::new(),
                 curve: ChargingCurve::default(),
+                gain: None,
                 swap: None,
             },
             power: Watts::new(power_w).expect("a power"),

@@ -339,7 +339,7 @@ fn detect_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
             FileKind::Design,
             &["repetitions", "policies", "treatments", "mission", "robots", "fixed", "factors", "travel"],
         ),
-        (FileKind::Calibration, &["quantile", "to", "from", "legs"]),
+        (FileKind::Calibration, &["quantile", "to", "from", "legs", "discharge", "charging"]),
     ];
     const STATION: &[&str] = &["fleet", "stationary", "mains_powered", "may_vote", "bus"];
     let count = |keys: &[&str]| keys.iter().filter(|mark| table.contains_key(**mark)).count();

@@ -133,7 +133,12 @@ pub(crate) struct SkillResources {
 pub(crate) fn fleet_settings(config: &FleetConfig, extensions: Extensions) -> Result<FleetSettings, Diagnostics> {
     let floor = map_loader::load(&config.map)?;
     let charging = match &config.charging {
-        Some(charging) => Some(Arc::new(charging.settings(chargers(charging, &floor)?))),
+        Some(charging) => {
+            // A station may lack the calibration, and does not forecast. A robot with a wrong one does not start.
+            let learned = calibration(config, extensions).ok().flatten();
+            let measured = learned.as_ref().and_then(|learned| learned.charging.as_ref());
+            Some(Arc::new(charging.settings(chargers(charging, &floor)?, measured)))
+        }
         None => None,
     };
     let candidates = candidates(config, &floor, extensions);
@@ -228,9 +233,15 @@ fn bounding_estimator(
 /// Returns the descriptors of all robots, with learned corrections.
 fn calibrated_descriptors(config: &FleetConfig, extensions: Extensions) -> Result<DescriptorRegistry, Diagnostics> {
     let descriptors = extensions.descriptors(DescriptorRegistry::standard());
-    let Some(file) = &config.calibration else { return Ok(descriptors) };
-    let learned: Arc<Calibration> = Arc::new(config::load(file, &extensions.domain())?);
-    Ok(learned.correct(descriptors))
+    Ok(match calibration(config, extensions)? {
+        Some(learned) => Arc::new(learned).correct(descriptors),
+        None => descriptors,
+    })
+}
+
+/// Reads the calibration that a fleet names, if any.
+fn calibration(config: &FleetConfig, extensions: Extensions) -> Result<Option<Calibration>, Diagnostics> {
+    config.calibration.as_ref().map(|file| config::load(file, &extensions.domain())).transpose()
 }
 
 /// Returns the chargers of a fleet on its map.

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 /// Least number of observations for a factor: with five, the upper quantile lies between the two
 /// greatest values.
-const MIN_OBSERVATIONS: usize = 5;
+pub(super) const MIN_OBSERVATIONS: usize = 5;
 
 /// Share of cases in which the battery is to last. Default of `consort lab experiment calibrate`.
 pub const DEFAULT_QUANTILE: f64 = 0.9;
@@ -55,8 +55,9 @@ pub fn calibrate(observations: &[Observation], quantile: f64) -> Calibration {
         to: fit(to, quantile).collect(),
         from: fit(from, quantile).collect(),
         legs: fit(legs, quantile).map(|((from, to), factor)| LegFactor { from, to, factor }).collect(),
-        // Trials observe durations.
+        // The batteries of trials follow the declared rates; recordings show those of robots.
         discharge: BTreeMap::new(),
+        charging: None,
     }
 }
 

@@ -4,6 +4,7 @@
 pub mod allocation;
 pub mod calibration;
 pub mod design;
+pub mod energy;
 pub mod outcome;
 pub mod policy;
 pub mod published_format;

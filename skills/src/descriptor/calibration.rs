@@ -7,14 +7,19 @@
 //! uses all drives to or from the same place, and failing that all drives of the same skill. The
 //! [destination](SkillDescriptor::destination) of a descriptor says whether its tasks are drives.
 //!
-//! The evaluation computes the factors from trials; this module only applies them.
+//! The ratio of actual to estimated discharge rate of a skill multiplies its energy, too. The measured charging of
+//! batteries is not part of the estimates of tasks: robots forecast their stops at chargers with it.
+//!
+//! The evaluation computes the factors from trials, and what concerns batteries from recordings; this module only
+//! applies them.
 
 use super::estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 use super::registry::DescriptorRegistry;
 use crate::environment::Environment;
+use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::units::Seconds;
+use consort_protocol::units::{Seconds, SharePerSecond};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -53,6 +58,19 @@ pub struct LegFactor {
     pub factor: TimeFactor,
 }
 
+/// Charging of batteries, as measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeasuredCharging {
+    /// Share of a full battery that a battery gains per second at its full power, above 0. Robots forecast with it where
+    /// the power of a charger or their capacity is unknown.
+    pub share_per_s: SharePerSecond,
+    /// Charging curve, as in `charging.curve` of a fleet file: robots forecast with this one instead. Default: full power
+    /// up to the end.
+    #[serde(default, skip_serializing_if = "ChargingCurve::is_empty")]
+    pub curve: ChargingCurve,
+}
+
 /// Factors computed from observations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -75,6 +93,9 @@ pub struct Calibration {
     /// Ratios of actual to estimated discharge rate, by skill. They multiply the energy beside the factors of durations.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub discharge: BTreeMap<TaskType, f64>,
+    /// Measured charging. Default: not measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub charging: Option<MeasuredCharging>,
 }
 
 impl Calibration {
@@ -93,6 +114,9 @@ impl Calibration {
             .collect();
         let rates = self.discharge.iter().filter(|(_, ratio)| !(ratio.is_finite() && **ratio > 0.0));
         errors.extend(rates.map(|(skill, ratio)| format!("discharge.{skill} is {ratio}, allowed is a number above 0")));
+        if self.charging.as_ref().is_some_and(|charging| charging.share_per_s.get() <= 0.0) {
+            errors.push("charging.share_per_s is 0, allowed is a rate above 0".to_owned());
+        }
         if !(0.5..1.0).contains(&self.quantile) {
             errors.push(format!("quantile is {}, allowed is 0.5 to below 1", self.quantile));
         }
@@ -152,6 +176,10 @@ impl SkillDescriptor for Calibrated {
 
     fn destination(&self) -> Option<&str> {
         self.inner.destination()
+    }
+
+    fn discharge_multiple(&self) -> Option<f64> {
+        self.inner.discharge_multiple()
     }
 
     fn grows_with_drives(&self) -> bool {
@@ -269,6 +297,7 @@ mod tests {
             from: [(place("A"), factor(3.0))].into(),
             legs: vec![LegFactor { from: place("A"), to: place("B"), factor: factor(2.0) }],
             discharge: BTreeMap::new(),
+            charging: None,
         })
     }
 
@@ -336,15 +365,34 @@ mod tests {
     }
 
     #[test]
+    fn the_multiple_of_a_type_with_its_own_energy_is_unknown() {
+        let garden = serde_json::json!({
+            "domain": "garden",
+            "actions": { "dig": { "discharge": 3.0 } },
+            "tasks": {
+                "dig": { "action": "dig", "estimate": { "time_s": "20.0" } },
+                "weigh": { "action": "dig", "estimate": { "time_s": "20.0", "energy": "0.01" } },
+            },
+        });
+        let garden = DomainFile::check(serde_json::from_value(garden).unwrap(), &BTreeMap::new(), &[]).unwrap();
+        let multiples = garden.extend_descriptors(DescriptorRegistry::standard()).discharge_multiples();
+        let multiple = |name| multiples.get(&skill(name)).copied();
+        assert_eq!(["dig", "weigh", "navigation"].map(multiple), [Some(3.0), None, Some(1.0)]);
+    }
+
+    #[test]
     fn a_value_out_of_range_is_reported_with_its_key() {
         assert_eq!(learned().validation_errors(), [""; 0]);
         let mut wrong = (*learned()).clone();
         (wrong.quantile, wrong.legs[0].factor.sd) = (1.0, f64::NAN);
+        let share_per_s = SharePerSecond::new(0.0).unwrap();
+        wrong.charging = Some(MeasuredCharging { share_per_s, curve: ChargingCurve::default() });
         assert_eq!(
             wrong.validation_errors(),
             [
                 "legs, A to B: mean 2, sd NaN, upper 2.4; allowed are a mean and an upper quantile above 0, and a \
                  deviation of 0 or more",
+                "charging.share_per_s is 0, allowed is a rate above 0",
                 "quantile is 1, allowed is 0.5 to below 1",
             ]
         );

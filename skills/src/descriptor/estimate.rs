@@ -155,6 +155,12 @@ pub trait SkillDescriptor: Send + Sync {
         false
     }
 
+    /// Returns the multiple of the robot's discharge rate at which a task uses energy; `None` if the energy does not
+    /// follow from the duration.
+    fn discharge_multiple(&self) -> Option<f64> {
+        Some(1.0)
+    }
+
     /// Estimates the cost of `task` for the robot of `context`.
     ///
     /// # Errors

@@ -38,7 +38,7 @@ mod estimate;
 mod fixed;
 mod registry;
 
-pub use calibration::{Calibration, LegFactor, TimeFactor};
+pub use calibration::{Calibration, LegFactor, MeasuredCharging, TimeFactor};
 pub use estimate::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 pub use fixed::FixedDuration;
 pub use registry::{

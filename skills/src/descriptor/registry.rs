@@ -110,6 +110,13 @@ impl DescriptorRegistry {
         self
     }
 
+    /// Returns the multiple of a robot's discharge rate at which the tasks of each type use energy, for the types
+    /// whose energy follows from their duration.
+    pub fn discharge_multiples(&self) -> BTreeMap<TaskType, f64> {
+        let descriptors = self.descriptors.iter();
+        descriptors.filter_map(|(skill, each)| Some((skill.clone(), each.discharge_multiple()?))).collect()
+    }
+
     /// Replaces each descriptor.
     pub(super) fn map(
         mut self,

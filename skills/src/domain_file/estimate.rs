@@ -306,6 +306,10 @@ impl SkillDescriptor for DeclaredEstimate {
         }
     }
 
+    fn discharge_multiple(&self) -> Option<f64> {
+        self.energy.is_none().then_some(self.discharge)
+    }
+
     fn grows_with_drives(&self) -> bool {
         let grows = |formula: &Formula| formula.expression().is_none_or(Expression::grows_with_drives);
         self.formulas().all(grows) && self.requires.iter().all(|requires| !requires.expression().uses_drives)

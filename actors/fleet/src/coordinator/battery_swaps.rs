@@ -147,6 +147,7 @@ mod tests {
             chargers: vec![],
             parking: BTreeSet::new(),
             curve: ChargingCurve::default(),
+            gain: None,
             swap: Some(BatterySwap { mission: "battery-swap".to_owned(), eligible: None }),
         };
         let (owner, stamp) = (NodeId::new("ada").unwrap(), RecordStamp::default());

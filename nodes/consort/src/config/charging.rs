@@ -5,6 +5,7 @@ use consort_protocol::charging_curve::ChargingCurve;
 use consort_protocol::ensemble::Eligibility;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{BatteryShare, Watts};
+use consort_skills::descriptor::MeasuredCharging;
 use consort_skills::missions::NamedMissions;
 use consort_text::AllowedNames;
 use schemars::JsonSchema;
@@ -30,7 +31,8 @@ pub struct ChargingConfig {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub parking: Vec<PlaceId>,
     /// Charging curve of the robots' batteries: the share of its full power with which a battery charges from each charge
-    /// on. The simulator and the forecasts of robots use it. Default: full power up to the end.
+    /// on. The simulator and the forecasts of robots use it; a curve of the `calibration` replaces it in the forecasts. Default:
+    /// full power up to the end.
     #[serde(skip_serializing_if = "ChargingCurve::is_empty")]
     pub curve: ChargingCurve,
     /// Chargers at places that are not of kind `charger` on the map, and chargers with other settings than the
@@ -154,15 +156,20 @@ impl ChargingConfig {
         }
     }
 
-    /// Returns the settings of nodes, with these chargers.
-    pub(crate) fn settings(&self, chargers: Vec<ChargerConfig>) -> ChargingSettings {
+    /// Returns the settings of nodes, with these chargers. Forecasts use the charging that a calibration has measured, if any.
+    pub(crate) fn settings(
+        &self,
+        chargers: Vec<ChargerConfig>,
+        measured: Option<&MeasuredCharging>,
+    ) -> ChargingSettings {
         let ChargingConfig { below, until, opportunistic, .. } = *self;
         let charger = |ChargerConfig { place, power_w, eligible }| Charger { place, eligible, power: power_w };
         ChargingSettings {
             thresholds: ChargeThresholds { below, until, opportunistic },
             chargers: chargers.into_iter().map(charger).collect(),
             parking: self.parking.iter().cloned().collect(),
-            curve: self.curve.clone(),
+            curve: measured.map_or(&self.curve, |measured| &measured.curve).clone(),
+            gain: measured.map(|measured| measured.share_per_s),
             swap: self.swap.clone().map(|SwapConfig { mission, eligible }| BatterySwap { mission, eligible }),
         }
     }
@@ -184,6 +191,8 @@ impl ChargingConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::units::SharePerSecond;
+    use consort_skills::descriptor::Calibration;
 
     fn config(text: &str) -> ChargingConfig {
         toml::from_str(text).unwrap()
@@ -240,6 +249,19 @@ mod tests {
         assert_eq!([0.7, 0.8, 0.95].map(|charge| curve.power_at(charge)), [1.0, 0.5, 0.2]);
         let problem = toml::from_str::<ChargingConfig>(&step(0.8, 1.5)).unwrap_err().to_string();
         assert!(problem.contains("power is 1.5, allowed is above 0 to 1"), "{problem}");
+    }
+
+    #[test]
+    fn forecasts_use_the_measured_charging_of_a_calibration() {
+        let config = config("[[curve]]\nabove = 0.8\npower = 0.5");
+        let declared = config.settings(vec![], None);
+        assert_eq!((declared.curve.power_at(0.9), declared.gain), (0.5, None));
+        let measured: Calibration = toml::from_str(
+            "quantile = 0.9\n[charging]\nshare_per_s = 0.0005\n[[charging.curve]]\nabove = 0.7\npower = 0.4",
+        )
+        .unwrap();
+        let forecast = config.settings(vec![], measured.charging.as_ref());
+        assert_eq!((forecast.curve.power_at(0.75), forecast.gain.map(SharePerSecond::get)), (0.4, Some(0.0005)));
     }
 
     #[test]

@@ -41,7 +41,7 @@ pub struct FleetConfig {
     pub name: FleetId,
     /// The map: the name of a bundled map (`hospital`, the default), or the path of a file.
     pub map: String,
-    /// Corrections to robots' estimates: a file written by `consort lab experiment calibrate`.
+    /// Corrections to robots' estimates: a file written by `consort lab experiment calibrate` or `energy`.
     /// Robots then bid with the measured cost of drives and tasks, and only if the battery lasts in
     /// all but the worst cases. Default: no corrections.
     #[serde(skip_serializing_if = "Option::is_none")]

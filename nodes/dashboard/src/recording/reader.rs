@@ -126,8 +126,13 @@ impl RecordingReader {
         }
     }
 
-    /// Applies an input to a model; returns false if the input is invalid.
-    fn take(&self, model: &mut FleetModel, index: usize) -> bool {
+    /// Returns the inputs in the order of their times, without those that are invalid.
+    pub fn valid_inputs(&self) -> impl Iterator<Item = FleetInput> {
+        (0..self.inputs.len()).filter_map(|index| self.parse(index))
+    }
+
+    /// Parses an input; `None` if it is invalid.
+    fn parse(&self, index: usize) -> Option<FleetInput> {
         let input = &self.inputs[index];
         let topic = self.topics.get(&input.topic).map_or("", String::as_str);
         let mut fleet_input = input.kind.parse(&self.keys, topic, &input.data);
@@ -136,10 +141,16 @@ impl RecordingReader {
         {
             view.insert("age_ms".to_owned(), age_ms.into());
         }
-        if let Some(fleet_input) = &fleet_input {
-            model.apply(fleet_input, input.at_ms);
+        fleet_input
+    }
+
+    /// Applies an input to a model; returns false if the input is invalid.
+    fn take(&self, model: &mut FleetModel, index: usize) -> bool {
+        let input = self.parse(index);
+        if let Some(input) = &input {
+            model.apply(input, self.inputs[index].at_ms);
         }
-        fleet_input.is_some()
+        input.is_some()
     }
 
     /// Brings a model that has applied the first `taken` inputs to its state at an instant: with

@@ -49,6 +49,7 @@ fn every_instant_of_a_recording_equals_the_live_model() {
     let recording = RecordingReader::open(&live.file.0).unwrap();
     assert_eq!((recording.fleet(), recording.from_ms(), recording.to_ms()), ("ward", BEGAN, BEGAN + 9000));
     assert_eq!((recording.damage(), recording.inputs()), (None, story().len()));
+    assert_eq!(recording.valid_inputs().count(), story().len());
     for after_ms in [0, 4, 5, 1000, 1150, 1400, 3999, 4000, 4100, 5000, 5199, 9000, 99_000] {
         assert_eq!(&recording.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
     }

@@ -2,7 +2,7 @@
 
 use super::named_value::named;
 use super::workload_flags::WorkloadFlags;
-use super::{legs, shift};
+use super::{energy, legs, shift};
 use crate::design_file::DesignFile;
 use crate::evaluation::{Evaluation, InputOverrides};
 use clap::{Args as ClapArgs, Subcommand};
@@ -41,6 +41,7 @@ use std::time::Instant;
 Examples:
   consort-lab experiment run published --out results
   consort-lab experiment calibrate published --out calibrated
+  consort-lab experiment energy monday.mcap --out calibration.toml
   consort-lab experiment legs nav_legs.csv
   consort-lab experiment shift")]
 pub(crate) struct Args {
@@ -53,6 +54,7 @@ pub(crate) struct Args {
 enum ExperimentCommand {
     Run(RunArgs),
     Calibrate(CalibrateArgs),
+    Energy(energy::Args),
     Legs(legs::Args),
     Shift(shift::Args),
 }
@@ -162,6 +164,7 @@ pub(crate) fn run(args: &Args, extensions: Extensions) -> Result<(), Failure> {
     match &args.what {
         ExperimentCommand::Run(args) => run_design(args, extensions),
         ExperimentCommand::Calibrate(args) => calibrate(args, extensions),
+        ExperimentCommand::Energy(args) => energy::run(args, extensions),
         ExperimentCommand::Legs(args) => legs::run(args),
         ExperimentCommand::Shift(args) => shift::run(args),
     }

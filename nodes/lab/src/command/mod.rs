@@ -4,6 +4,7 @@ pub(crate) mod allocate;
 pub(crate) mod bench;
 pub(crate) mod chaos;
 pub(crate) mod check;
+mod energy;
 pub(crate) mod experiment;
 mod legs;
 mod named_value;

@@ -109,6 +109,15 @@ fn a_calibration_is_learned_written_and_used() {
 }
 
 #[test]
+fn energy_is_not_learned_from_a_file_that_is_no_recording() {
+    let (file, out) = (test_file("notes.mcap", "no recording"), folder("energy"));
+    let out = out.join("calibration.toml");
+    let ran = run(&["experiment", "energy", &file, "--out", &out.display().to_string()]);
+    assert_eq!(ran.code, Some(2), "{}", ran.err);
+    assert!(ran.err.contains("this is not an MCAP file") && !out.exists(), "{}", ran.err);
+}
+
+#[test]
 fn flags_override_policies_treatments_and_repetitions() {
     let (design, out) = (test_file("thin-to-change.toml", THIN), folder("changed"));
     let (out_flag, calm) = (out.display().to_string(), "calm,coordinator-killed");

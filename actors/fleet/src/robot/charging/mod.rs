@@ -65,6 +65,8 @@ pub struct ChargingSettings {
     pub parking: BTreeSet<PlaceId>,
     /// Charging curve of the robots' batteries.
     pub curve: ChargingCurve,
+    /// Measured gain of a battery at its full power, for chargers of unknown power and robots of unknown capacity.
+    pub gain: Option<SharePerSecond>,
     /// Swaps of batteries by people; `None` without any.
     pub swap: Option<BatterySwap>,
 }
@@ -175,7 +177,10 @@ impl RobotCharging {
         };
         let place = |charger: &Charger| charger.place.clone();
         let usable: Vec<&Charger> = settings.chargers.iter().filter(may_use).collect();
-        let gain = |charger: &&Charger| Some((charger.place.clone(), charger.power?.fills(capacity?)));
+        let gain = |charger: &&Charger| {
+            let by_power = charger.power.zip(capacity).map(|(power, capacity)| power.fills(capacity));
+            Some((charger.place.clone(), by_power.or(settings.gain)?))
+        };
         let gains = usable.iter().map(gain).collect::<Option<_>>().unwrap_or_default();
         let forecast = ChargingForecast { gains, curve: settings.curve.clone() };
         let usable: BTreeSet<PlaceId> = usable.into_iter().map(place).collect();

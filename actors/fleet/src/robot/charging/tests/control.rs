@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 fn settings(chargers: Vec<Charger>) -> ChargingSettings {
     let (parking, curve) = (BTreeSet::new(), ChargingCurve::default());
-    ChargingSettings { thresholds: thresholds(), chargers, parking, curve, swap: None }
+    ChargingSettings { thresholds: thresholds(), chargers, parking, curve, gain: None, swap: None }
 }
 
 /// Returns the charging of a robot in a fleet with these chargers.
@@ -205,6 +205,24 @@ fn a_robot_prefers_the_charger_at_which_it_has_charged_first() {
     let [fast, slow] = [381.0, 360.0].map(Some);
     assert_eq!(claims([fast, slow], Some(100.0), none()), "B");
     assert_eq!(claims([fast, slow], Some(100.0), curve), "A");
+}
+
+/// A charger of 360 W gives a battery of 100 Wh 0.1 % per second.
+#[test]
+fn a_measured_gain_stands_for_an_unknown_power_or_capacity() {
+    let time = |power: Option<f64>, capacity: Option<f64>, gain: Option<f64>| {
+        let power = power.map(|power| Watts::new(power).unwrap());
+        let charger = Charger { place: place("A"), eligible: None, power };
+        let gain = gain.map(|gain| SharePerSecond::new(gain).unwrap());
+        let settings = ChargingSettings { gain, ..settings(vec![charger]) };
+        let capacity = capacity.map(|capacity| WattHours::new(capacity).unwrap());
+        let charging = RobotCharging::of(&settings, &robot("m"), &knowledge(&[]), capacity).unwrap();
+        charging.forecast.known_time(&place("A"), 0.5, share(0.75)).map(|time| time.get().round())
+    };
+    assert_eq!(time(None, None, None), None);
+    assert_eq!(time(Some(360.0), Some(100.0), Some(0.0005)), Some(250.0), "power and capacity are of this robot");
+    assert_eq!(time(None, Some(100.0), Some(0.0005)), Some(500.0));
+    assert_eq!(time(Some(360.0), None, Some(0.0005)), Some(500.0));
 }
 
 #[test]
