@@ -6,7 +6,7 @@ use super::{Args, requested_scenario};
 use crate::config::FleetConfig;
 use crate::map_loader;
 use clap::Parser as _;
-use consort_dashboard::query::{QueryTarget, query_once};
+use consort_dashboard::query::{QueryError, QueryTarget, query_once};
 use consort_protocol::api::SubmitReply;
 use consort_protocol::ids::{MissionId, PlaceId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
@@ -174,8 +174,14 @@ async fn run(seed: u64, command: &[&str], mut submissions: Vec<Submission>) -> O
     let last_ms = submissions.last().expect("some").0;
     for (at_ms, request) in submissions {
         tokio::time::sleep((begin + Duration::from_millis(at_ms)).saturating_sub(fleet.elapsed())).await;
-        let reply = query(&Key::Api(ApiCall::Submit), &request.to_string()).await;
-        let reply = reply.unwrap_or_else(|problem| panic!("seed {seed}: {request}: {problem:?}"));
+        let reply = loop {
+            match query(&Key::Api(ApiCall::Submit), &request.to_string()).await {
+                Ok(reply) => break reply,
+                // The demo has killed its coordinator.
+                Err(QueryError::Retryable(_, after)) => tokio::time::sleep(after).await, // virtual time
+                Err(problem) => panic!("seed {seed}: {request}: {problem:?}"),
+            }
+        };
         let mission: MissionId = SubmitReply::deserialize(reply).unwrap().mission;
         requests.insert(mission, request["request"].as_str().unwrap().to_owned());
     }

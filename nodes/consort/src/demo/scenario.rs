@@ -308,7 +308,24 @@ impl DemoScenario {
             scenario.with_people(&mission, domain, |person| person.on_call).with_robots(&mission)
         });
         let people = &domain.ihtn_names().people;
-        people.iter().fold(scenario, |scenario, role| scenario.with_person(role, None, |_| true))
+        people
+            .iter()
+            .fold(scenario, |scenario, role| scenario.with_person(role, None, |_| true))
+            .with_more_people_on_call()
+    }
+
+    /// Adds people until there is a person on call for each three robots, in each role with a person on call: a robot waits
+    /// for a person for two minutes only.
+    #[must_use]
+    fn with_more_people_on_call(mut self) -> DemoScenario {
+        let numbers = 2..=self.robots.len().div_ceil(3);
+        let on_call: Vec<PersonSetup> = self.world.person.iter().filter(|person| person.on_call).cloned().collect();
+        for person in on_call {
+            let further =
+                |number| PersonSetup { name: format!("{} {number}", person.name).as_str().into(), ..person.clone() };
+            self.world.person.extend(numbers.clone().map(further));
+        }
+        self
     }
 
     /// Gives all mobile robots a driver, in place of the simulator. They do not charge by themselves, since a driver
