@@ -2,7 +2,7 @@
 
 use crate::lab::{Lab, inside};
 use crate::scenario::{FLEET, coordinator, fleet, robot, submit, wait_for_first_task, wait_for_members, with, world};
-use crate::support::{LONG, config, example, until};
+use crate::support::{LONG, config, example};
 use std::time::{Duration, Instant};
 use zenoh::{Session, Wait};
 
