@@ -1,7 +1,8 @@
 //! `consort-lab bench takeover`: measures takeovers of real processes, each on a host of its own.
 
 use super::run_in_namespaces;
-use crate::command::soak::fleet::{FleetKind, ProcessFleet, ROOMS, STATIONS, WORLD};
+use crate::command::soak::fleet::{FleetKind, ProcessFleet};
+use crate::command::soak::names::{ROOMS, STATIONS, WORLD};
 use clap::Args as ClapArgs;
 use consort_bus::{Sample, SharedBus, Stream};
 use consort_nodes::exit::Failure;

@@ -1,6 +1,6 @@
 //! The charger of the fleet, and the batteries of its carriers, which charge and park by themselves.
 
-use super::fleet::CARRIERS;
+use super::names::CARRIERS;
 use toml::{Table, Value};
 
 /// Power of the charger. A battery gains 0.2 % per second of the world, and a robot charges for half a minute.

@@ -1,6 +1,7 @@
 //! Random faults of processes and of their network.
 
-use super::fleet::{ProcessFleet, ROBOTS, STATIONS, WORLD};
+use super::fleet::ProcessFleet;
+use super::names::{ROBOTS, STATIONS, WORLD};
 use consort_nodes::output;
 use consort_tests::host_network::Way;
 use rand::seq::IndexedRandom;

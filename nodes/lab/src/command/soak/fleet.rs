@@ -1,6 +1,7 @@
 //! The processes of the fleet, each on its own host.
 
 use super::certificates::Certificates;
+use super::names::{CARRIERS, ROBOTS, ROOMS, STATIONS, WORLD};
 use super::{charging, orders};
 use consort_bus::zenoh_bus::Mode;
 use consort_bus::{SharedBus, ZenohBus, ZenohSettings};
@@ -25,24 +26,8 @@ use toml::Table;
 /// Name of the fleet.
 const FLEET: &str = "soak";
 
-/// The voters of the ledger.
-pub(in super::super) const STATIONS: [&str; 3] = ["s1", "s2", "s3"];
-
-/// The robots that drive.
-pub(super) const CARRIERS: [&str; 2] = ["ada", "bob"];
-
-/// The robots.
-pub(super) const ROBOTS: [&str; 3] = [CARRIERS[0], CARRIERS[1], "lab-arm"];
-
-/// Host of the simulated world. No fault kills it: the state of its world is only in its memory.
-pub(in super::super) const WORLD: &str = "world";
-
 /// Simulated seconds per second: missions end within a fraction of a minute.
 const WORLD_SPEED: f64 = 8.0;
-
-/// Rooms with a nurse and samples.
-pub(in super::super) const ROOMS: [&str; 6] =
-    ["IC Room 6", "PC Room 1", "IC Room 2", "PC Room 5", "IC Room 4", "PC Room 2"];
 
 /// Samples of each nurse. A world has at most 10,000 in all.
 const SAMPLES: usize = 1_500;

@@ -5,6 +5,7 @@ mod charging;
 mod faults;
 pub(super) mod fleet;
 mod mission_log;
+pub(super) mod names;
 mod occurrences;
 mod orders;
 mod supervisors;

@@ -1,6 +1,6 @@
 //! A schedule of missions, and what must hold about its occurrences.
 
-use super::fleet::ROOMS;
+use super::names::ROOMS;
 use consort_protocol::view::{MissionSummary, MissionsView};
 use consort_skills::workload::Workload;
 use consort_tests::history::RecordingClient;

@@ -1,6 +1,6 @@
 //! Orders of people: what they are about, the requests that give and end them, and what must hold meanwhile.
 
-use super::fleet::{CARRIERS, ROBOTS, ROOMS};
+use super::names::{CARRIERS, ROBOTS, ROOMS};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::LeaseTerms;

@@ -1,6 +1,7 @@
 //! People who give orders, the logs of what robots do, and what the logs show.
 
-use super::fleet::{CARRIERS, ProcessFleet, ROBOTS, STATIONS, WORLD};
+use super::fleet::ProcessFleet;
+use super::names::{CARRIERS, ROBOTS, STATIONS, WORLD};
 use super::orders::{Draw, GivenOrder, IN_FORCE_MS, Logs, Subject, all_over};
 use consort_bus::SharedBus;
 use consort_nodes::exit::Failure;

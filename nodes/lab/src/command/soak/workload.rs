@@ -1,7 +1,8 @@
 //! The clients of the fleet.
 
-use super::fleet::{ProcessFleet, ROOMS, STATIONS};
+use super::fleet::ProcessFleet;
 use super::mission_log::MissionLog;
+use super::names::{ROOMS, STATIONS};
 use super::occurrences::{self, Occurrences};
 use super::supervisors::{Followed, Supervisors};
 use consort_bus::{SharedBus, Stream};
