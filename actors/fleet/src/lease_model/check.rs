@@ -35,7 +35,7 @@ impl Bounds {
         Bounds { awards: 2, late: 0, is_slow: false, first_only: false, faults }
     }
 
-    /// Returns the robots whose events are explored.
+    /// Returns the numbers of the robots whose events are explored.
     fn robots(&self) -> Range<usize> {
         let count = if self.first_only { 1 } else { 2 };
         0..count

@@ -263,7 +263,7 @@ mod tests {
     use consort_tests::example_files::example;
     use rand::SeedableRng;
 
-    /// Checks that a request is one of the API. Returns its duration, if it states one.
+    /// Returns the duration that a request states, if any, and checks that the API accepts the request.
     fn for_s((call, request): (ApiCall, Value)) -> Option<u32> {
         let for_s = request["for_s"].as_u64().and_then(|for_s| for_s.try_into().ok());
         match call {

@@ -94,7 +94,7 @@ fn an_action_after_several_actions_of_its_task_is_executed() {
         assert_eq!(executed(&task, is_instant), (1, false));
         let after_another = [[(6, pick(is_instant))].as_slice(), &task].concat();
         assert_eq!(executed(&after_another, is_instant), (1, false));
-        // One of the actions was this one.
+        // The task has begun the same action before.
         let begun = [(7, drive("b")), (8, pick(is_instant)), (9, act("lift", false)), (10, drive("c"))];
         assert_eq!(executed(&begun, is_instant), (0, true));
         // The id of the latest order does not name all actions of the task: it is that of another action, or that of a
