@@ -118,7 +118,8 @@ fn the_demo_is_usable_without_a_mouse() {
     browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length >= 8");
     wait_for_coordinator(&browser);
     browser.wait_until("missions", "document.querySelectorAll('#missions tbody tr').length === 2");
-    browser.wait_until("people", "document.querySelectorAll('#people tbody tr').length === 16");
+    // A nurse in each of 14 rooms, and three people on call for nine robots in each of two roles.
+    browser.wait_until("people", "document.querySelectorAll('#people tbody tr').length === 20");
     browser.wait_until(
         "a way ahead",
         "Object.values(consort.connection.model.robots).some((robot) => robot.route.length)",
