@@ -17,6 +17,10 @@ use hecs::Entity;
 /// robot uses another map.
 const SAME_SPOT_M: f64 = 0.1;
 
+/// Greatest distance from a lane at which a robot stands on it: a little more than the tolerance of
+/// routes, which continue along the lane.
+const ON_LANE_M: f64 = 0.3;
+
 /// Target of a drive.
 #[derive(Debug, Clone)]
 pub(crate) struct DriveTarget {
@@ -136,12 +140,27 @@ impl SimState {
                 no_lane(format!("no lane to {} from {}", name(to), start.describe(&self.map)))
             }
             MapPosition::Floor { near } if to == near => Ok((pose.distance(self.map.place_at(near).pose).get(), None)),
-            MapPosition::Floor { near } => no_lane(format!(
-                "no lane to {} from {}: the way back is to {}",
-                name(to),
-                start.describe(&self.map),
-                name(near)
-            )),
+            MapPosition::Floor { near } => match self.share_of_lane(near, to, pose) {
+                // It has left the lanes, and stands on one again.
+                Some(share) => self.leg(MapPosition::Lane { from: near, to, share }, pose, to),
+                None => no_lane(format!(
+                    "no lane to {} from {}: the way back is to {}",
+                    name(to),
+                    start.describe(&self.map),
+                    name(near)
+                )),
+            },
         }
+    }
+
+    /// Returns the share of a lane after which a pose on the lane is.
+    fn share_of_lane(&self, from: PlaceIndex, to: PlaceIndex, pose: Pose) -> Option<f64> {
+        self.map.lane_between(from, to)?;
+        let (a, b) = (self.map.place_at(from).pose, self.map.place_at(to).pose);
+        let (dx, dy) = (b.x - a.x, b.y - a.y);
+        let share = ((pose.x - a.x) * dx + (pose.y - a.y) * dy) / (dx * dx + dy * dy);
+        let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
+        let on_lane = Pose::new(a.x + dx * share, a.y + dy * share, 0.0);
+        (pose.distance(on_lane).get() <= ON_LANE_M).then_some(share)
     }
 }

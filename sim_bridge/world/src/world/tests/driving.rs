@@ -136,6 +136,18 @@ fn a_robot_off_the_lanes_returns_to_the_last_place() {
 }
 
 #[test]
+fn a_robot_that_stands_on_a_lane_again_drives_on_along_it() {
+    let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
+    run_to_success(&mut world, "r1", 1, Goal::from(NavigateToPose::to(Pose::new(6.2, 4.5, 0.0), None)));
+    let begun_s = world.now().as_secs();
+    let goal = drive_goal(&world, "Crossing");
+    run_to_success(&mut world, "r1", 2, goal);
+    let took_s = world.now().as_secs() - begun_s;
+    assert!((took_s - 5.0).abs() < 1e-9, "{took_s} s for the last 2.5 m of the lane");
+    assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place("Crossing"));
+}
+
+#[test]
 fn a_robot_executes_a_single_goal_and_each_id_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
     let goal = drive_goal(&world, "Crossing");
