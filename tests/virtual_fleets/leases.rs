@@ -4,6 +4,7 @@ use crate::support::{released, task_began};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::keys::{ApiCall, Key};
+use consort_protocol::knowledge::Availability;
 use consort_protocol::lease::{EndReason, LEASE_REACTION, LeaseTerms};
 use consort_skills::actions::NavigateToPose;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
@@ -244,6 +245,56 @@ fn a_robot_whose_node_dies_at_the_end_of_its_lease_rests_in_time() {
         fleet.assert_sample_delivered(ROOM);
         assert_eq!(two_drivers(&fleet), None, "seed {seed}\n{}", fleet.event_log_text());
     });
+}
+
+/// The machine of the holder is suspended for longer than lease and grace. When it resumes, its node restarts at once, or a
+/// while later: until it has noticed the suspension, the former process goes on.
+#[test]
+fn a_node_whose_machine_was_suspended_restarts_and_does_nothing_twice() {
+    for (seed, unnoticed_ms) in [(95, 0), (96, 100), (97, 1_000)] {
+        for_each_seed([seed], async |seed| {
+            // Slow enough that no leg of the way ends by itself.
+            let (mut fleet, mission) = fleet_with_clock_rates(seed, 1.0, [0.06, 0.07]).await;
+            let (old, new) = holder(&fleet, &mission);
+            fleet.wait_until("the robot to drive", SOON, |fleet| !is_at_rest(fleet, &old)).await;
+            fleet.network.pause(&slug(&old));
+            let paused = fleet.elapsed();
+            fleet.wait_until("the body to be at rest", SOON, |fleet| is_at_rest(fleet, &old)).await;
+            let rested = fleet.elapsed() - paused;
+            let latest = LeaseTerms::default().lease + LEASE_REACTION;
+            assert!(rested <= latest, "seed {seed}: at rest only after {rested:?}\n{}", fleet.event_log_text());
+            assert!(!fleet.has_event(released), "seed {seed}: given away before\n{}", fleet.event_log_text());
+            let goals = fleet.goal_counts(&old);
+            fleet
+                .wait_until("the other to begin", SOON, |fleet| {
+                    fleet.role_intervals_of(&mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == new)
+                })
+                .await;
+
+            fleet.network.resume(&slug(&old));
+            let unnoticed = Duration::from_millis(unnoticed_ms);
+            fleet.assert_never("a goal of the robot", unnoticed, |fleet| fleet.goal_counts(&old) != goals).await;
+            fleet.kill(&old).await;
+            fleet.restart(&old).await;
+            fleet.assert_completes(&mission).await;
+            fleet.assert_sample_delivered(ROOM);
+            fleet.assert_exclusive_roles();
+            assert_eq!(fleet.goal_counts(&old), goals, "seed {seed}: it never moved again\n{}", fleet.event_log_text());
+            assert_eq!(two_drivers(&fleet), None, "seed {seed}\n{}", fleet.event_log_text());
+            let context = fleet.event_log_text();
+            assert_eq!(fleet.event_log.count(released), 1, "seed {seed}\n{context}");
+            for (task, (began, ended)) in fleet.event_log.task_executors(&mission) {
+                // Only the interrupted drive began twice.
+                let expected = if task == "navto_room" { 2 } else { 1 };
+                assert_eq!((began.len(), ended.len()), (expected, 1), "seed {seed}: {task}\n{context}");
+            }
+            let is_free = |fleet: &Fleet| {
+                let record = fleet.knowledge_of("aster", &slug(&old));
+                record.is_some_and(|robot| robot.availability == Availability::Free)
+            };
+            fleet.wait_until("the robot to be free", SOON, is_free).await;
+        });
+    }
 }
 
 #[test]
