@@ -187,8 +187,7 @@ impl VirtualDisk {
     }
 
     /// Returns the number of damaged stores that were replaced.
-    #[cfg(test)]
-    fn replaced(&self) -> u32 {
+    pub(crate) fn replaced(&self) -> u32 {
         self.lock().replaced
     }
 

@@ -1,5 +1,6 @@
 //! A fleet of stations on virtual time, for tests of voters and the coordinator.
 
+use crate::disk::{CrashEffect, VirtualDisk};
 use crate::slug;
 use crate::ward::{logistics, ward};
 use consort_bus::clock::Clock;
@@ -29,6 +30,8 @@ pub struct StationFleet {
     keys: Keys,
     settings: FleetSettings,
     stores: BTreeMap<String, NodeStore>,
+    /// Disks of the stations of a fleet on disks.
+    disks: BTreeMap<String, VirtualDisk>,
     events: Arc<Mutex<Vec<Event>>>,
     lives: u64,
 }
@@ -44,6 +47,7 @@ impl StationFleet {
             keys: Keys::new(&settings.fleet),
             settings,
             stores: BTreeMap::new(),
+            disks: BTreeMap::new(),
             events: Arc::default(),
             lives: 0,
         }
@@ -52,12 +56,29 @@ impl StationFleet {
     /// Starts these stations, which create a cluster together.
     pub async fn founded(seed: u64, names: &[&str]) -> StationFleet {
         let mut fleet = StationFleet::empty(seed, names.len());
+        fleet.found(names).await;
+        fleet
+    }
+
+    /// Same, with durable stores on simulated disks. Snapshots are frequent and logs are short, so that a station
+    /// without a ledger receives a snapshot.
+    pub async fn founded_on_disks(seed: u64, names: &[&str]) -> StationFleet {
+        let mut fleet = StationFleet::empty(seed, names.len());
+        (fleet.settings.snapshot_every, fleet.settings.log_entries_kept) = (5, 2);
+        let disk = |(name, number): (&&str, u64)| {
+            ((*name).to_owned(), VirtualDisk::new(seed.wrapping_mul(1_000).wrapping_add(number)))
+        };
+        fleet.disks = names.iter().zip(0..).map(disk).collect();
+        fleet.found(names).await;
+        fleet
+    }
+
+    async fn found(&mut self, names: &[&str]) {
         for name in names {
-            fleet.start(name).await;
+            self.start(name).await;
         }
         let voters = if names.len().is_multiple_of(2) { names.len() - 1 } else { names.len() }.min(VOTERS);
-        fleet.wait_until("the first voters to agree", |fleet| fleet.voters().len() == voters).await;
-        fleet
+        self.wait_until("the first voters to agree", |fleet| fleet.voters().len() == voters).await;
     }
 
     /// Sets the target number of voters for nodes that start from now on.
@@ -94,7 +115,10 @@ impl StationFleet {
     async fn start_as(&mut self, name: &str, fixed: bool) {
         self.lives += 1;
         let seed = self.seed_of_life(self.lives);
-        let store = self.stores.entry(name.to_owned()).or_insert_with(|| NodeStore::in_memory(seed)).clone();
+        let store = match self.disks.get(name) {
+            Some(disk) => disk.store(),
+            None => self.stores.entry(name.to_owned()).or_insert_with(|| NodeStore::in_memory(seed)).clone(),
+        };
         let settings = NodeSettings {
             fleet: self.settings.clone(),
             node: slug(name),
@@ -134,8 +158,34 @@ impl StationFleet {
 
     /// Ends a node as SIGKILL does.
     pub async fn kill(&mut self, name: &str) {
+        self.kill_with(name, CrashEffect::Kill).await;
+    }
+
+    /// Same, and damages the file with its log and its snapshot.
+    ///
+    /// # Panics
+    /// If the station has no disk.
+    pub async fn kill_and_damage(&mut self, name: &str) {
+        assert!(self.disks.contains_key(name), "{name} has no disk");
+        self.kill_with(name, CrashEffect::Damage).await;
+    }
+
+    async fn kill_with(&mut self, name: &str, effect: CrashEffect) {
         self.network.crash(&slug(name));
         self.nodes.remove(name).expect("a node that runs").kill().await;
+        if let Some(disk) = self.disks.get(name) {
+            disk.crash(effect);
+        }
+    }
+
+    /// Returns the number of damaged stores that were replaced on the disk of a station.
+    pub fn replaced_stores(&self, name: &str) -> u32 {
+        self.disks[name].replaced()
+    }
+
+    /// Returns the number of snapshots that a station has received from leaders and stored on its disk.
+    pub fn installed_snapshots(&self, name: &str) -> usize {
+        self.disks[name].log_writes().installations
     }
 
     /// Returns the leadership view of a node.

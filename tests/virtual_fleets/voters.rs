@@ -101,6 +101,54 @@ fn a_voter_without_its_store_returns_as_a_new_member() {
     });
 }
 
+/// The file with the log and the snapshot of a voter, of the leader in every second run, is damaged while the voter is down.
+/// Its store is quarantined, and the leader sends a new member the ledger. Then another voter is lost: the two that are left
+/// are a majority only with the vote of the rebuilt voter.
+#[test]
+fn a_voter_with_a_damaged_store_is_rebuilt_and_votes_again() {
+    for_each_seed(1..7, async |seed| {
+        let mut fleet = StationFleet::founded_on_disks(seed, &["aster", "basil", "clove"]).await;
+        for number in 0..20 {
+            fleet.submit("aster", &format!("before-{number}")).await;
+        }
+        let leader = fleet.wait_for_coordinator().await;
+        let follower = if leader == "basil" { "clove" } else { "basil" };
+        let damaged = if seed % 2 == 0 { leader.as_str() } else { follower };
+        let id = |fleet: &StationFleet| fleet.nodes[damaged].replica.as_ref().expect("a copy").id();
+        let held = |fleet: &StationFleet| {
+            let replica = fleet.nodes[damaged].replica.as_ref().expect("a copy");
+            replica.read(|ledger| ledger.missions().count())
+        };
+        let (former, installed) = (id(&fleet), fleet.installed_snapshots(damaged));
+        fleet.kill_and_damage(damaged).await;
+        fleet.start(damaged).await;
+        assert_eq!(fleet.replaced_stores(damaged), 1, "seed {seed}: the store is quarantined");
+        let present = id(&fleet);
+        assert_ne!(former, present, "seed {seed}: a new member");
+        fleet
+            .wait_until("every voter knows that the new member votes in place of the former", |fleet| {
+                let is_replaced = |name: &String| {
+                    let view = fleet.leadership_view(name);
+                    let voters = &view.voters;
+                    view.pending_voters.is_none() && voters.contains_key(&present) && !voters.contains_key(&former)
+                };
+                fleet.nodes.keys().all(is_replaced)
+            })
+            .await;
+        assert_eq!(fleet.voters().len(), 3, "seed {seed}");
+        fleet.wait_until("it has the ledger", |fleet| held(fleet) == 20).await;
+        assert!(fleet.installed_snapshots(damaged) > installed, "seed {seed}: the leader has sent its snapshot");
+
+        let leader = fleet.wait_for_coordinator().await;
+        let others = fleet.nodes.keys().filter(|name| *name != damaged);
+        let lost = others.max_by_key(|name| **name == leader).expect("two other voters").clone();
+        fleet.kill(&lost).await;
+        fleet.submit(damaged, "after").await;
+        fleet.wait_until("it has the last mission", |fleet| held(fleet) == 21).await;
+        assert_eq!(fleet.replaced_stores(damaged), 1, "seed {seed}");
+    });
+}
+
 #[test]
 fn nodes_join_a_single_node_cluster_up_to_an_odd_number() {
     for_each_seed(SEEDS, async |seed| {
