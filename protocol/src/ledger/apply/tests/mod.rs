@@ -1,6 +1,8 @@
+mod sizes;
+
 use super::super::limits::UNENDED_MAX;
 use super::*;
-use crate::auction::{AuctionEntry, AuctionId, BidVerdict, RefusalReason};
+use crate::auction::AuctionId;
 use crate::cause::CauseClass;
 use crate::codec;
 use crate::ids::{TaskId, TaskType};
@@ -190,20 +192,6 @@ fn the_first_outcome_of_a_task_is_kept() {
     let CommandOutcome::Awarded { epoch: later } = again else { panic!("{again:?}") };
     assert_eq!(report(&mut log, "lab_arm", later, pulse(90)), CommandOutcome::Done);
     assert_eq!(recorded(&log), [pulse(70)]);
-}
-
-/// The names of results count, too: a hostile holder chooses them.
-#[test]
-fn the_outcomes_of_a_mission_have_a_bounded_size() {
-    let mut log = Log::new();
-    let mission = log.submit("a");
-    log.award(&mission, "arm", "ada");
-    let results = (0..16).map(|number| (format!("{number}{}", "x".repeat(3_000)), Scalar::Bool(true)));
-    let outcomes = BTreeMap::from([(TaskId::new("pick_up_parcel").unwrap(), TaskOutcome::Done(results.collect()))]);
-    let (role, branch, ended) = (role("lab_arm"), Branch::Main, BTreeSet::from([0]));
-    log.apply(Command::Progress { mission: mission.clone(), role, epoch: epoch(2), branch, ended, outcomes });
-    let recorded = &log.0.mission(&mission).unwrap().outcomes;
-    assert!(codec::encoded_size(recorded) < 16 * 1024, "{} bytes", codec::encoded_size(recorded));
 }
 
 #[test]
@@ -474,42 +462,6 @@ fn a_ledger_keeps_its_layout_until_the_wire_version_is_raised() {
     assert!(log.0.remembers(&RequestId::new("first").unwrap()));
     let again: Ledger = codec::decode_record(&codec::encode_record(&log.0).unwrap()).unwrap();
     assert!(again == log.0);
-}
-
-#[test]
-fn long_texts_do_not_exceed_the_limit_of_a_mission() {
-    let mut log = Log::with_history();
-    let mission = log.submit("a");
-    let long = "no route; ".repeat(6000);
-    let reason = RefusalReason::OutOfService { problem: long.clone() };
-    let verdict = BidVerdict::Refused { reason };
-    let entry = AuctionEntry { role: role("r1"), robot: robot("bob"), verdict, parts: vec![] };
-    let auction = AuctionRecord { entries: vec![entry; 300], failure: Some(long.clone()), ..record() };
-    for _ in 0..20 {
-        let holders = BTreeMap::from([(role("lab_arm"), robot("arm")), (role("r1"), robot("ada"))]);
-        let (branch, auction) = (Branch::Main, auction.clone());
-        let holders = if log.1 == 3 { holders } else { BTreeMap::from([(role("r1"), robot("ada"))]) };
-        let award = Command::Award { mission: mission.clone(), branch, holders, auction };
-        let CommandOutcome::Awarded { epoch } = log.apply(award) else { panic!("not awarded") };
-        let (mission, role, cause) = (mission.clone(), role("r1"), long.clone());
-        log.apply(Command::Release {
-            mission,
-            role,
-            epoch,
-            cause,
-            class: Some(CauseClass::Robot),
-            moved_nothing: false,
-            place: None,
-            gave_way: false,
-        });
-    }
-    let (places, cause, class) = (BTreeMap::new(), long.clone(), CauseClass::Task);
-    log.apply(Command::Fail { mission: mission.clone(), cause, branch: None, places, class });
-    let entry = log.0.mission(&mission).unwrap();
-    assert!(
-        matches!(&entry.state, MissionState::Failed { cause, .. } if cause.starts_with("no route; no") && cause.len() <= 1024)
-    );
-    assert!(codec::encoded_size(entry) < 64 * 1024);
 }
 
 #[test]
