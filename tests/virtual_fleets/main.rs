@@ -58,6 +58,7 @@ mod takeover_of_holders;
 mod task_failures;
 mod views;
 mod voters;
+mod waiting_clients;
 
 /// Virtual fleets allocate many small messages.
 #[global_allocator]

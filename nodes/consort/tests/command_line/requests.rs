@@ -1,6 +1,6 @@
 //! Requests to a fleet, and their rejection or delay.
 
-use super::support::{Running, command, free_address, run};
+use super::support::{Running, command, free_address, run, test_file};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
@@ -71,6 +71,27 @@ fn a_mission_keeps_its_priority_and_start_and_fails_after_its_deadline() {
     assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-3\n"), "{}", ran.err);
     let ran = command(&["missions"]);
     assert!(ran.out.contains("it may not start before 20"), "{}", ran.out);
+}
+
+/// The fleet keeps one ended mission whole, so a client that waits for the end of an earlier mission finds only its outcome.
+#[test]
+fn a_wait_sees_the_end_of_a_mission_that_is_not_kept() {
+    let address = free_address();
+    let fleet = test_file("short_history.toml", "name = \"ward\"\n[history]\nmissions = 1\n");
+    let _station = station(&address, &["--fleet", &fleet]);
+    let wait = |request: &str, mission: &str, remark: &str| {
+        let args =
+            ["submit", "lab-samples", "--request", request, "--deadline", "0.5", "--wait", "--connect", &address];
+        let ran = run(&args);
+        let expected = format!("{mission}{remark}\n{mission} failed\n");
+        assert_eq!((ran.code, ran.out), (Some(1), expected), "{}", ran.err);
+        assert!(ran.err.contains(&format!("consort: {mission} failed: its deadline passed")), "{}", ran.err);
+    };
+    wait("first", "lab-samples-1", "");
+    wait("second", "lab-samples-2", "");
+    let ran = run(&["missions", "lab-samples-1", "--connect", &address]);
+    assert!(ran.out.contains("its tasks are no longer stored"), "{}{}", ran.out, ran.err);
+    wait("first", "lab-samples-1", " (requested before)");
 }
 
 #[test]
