@@ -24,7 +24,7 @@ fn ward() -> FleetId {
 }
 
 /// Opens a plain Zenoh client with or without a certificate.
-fn session(address: &str, certs: Option<&Path>) -> zenoh::Result<zenoh::Session> {
+pub(crate) fn session(address: &str, certs: Option<&Path>) -> zenoh::Result<zenoh::Session> {
     use zenoh::Wait;
     zenoh::open(config(address, certs)).wait()
 }

@@ -20,6 +20,7 @@ mod invalid_usage;
 mod mission_rights;
 mod published_ihtns;
 mod recordings;
+mod refusals;
 mod service;
 mod stock_client;
 mod support;
