@@ -113,8 +113,8 @@ impl Credentials {
     pub async fn signing_bus(&self, bus: SharedBus, keyring: Keyring, clock: Clock) -> Arc<SigningBus> {
         let keys = Keys::new(&self.fleet);
         let revoked = RevokedFiles { list: Some(self.revoked.clone()), kept: None };
-        let sealed = SigningBus::open(bus, keys, Arc::new(keyring), revoked, clock).await;
-        Arc::new(sealed.expect("a virtual bus"))
+        let signing = SigningBus::open(bus, keys, Arc::new(keyring), revoked, clock).await;
+        Arc::new(signing.expect("a virtual bus"))
     }
 
     /// Returns the roles that the certificate of a node must contain.

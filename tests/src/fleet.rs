@@ -443,10 +443,10 @@ impl Fleet {
         let name = settings.node.to_string();
         if let Some(credentials) = &self.credentials {
             let keyring = credentials.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
-            let sealed = credentials.signing_bus(bus, keyring, settings.clock).await;
-            settings.record_signer = Some((self.options.wrap_signer)(sealed.record_signer()));
-            self.signing_buses.insert(name.clone(), Arc::clone(&sealed));
-            bus = sealed;
+            let signing = credentials.signing_bus(bus, keyring, settings.clock).await;
+            settings.record_signer = Some((self.options.wrap_signer)(signing.record_signer()));
+            self.signing_buses.insert(name.clone(), Arc::clone(&signing));
+            bus = signing;
         }
         let bus = (self.options.wrap_bus)(&settings, bus);
         let node = NodeHandle::start(settings, bus);

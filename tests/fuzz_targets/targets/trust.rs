@@ -47,8 +47,8 @@ pub(super) fn signed_envelope(bytes: &[u8]) -> bool {
     let mut read = false;
     let reply = MessageKind::Reply(Fingerprint([3; 16]), 9);
     for kind in [MessageKind::Publication, MessageKind::Query, reply, reply.as_refusal()] {
-        if let Ok(sealed) = decode_envelope(kind, bytes) {
-            assert_eq!(encode_envelope(kind, sealed), bytes, "the envelope encodes differently");
+        if let Ok(envelope) = decode_envelope(kind, bytes) {
+            assert_eq!(encode_envelope(kind, envelope), bytes, "the envelope encodes differently");
             read = true;
         }
     }

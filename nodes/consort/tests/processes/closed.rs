@@ -44,9 +44,9 @@ async fn member(address: &str, certs: &Path) -> (ZenohBus, SigningBus) {
     let clock = Clock::real();
     let life = clock.wall_ms();
     let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("its files are right");
-    let sealed =
+    let signing =
         SigningBus::open(Arc::new(bus.clone()), Keys::new(&ward()), Arc::new(keyring), files.revoked, clock).await;
-    (bus, sealed.expect("it shows its certificate"))
+    (bus, signing.expect("it shows its certificate"))
 }
 
 /// Sends a query with plain Zenoh and returns the replies.
