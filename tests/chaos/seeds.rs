@@ -40,8 +40,13 @@ const IN_SOME_RUN: [CoverageKind; 8] = [
 ];
 
 /// What the smallest limits cause in every run.
-const IN_EVERY_RUN: [CoverageKind; 4] =
-    [CoverageKind::MissionDropped, CoverageKind::SnapshotStored, CoverageKind::LogPurged, CoverageKind::MissionRefused];
+const IN_EVERY_RUN: [CoverageKind; 5] = [
+    CoverageKind::MissionDropped,
+    CoverageKind::OutcomeForgotten,
+    CoverageKind::SnapshotStored,
+    CoverageKind::LogPurged,
+    CoverageKind::MissionRefused,
+];
 
 /// What the runs of some seeds caused.
 #[derive(Default)]
@@ -109,7 +114,7 @@ fn invariants_hold_in_closed_fleets_with_planned_stops_at_chargers() {
 #[test]
 fn invariants_hold_with_the_settings_of_a_large_fleet() {
     let sum = everything_holds(LARGE_SEEDS, 2.0, true, &FaultKind::FAULTS);
-    sum.assert_covers(&[CoverageKind::RobotRevoked, CoverageKind::RevokedRoleAwarded]);
+    sum.assert_covers(&[CoverageKind::RobotRevoked, CoverageKind::RevokedRoleAwarded, CoverageKind::RepetitionRefused]);
 }
 
 #[test]

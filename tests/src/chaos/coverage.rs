@@ -1,11 +1,12 @@
 //! Counts of what the limits and faults of chaos are meant to cause. An invariant says nothing about what never happens,
 //! so the tests assert that each kind has happened.
 
+use super::invariants::ReferenceLedger;
+use crate::Observation;
 use crate::disk::LogWrites;
-use crate::{Fleet, Observation};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
-use consort_protocol::ledger::{Command, Ledger};
+use consort_protocol::ledger::{Command, MissionState};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display};
@@ -14,8 +15,12 @@ use std::fmt::{self, Display};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CoverageKind {
-    /// The ledger has dropped an ended mission and remembers its outcome.
+    /// The ledger has dropped an ended mission.
     MissionDropped,
+    /// The ledger has forgotten the outcome of a mission that it dropped.
+    OutcomeForgotten,
+    /// The coordinator has refused the repetition of an acknowledged request, because the outcome is forgotten.
+    RepetitionRefused,
     /// A node has stored a snapshot of its own state.
     SnapshotStored,
     /// A node has purged its log.
@@ -40,8 +45,10 @@ pub enum CoverageKind {
 
 impl CoverageKind {
     /// All kinds.
-    pub const ALL: [CoverageKind; 11] = [
+    pub const ALL: [CoverageKind; 13] = [
         CoverageKind::MissionDropped,
+        CoverageKind::OutcomeForgotten,
+        CoverageKind::RepetitionRefused,
         CoverageKind::SnapshotStored,
         CoverageKind::LogPurged,
         CoverageKind::SnapshotInstalled,
@@ -57,6 +64,8 @@ impl CoverageKind {
     fn text(self) -> &'static str {
         match self {
             CoverageKind::MissionDropped => "ended missions dropped",
+            CoverageKind::OutcomeForgotten => "outcomes forgotten",
+            CoverageKind::RepetitionRefused => "requests with forgotten outcomes refused",
             CoverageKind::SnapshotStored => "snapshots stored",
             CoverageKind::LogPurged => "purges of the log",
             CoverageKind::SnapshotInstalled => "snapshots installed",
@@ -111,6 +120,10 @@ pub(super) struct CoverageObserver {
     coverage: Coverage,
     /// Index of the last entry of the log that was seen.
     index: u64,
+    /// Shows which ended missions are dropped or forgotten.
+    reference: ReferenceLedger,
+    /// Outcomes of all missions that have ended.
+    ended: BTreeMap<MissionId, MissionState>,
     /// Wire version of the fleet.
     wire: Option<u8>,
     /// Nodes that have left and have not joined again.
@@ -133,6 +146,8 @@ impl CoverageObserver {
             Observation::EntryApplied { at, commands, .. } if at.index > self.index => {
                 self.index = at.index;
                 commands.iter().for_each(|command| self.command(command));
+                self.reference.apply(*at, commands);
+                self.keep_outcomes();
             }
             Observation::Published(event) => {
                 if let EventKind::Awarded { mission, holders, .. } = &event.kind {
@@ -143,6 +158,21 @@ impl CoverageObserver {
             }
             _ => {}
         }
+    }
+
+    /// Keeps the outcomes of the missions that have just ended: the ledger may forget them.
+    fn keep_outcomes(&mut self) {
+        for (mission, tombstone) in self.reference.ledger.latest_ended() {
+            if self.ended.contains_key(mission) {
+                return;
+            }
+            self.ended.insert(mission.clone(), tombstone.state.clone());
+        }
+    }
+
+    /// Returns the outcome of a mission that the ledger has forgotten.
+    pub(super) fn forgotten_outcome(&self, mission: &MissionId) -> Option<&MissionState> {
+        self.ended.get(mission).filter(|_| self.reference.ledger.mission_state(mission).is_none())
     }
 
     fn revoked(&mut self, node: &NodeId, role: Option<(MissionId, RoleId)>) {
@@ -167,12 +197,16 @@ impl CoverageObserver {
         }
     }
 
-    /// Returns all counts at the end of a run, with those of the disks and the clients.
-    pub(super) fn end(self, fleet: &Fleet, writes: LogWrites, refusals: usize) -> Coverage {
+    /// Returns all counts at the end of a run, with those of the disks, and of the refusals that clients got at the limit of
+    /// missions and for forgotten requests.
+    pub(super) fn end(self, writes: LogWrites, refusals: usize, forgotten_refused: usize) -> Coverage {
+        let is_dropped = |mission: &&MissionId| self.reference.ledger.mission(mission).is_none();
+        let dropped = self.ended.keys().filter(is_dropped).count();
+        let forgotten = self.ended.keys().filter(|mission| self.forgotten_outcome(mission).is_some()).count();
         let mut coverage = self.coverage;
-        let dropped =
-            |ledger: &Ledger| ledger.latest_ended().filter(|(mission, _)| ledger.mission(mission).is_none()).count();
-        coverage.add(CoverageKind::MissionDropped, fleet.ledger(dropped).unwrap_or_default());
+        coverage.add(CoverageKind::MissionDropped, dropped);
+        coverage.add(CoverageKind::OutcomeForgotten, forgotten);
+        coverage.add(CoverageKind::RepetitionRefused, forgotten_refused);
         coverage.add(CoverageKind::SnapshotStored, writes.snapshots);
         coverage.add(CoverageKind::LogPurged, writes.purges);
         coverage.add(CoverageKind::SnapshotInstalled, writes.installations);
@@ -183,9 +217,11 @@ impl CoverageObserver {
 
 #[cfg(test)]
 mod tests {
+    use super::super::invariants::test_missions::{cancel, submit_rest};
     use super::*;
     use crate::slug;
     use consort_protocol::lease::Epoch;
+    use consort_protocol::ledger::HistoryLimits;
 
     fn test_action(node: &str, action: &'static str) -> Observation {
         Observation::TestAction { node: slug(node), action }
@@ -227,6 +263,26 @@ mod tests {
         observer.awarded(role(), &slug("indigo"));
         let kinds = [CoverageKind::AttackerRevoked, CoverageKind::RobotRevoked, CoverageKind::RevokedRoleAwarded];
         assert_eq!(kinds.map(|kind| observer.coverage.count(kind)), [1, 1, 1]);
+    }
+
+    #[test]
+    fn dropped_missions_and_forgotten_outcomes_are_counted_at_the_end() {
+        let mut observer = CoverageObserver::default();
+        // The outcome of a rest that Nia canceled takes 55 bytes.
+        let limits = HistoryLimits { missions_max: 1, outcome_bytes_max: 120, ..HistoryLimits::default() };
+        let mut commands = vec![Command::first_wire_version(3), Command::SetHistoryLimits(limits)];
+        for (request, mission) in [("a", "rest-1"), ("b", "rest-2"), ("c", "rest-3")] {
+            commands.extend([submit_rest(request), cancel("Nia", &[mission])]);
+        }
+        for (index, command) in (1..).zip(commands) {
+            let (node, at, commands) = (slug("aster"), Epoch { term: 1, index }, [command].into());
+            observer.observe(&Observation::EntryApplied { node, at, digest: None, commands });
+        }
+        assert!(observer.forgotten_outcome(&slug("rest-1")).is_some_and(MissionState::is_final));
+        assert_eq!(observer.forgotten_outcome(&slug("rest-2")), None, "it is dropped and remembered");
+        let coverage = observer.end(LogWrites::default(), 0, 4);
+        let kinds = [CoverageKind::MissionDropped, CoverageKind::OutcomeForgotten, CoverageKind::RepetitionRefused];
+        assert_eq!(kinds.map(|kind| coverage.count(kind)), [2, 1, 4]);
     }
 
     #[test]

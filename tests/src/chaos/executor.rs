@@ -8,17 +8,18 @@ use super::hostile::{HOSTILE, HostileNode};
 use super::mission_changes;
 use super::orders;
 use super::recurring;
+use super::request_ids::dated_id;
 use super::revocation::{revoke, role_of};
 use super::rolling_upgrade::{self, RollingUpgrade};
 use super::run_counters::millis;
 use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash};
 use super::speed_limits;
 use crate::disk::{DiskFault, LogWrites};
-use crate::history::{Acknowledged, History, Reader, RecordingClient};
+use crate::history::{Acknowledged, EndedMissions, History, Reader, RecordingClient};
 use crate::{Fleet, Observation, slug};
 use consort_bus::LinkModel;
 use consort_protocol::api::SubmitRequest;
-use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ids::{MissionId, NodeId, RequestId};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::units::BatteryShare;
 use consort_protocol::versions::VersionRange;
@@ -45,12 +46,17 @@ const BASE_WATCHDOG: Duration = Duration::from_millis(500);
 const REPEATED: f64 = 0.5;
 const REPEATED_AFTER_S: RangeInclusive<u64> = 10..=120;
 
+/// The same pause if the ledger forgets outcomes: then clients repeat all of these requests, until they are refused.
+const REPEATED_SOON_S: RangeInclusive<u64> = 10..=30;
+
 /// Executor of actions, with the active faults and the state that ends each of them.
 pub(super) struct ActionExecutor {
     composition: ChaosFleet,
     workload: Workload,
     injector: FaultInjector,
     acknowledged: Acknowledged,
+    /// Acknowledged requests whose repetition was refused, because the ledger has forgotten their outcomes.
+    refused: watch::Sender<BTreeSet<String>>,
     history: History,
     /// Stopped nodes, by the action that will restart them.
     down: BTreeMap<usize, Vec<String>>,
@@ -92,7 +98,11 @@ impl ActionExecutor {
             composition,
             workload,
             acknowledged: watch::Sender::default(),
-            history: History::new(injector.ended_missions_max()),
+            refused: watch::Sender::default(),
+            history: History::new(EndedMissions {
+                listed_max: injector.ended_missions_max(),
+                are_forgotten: injector.forgets_outcomes(),
+            }),
             injector,
             down: BTreeMap::new(),
             partitions: BTreeMap::new(),
@@ -143,6 +153,16 @@ impl ActionExecutor {
         self.acknowledged.subscribe()
     }
 
+    /// Returns the acknowledged requests whose repetition was refused.
+    pub(super) fn refused(&self) -> BTreeSet<String> {
+        self.refused.borrow().clone()
+    }
+
+    /// Returns a receiver for changes of these requests.
+    pub(super) fn refused_receiver(&self) -> watch::Receiver<BTreeSet<String>> {
+        self.refused.subscribe()
+    }
+
     /// Begins action `number`.
     pub(super) async fn begin(&mut self, fleet: &mut Fleet, number: usize, act: &ChaosAction) {
         let Some(act) = act.resolved(|name| self.carrier(fleet, name)) else { return };
@@ -150,12 +170,12 @@ impl ActionExecutor {
             ChaosAction::Submit { request, unnamed, mission, room, priority, deadline_s } => {
                 let parameters = self.workload.parameters_in(mission, room);
                 let body = SubmitRequest {
-                    request: (!unnamed).then(|| slug(request)),
+                    request: (!unnamed).then(|| self.request_id(fleet, request)),
                     priority: *priority,
                     deadline_s: deadline_s.map(f64::from),
                     ..self.workload.request(mission, parameters)
                 };
-                self.submit(fleet, request, &body);
+                self.submit(fleet, request, body);
             }
             ChaosAction::Cancel { request } => self.cancel(fleet, request),
             ChaosAction::ChangeSchedule { change, missed } => {
@@ -536,27 +556,47 @@ impl ActionExecutor {
         });
     }
 
-    fn submit(&self, fleet: &Fleet, request: &str, body: &SubmitRequest) {
+    /// Returns the id of a named request that is sent now: its name, unless the ledger forgets outcomes.
+    fn request_id(&self, fleet: &Fleet, name: &str) -> RequestId {
+        if self.injector.forgets_outcomes() { dated_id(name, fleet.elapsed()) } else { slug(name) }
+    }
+
+    fn submit(&self, fleet: &Fleet, request: &str, mut body: SubmitRequest) {
         let (client, event_log) = (self.client(fleet), fleet.event_log.clone());
-        let (acknowledged, request) = (self.acknowledged.clone(), request.to_owned());
-        let name = body.request.is_some().then(|| request.clone());
-        let body = json!(body);
+        let (acknowledged, refused, request) = (self.acknowledged.clone(), self.refused.clone(), request.to_owned());
         let mut chance = ChaCha8Rng::seed_from_u64(fleet.seed ^ fleet.elapsed().as_nanos() as u64);
-        let repetition =
-            chance.random_bool(REPEATED).then(|| Duration::from_secs(chance.random_range(REPEATED_AFTER_S)));
-        let repetition = repetition.filter(|_| self.repeats);
+        let pause_s = match self.injector.forgets_outcomes() {
+            true => Some(REPEATED_SOON_S),
+            false => chance.random_bool(REPEATED).then_some(REPEATED_AFTER_S),
+        };
+        let repetition = pause_s.map(|pause_s| Duration::from_secs(chance.random_range(pause_s)));
+        let repetition = repetition.filter(|_| self.repeats && body.request.is_some());
         tokio::spawn(async move {
+            let mut is_acknowledged = false;
             loop {
-                let (node, mission) = (slug("client"), client.submit(&body).await);
-                let request_name = name.clone();
-                event_log.add(Observation::RequestAcknowledged {
-                    node,
-                    request: request_name,
-                    mission: mission.clone(),
-                });
-                acknowledged.send_if_modified(|known| known.insert(request.clone(), mission.to_string()).is_none());
-                let Some(pause) = repetition.filter(|_| name.is_some()) else { return };
+                match client.submit_new(&json!(body)).await {
+                    Some(mission) => {
+                        event_log.add(Observation::RequestAcknowledged {
+                            node: slug("client"),
+                            request: body.request.as_ref().map(RequestId::to_string),
+                            mission: mission.clone(),
+                        });
+                        acknowledged
+                            .send_if_modified(|known| known.insert(request.clone(), mission.to_string()).is_none());
+                        is_acknowledged = true;
+                    }
+                    None if is_acknowledged => {
+                        refused.send_if_modified(|refused| refused.insert(request.clone()));
+                        return;
+                    }
+                    None => {}
+                }
+                let Some(pause) = repetition else { return };
                 tokio::time::sleep(pause).await;
+                if !is_acknowledged {
+                    // The client does not know whether the request was executed, and sends it under another id.
+                    body.request = Some(dated_id(&request, event_log.elapsed()));
+                }
             }
         });
     }

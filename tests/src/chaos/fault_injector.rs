@@ -132,10 +132,12 @@ impl FaultInjector {
         let node = settings.node.to_string();
         settings.store = self.disk(&node).store();
         let parts = self.0.borrow();
-        let Limits { snapshot_every, log_entries_kept, ended_missions_max, active_missions_max } = parts.limits;
+        let Limits { snapshot_every, log_entries_kept, ended_missions_max, outcome_bytes_max, active_missions_max } =
+            parts.limits;
         (settings.fleet.snapshot_every, settings.fleet.log_entries_kept) = (snapshot_every, log_entries_kept);
         let date = DATE_MS + u64::try_from(parts.started.elapsed().as_millis()).unwrap_or(u64::MAX);
         settings.fleet.history_limits.missions_max = ended_missions_max;
+        settings.fleet.history_limits.outcome_bytes_max = outcome_bytes_max;
         settings.fleet.request_limits.missions_max = active_missions_max;
         settings.fleet.lease_terms = lease_terms(parts.seed);
         settings.fleet.scoped_knowledge = is_large(parts.seed);
@@ -163,6 +165,7 @@ impl FaultInjector {
             snapshot_every: consort_raft::SNAPSHOT_EVERY,
             log_entries_kept: consort_raft::LOG_ENTRIES_KEPT,
             ended_missions_max: HistoryLimits::default().missions_max,
+            outcome_bytes_max: HistoryLimits::default().outcome_bytes_max,
             active_missions_max: RequestLimits::default().missions_max,
         };
     }
@@ -170,6 +173,11 @@ impl FaultInjector {
     /// Returns the number of ended missions that the fleet keeps whole.
     pub(super) fn ended_missions_max(&self) -> usize {
         self.0.borrow().limits.ended_missions_max as usize
+    }
+
+    /// Checks whether the ledger forgets outcomes of missions during the run.
+    pub(super) fn forgets_outcomes(&self) -> bool {
+        self.0.borrow().limits.outcome_bytes_max < HistoryLimits::default().outcome_bytes_max
     }
 
     /// Lets the nodes that start from now on run the latest program.

@@ -32,6 +32,7 @@ mod person_action;
 mod poison;
 mod quiet_thread;
 mod recurring;
+mod request_ids;
 mod requested_missions;
 mod revocation;
 mod rolling_upgrade;

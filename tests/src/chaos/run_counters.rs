@@ -74,11 +74,18 @@ impl RunCounters {
         }
     }
 
-    pub(super) fn end(&mut self, fleet: &Fleet, acknowledged: &BTreeMap<String, String>) {
+    /// Counts the outcomes at the end of a run. `forgotten` returns the outcome of a mission that the ledger has forgotten.
+    pub(super) fn end<'a>(
+        &mut self,
+        fleet: &Fleet,
+        acknowledged: &BTreeMap<String, String>,
+        forgotten: impl Fn(&MissionId) -> Option<&'a MissionState>,
+    ) {
         self.simulated_ms = millis(fleet.elapsed());
         self.acknowledged = acknowledged.len();
         for mission in acknowledged.values() {
-            match fleet.mission_state(&slug::<MissionId>(mission)) {
+            let mission: MissionId = slug(mission);
+            match fleet.mission_state(&mission).or_else(|| forgotten(&mission).cloned()) {
                 Some(MissionState::Completed) => self.completed += 1,
                 Some(MissionState::Failed { cause, .. }) => {
                     self.failed += 1;

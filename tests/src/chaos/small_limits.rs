@@ -4,6 +4,7 @@
 use super::chaos_fleet::{MISSIONS, ROOMS};
 use super::fault_kind::FaultKind;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction};
+use consort_protocol::ledger::HistoryLimits;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -13,6 +14,10 @@ pub const FIRST_SEED_WITH_SMALL_LIMITS: u64 = 5003;
 
 /// Number of active missions from the first seed on. Fewer would exclude missions that wait for each other.
 const ACTIVE_MAX: usize = 2;
+
+/// Size of the outcomes of ended missions from the first seed on, in bytes: at most four outcomes, and the requests of the
+/// smallest run end with more.
+const OUTCOME_BYTES_MAX: u64 = 500;
 
 /// Requests of the burst: one more than may be active.
 const BURST: [&str; ACTIVE_MAX + 1] = ["b0", "b1", "b2"];
@@ -29,6 +34,8 @@ pub(super) struct Limits {
     pub(super) log_entries_kept: u64,
     /// Ended missions kept whole.
     pub(super) ended_missions_max: u32,
+    /// Size of the outcomes of ended missions, in bytes.
+    pub(super) outcome_bytes_max: u64,
     /// Missions accepted at a time.
     pub(super) active_missions_max: usize,
 }
@@ -42,6 +49,7 @@ impl Limits {
                 snapshot_every: chance.random_range(5..=50),
                 log_entries_kept: chance.random_range(0..=20),
                 ended_missions_max: chance.random_range(0..=4),
+                outcome_bytes_max: HistoryLimits::default().outcome_bytes_max,
                 active_missions_max: chance.random_range(2..=6),
             };
         }
@@ -49,6 +57,7 @@ impl Limits {
             snapshot_every: chance.random_range(5..=10),
             log_entries_kept: chance.random_range(0..=5),
             ended_missions_max: chance.random_range(0..=1),
+            outcome_bytes_max: OUTCOME_BYTES_MAX,
             active_missions_max: ACTIVE_MAX,
         }
     }
@@ -88,6 +97,9 @@ mod tests {
     use super::super::generate::{assert_valid, drawn, generate};
     use super::*;
 
+    /// Of a mission without a cause whose id has 13 characters, by a request whose id has 20.
+    const SMALLEST_OUTCOME_BYTES: u64 = 2 * 20 + 3 * 13 + 32;
+
     fn requests(seed: u64, kinds: &[FaultKind]) -> Vec<String> {
         drawn(seed, kinds, |step| step.action.submitted_request())
     }
@@ -101,11 +113,13 @@ mod tests {
         for seed in later.clone() {
             assert!(has_burst(seed), "seed {seed}");
             let schedule = generate(seed, &ChaosFleet::of(7), 2.0, &FaultKind::FAULTS);
-            let Limits { snapshot_every, log_entries_kept, ended_missions_max, active_missions_max } =
-                Limits::of(seed, &schedule);
+            let limits = Limits::of(seed, &schedule);
+            let Limits { snapshot_every, log_entries_kept, ended_missions_max, outcome_bytes_max, active_missions_max } =
+                limits;
             assert!(snapshot_every + log_entries_kept <= 15, "seed {seed}");
             let requested = requests(seed, &FaultKind::FAULTS).len();
             assert!(requested > active_missions_max && requested > ended_missions_max as usize, "seed {seed}");
+            assert!(requested as u64 * SMALLEST_OUTCOME_BYTES > outcome_bytes_max, "seed {seed}: {requested} requests");
         }
         assert!(!requests(later.start, &[FaultKind::Poison]).contains(&BURST[0].to_owned()));
         assert_valid(later);
@@ -121,5 +135,7 @@ mod tests {
         assert_eq!(largest(|limits| limits.log_entries_kept), Some(20));
         assert_eq!(largest(|limits| limits.ended_missions_max.into()), Some(4));
         assert_eq!(largest(|limits| limits.active_missions_max as u64), Some(6));
+        let usual = HistoryLimits::default().outcome_bytes_max;
+        assert!(limits.iter().all(|limits| limits.outcome_bytes_max == usual));
     }
 }

@@ -1,7 +1,7 @@
 //! Checks of a history.
 
 use super::mission_spec::{MissionOp, MissionResult, MissionSpec};
-use super::{ClientCall, ClientReply, Operation, Pause};
+use super::{ClientCall, ClientReply, EndedMissions, MAYBE_REPEATED, Operation, Pause};
 use consort_protocol::ids::MissionId;
 use consort_protocol::ledger::MissionState;
 use stateright::semantics::{ConsistencyTester, LinearizabilityTester};
@@ -14,10 +14,8 @@ use std::time::Duration;
 const AGE_TOLERANCE: Duration = Duration::from_secs(3);
 
 /// Checks the requests and the linearizable reads of all clients.
-///
-/// Lists contain at most the latest `listed_max` of the missions that have ended.
-pub(super) fn check_linearizable(operations: &[Operation], listed_max: usize) -> Result<(), String> {
-    check_missions(operations, listed_max)?;
+pub(super) fn check_linearizable(operations: &[Operation], ended: EndedMissions) -> Result<(), String> {
+    check_missions(operations, ended)?;
     check_revisions(operations)
 }
 
@@ -30,8 +28,8 @@ struct MissionOperation {
 
 /// Checks each mission by itself. Linearizability is local: a history is linearizable if its part
 /// about each object is.
-fn check_missions(operations: &[Operation], listed_max: usize) -> Result<(), String> {
-    for (name, operations) in by_mission(operations, listed_max) {
+fn check_missions(operations: &[Operation], ended: EndedMissions) -> Result<(), String> {
+    for (name, operations) in by_mission(operations, ended) {
         if !is_linearizable(&operations) {
             return Err(format!("the calls about {name} have no linearization:{}", text(&operations)));
         }
@@ -41,7 +39,7 @@ fn check_missions(operations: &[Operation], listed_max: usize) -> Result<(), Str
 
 /// Divides the history by mission. A mission is named by its request, or by its id if the request has
 /// no name.
-fn by_mission(operations: &[Operation], listed_max: usize) -> BTreeMap<String, Vec<MissionOperation>> {
+fn by_mission(operations: &[Operation], ended: EndedMissions) -> BTreeMap<String, Vec<MissionOperation>> {
     let (names, missions) = names(operations);
     let name = |mission: &MissionId| names.get(mission).cloned().unwrap_or_else(|| mission.to_string());
     let mut parts: BTreeMap<String, Vec<MissionOperation>> =
@@ -60,7 +58,7 @@ fn by_mission(operations: &[Operation], listed_max: usize) -> BTreeMap<String, V
                 add(part, MissionOp::Submit, Some(MissionResult::Submitted { mission, again, outcome }));
             }
             (ClientCall::Submit { request: Some(request) }, reply) => {
-                add(request.clone(), MissionOp::Submit, reply.map(|_| MissionResult::Refused));
+                add(request.clone(), MissionOp::Submit, reply.map(refusal));
             }
             (ClientCall::Submit { request: None }, Some(_)) => {}
             // It may have created any of the missions without a name.
@@ -81,12 +79,13 @@ fn by_mission(operations: &[Operation], listed_max: usize) -> BTreeMap<String, V
                 add(name(mission), MissionOp::Read, Some(MissionResult::Read(states.get(mission).cloned())));
             }
             (ClientCall::Get { mission }, Some(_)) => {
-                add(name(mission), MissionOp::Read, Some(MissionResult::Read(None)));
+                let result = if ended.are_forgotten { MissionResult::Forgotten } else { MissionResult::Read(None) };
+                add(name(mission), MissionOp::Read, Some(result));
             }
             (ClientCall::List { linearizable: true }, Some(ClientReply::Read { states, .. })) => {
                 for mission in &missions {
                     let result = match states.get(mission) {
-                        None if lacks_ended(states, listed_max) => MissionResult::NotListed,
+                        None if lacks_ended(states, ended.listed_max) => MissionResult::NotListed,
                         state => MissionResult::Read(state.cloned()),
                     };
                     add(name(mission), MissionOp::Read, Some(result));
@@ -96,6 +95,14 @@ fn by_mission(operations: &[Operation], listed_max: usize) -> BTreeMap<String, V
         }
     }
     parts
+}
+
+/// Returns the result of a refused submission.
+fn refusal(reply: &ClientReply) -> MissionResult {
+    match reply {
+        ClientReply::Refused(error) if error.contains(MAYBE_REPEATED) => MissionResult::Forgotten,
+        _ => MissionResult::Refused,
+    }
 }
 
 /// Checks whether a list may lack missions that have ended.
@@ -290,6 +297,7 @@ mod tests {
 
     const REQUEST: &str = "r1";
     const LISTED_MAX: usize = 500;
+    const REMEMBERED: EndedMissions = EndedMissions { listed_max: LISTED_MAX, are_forgotten: false };
 
     fn mission() -> MissionId {
         "lab-samples-1".parse().unwrap()
@@ -341,12 +349,12 @@ mod tests {
 
     #[track_caller]
     fn assert_holds(operations: &[Operation]) {
-        assert_eq!(check_linearizable(operations, LISTED_MAX), Ok(()));
+        assert_eq!(check_linearizable(operations, REMEMBERED), Ok(()));
     }
 
     #[track_caller]
     fn assert_violated(operations: &[Operation], reason: &str) {
-        let error = check_linearizable(operations, LISTED_MAX).unwrap_err();
+        let error = check_linearizable(operations, REMEMBERED).unwrap_err();
         assert!(error.contains(reason), "{error}");
     }
 
@@ -383,6 +391,28 @@ mod tests {
     fn an_ended_mission_does_not_continue() {
         let operations = [submit(1, 2, false), get(3, 4, MissionState::Completed), get(5, 6, MissionState::Running)];
         assert_violated(&operations, NO_LINEARIZATION);
+    }
+
+    #[test]
+    fn a_forgotten_mission_is_neither_found_nor_executed_again() {
+        let refused = |asked: ClientCall, invoked, text: &str| {
+            call(asked, invoked, invoked + 1, ClientReply::Refused(text.to_owned()))
+        };
+        let not_found = |invoked| refused(ClientCall::Get { mission: mission() }, invoked, "no such mission");
+        let repeated = |invoked| {
+            let asked = ClientCall::Submit { request: Some(REQUEST.to_owned()) };
+            refused(asked, invoked, &format!("it is old; {MAYBE_REPEATED} 7"))
+        };
+        let forgotten = EndedMissions { are_forgotten: true, ..REMEMBERED };
+        let holds = |operations: &[Operation]| check_linearizable(operations, forgotten).is_ok();
+        let completed = || get(3, 4, MissionState::Completed);
+        assert!(holds(&[submit(1, 2, false), completed(), not_found(5), repeated(7)]));
+        assert_violated(&[submit(1, 2, false), completed(), not_found(5)], NO_LINEARIZATION);
+        for gone in [not_found(5), repeated(5)] {
+            let again = |last| holds(&[submit(1, 2, false), gone.clone(), last]);
+            assert!(!again(submit(7, 8, false)) && !again(submit(7, 8, true)), "{gone:?}");
+            assert!(!again(get(7, 8, MissionState::Completed)), "{gone:?}");
+        }
     }
 
     #[test]

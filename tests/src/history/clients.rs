@@ -1,6 +1,6 @@
 //! Clients that record their calls.
 
-use super::{CLIENT, ClientCall, History};
+use super::{CLIENT, ClientCall, History, MAYBE_REPEATED};
 use consort_bus::{ServiceSelection, SharedBus};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
@@ -62,13 +62,28 @@ pub struct RecordingClient {
 impl RecordingClient {
     /// Submits a mission, again and again until it is acknowledged.
     pub async fn submit(&self, request: &Value) -> MissionId {
+        loop {
+            if let Some(mission) = self.submit_new(request).await {
+                return mission;
+            }
+            tokio::time::sleep(RETRY_INTERVAL).await;
+        }
+    }
+
+    /// Submits a mission, again and again until it is acknowledged. Returns `None` if the fleet refuses the request because
+    /// it may be a repetition of a request that the ledger has forgotten.
+    pub async fn submit_new(&self, request: &Value) -> Option<MissionId> {
         let name = request.get("request").and_then(Value::as_str).map(str::to_owned);
         let call = ClientCall::Submit { request: name };
         loop {
             let replies = self.change(ApiCall::Submit, &call, request).await;
             let missions = replies.iter().filter_map(|reply| reply["mission"].as_str());
             if let Some(mission) = missions.filter_map(|mission| mission.parse().ok()).next() {
-                return mission;
+                return Some(mission);
+            }
+            let mut errors = replies.iter().filter_map(|reply| reply["error"].as_str());
+            if errors.any(|error| error.contains(MAYBE_REPEATED)) {
+                return None;
             }
             tokio::time::sleep(RETRY_INTERVAL).await;
         }

@@ -29,6 +29,8 @@ pub(super) enum MissionResult {
     Read(Option<MissionState>),
     /// A list that lacks missions that have ended earlier lacks this mission, too.
     NotListed,
+    /// The mission does not exist, or the ledger has forgotten its outcome.
+    Forgotten,
     /// The client got no definite reply.
     Unknown,
 }
@@ -43,6 +45,8 @@ pub(super) struct MissionSpec {
     state: Option<MissionState>,
     /// It has ended, in whatever state.
     ended: bool,
+    /// The ledger has forgotten its outcome.
+    forgotten: bool,
     cancel_requested: bool,
     resolve_requested: bool,
 }
@@ -75,6 +79,17 @@ impl MissionSpec {
         may_follow && was_requested
     }
 
+    /// Checks whether a call may find the mission.
+    fn is_known(&self) -> bool {
+        self.exists && !self.forgotten
+    }
+
+    /// Forgets the mission for good, if it exists: only the outcome of an ended mission is forgotten.
+    fn forget(&mut self) {
+        self.ended |= self.exists;
+        self.forgotten |= self.exists;
+    }
+
     fn submitted(&mut self, mission: &MissionId, again: bool, outcome: Option<&MissionState>) -> bool {
         let is_same = self.id.get_or_insert_with(|| mission.clone()) == mission;
         let existed = std::mem::replace(&mut self.exists, true);
@@ -82,7 +97,7 @@ impl MissionSpec {
             Some(state) => again && state.is_final() && self.advance(state),
             None => !self.ended,
         };
-        is_same && existed == again && is_outcome_valid
+        is_same && existed == again && is_outcome_valid && !self.forgotten
     }
 }
 
@@ -121,11 +136,11 @@ impl SequentialSpec for MissionSpec {
             // An acknowledged cancellation has taken effect.
             (MissionOp::Cancel, MissionResult::Changed(Some(state))) => {
                 self.cancel_requested = true;
-                self.exists && state.is_final() && self.advance(state)
+                self.is_known() && state.is_final() && self.advance(state)
             }
             (MissionOp::Resolve, MissionResult::Changed(Some(state))) => {
                 self.resolve_requested = true;
-                self.exists && state.is_final() && self.advance(state)
+                self.is_known() && state.is_final() && self.advance(state)
             }
             // A mission that has ended cannot be canceled.
             (MissionOp::Cancel, MissionResult::Refused) => {
@@ -134,9 +149,13 @@ impl SequentialSpec for MissionSpec {
             }
             (MissionOp::Submit | MissionOp::Resolve, MissionResult::Refused) => true,
             (MissionOp::Read, MissionResult::Read(None)) => !self.exists,
-            (MissionOp::Read, MissionResult::Read(Some(state))) => self.exists && self.advance(state),
+            (MissionOp::Read, MissionResult::Read(Some(state))) => self.is_known() && self.advance(state),
             (MissionOp::Read, MissionResult::NotListed) => {
                 self.ended |= self.exists;
+                true
+            }
+            (MissionOp::Submit | MissionOp::Read, MissionResult::Forgotten) => {
+                self.forget();
                 true
             }
             _ => false,

@@ -27,6 +27,18 @@ use tokio::time::Instant;
 /// Name under which the clients cancel and resolve missions.
 const CLIENT: &str = "recording client";
 
+/// Text of the refusal of a request that may be a repetition, because the ledger has forgotten outcomes since it was created.
+const MAYBE_REPEATED: &str = "the fleet remembers only requests after";
+
+/// What the ledger keeps of missions that have ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EndedMissions {
+    /// Maximum number that the ledger keeps whole, for lists.
+    pub listed_max: usize,
+    /// The ledger forgets outcomes during the history.
+    pub are_forgotten: bool,
+}
+
 /// Call of a client.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ClientCall {
@@ -139,7 +151,7 @@ struct Records {
     order: u64,
     operations: Vec<Operation>,
     pauses: Vec<Pause>,
-    listed_max: usize,
+    ended: EndedMissions,
     /// Number of refusals of new missions, because as many as allowed were active.
     refusals: usize,
 }
@@ -156,11 +168,10 @@ impl Records {
 pub struct History(Arc<Mutex<Records>>);
 
 impl History {
-    /// Creates an empty history that begins now. The ledger keeps at most `listed_max` missions that have
-    /// ended for lists.
-    pub fn new(listed_max: usize) -> History {
+    /// Creates an empty history that begins now.
+    pub fn new(ended: EndedMissions) -> History {
         let records =
-            Records { start: Instant::now(), order: 0, operations: vec![], pauses: vec![], listed_max, refusals: 0 };
+            Records { start: Instant::now(), order: 0, operations: vec![], pauses: vec![], ended, refusals: 0 };
         History(Arc::new(Mutex::new(records)))
     }
 
@@ -223,7 +234,7 @@ impl History {
     /// Description of the first contradiction.
     pub fn check_linearizable(&self) -> Result<(), String> {
         let records = self.lock();
-        check::check_linearizable(&records.operations, records.listed_max)
+        check::check_linearizable(&records.operations, records.ended)
     }
 
     /// Checks that other reads are at most as old as they say.
@@ -232,6 +243,6 @@ impl History {
     /// Description of the first contradiction.
     pub fn check_ages(&self) -> Result<(), String> {
         let records = self.lock();
-        check::check_ages(&records.operations, &records.pauses, records.listed_max)
+        check::check_ages(&records.operations, &records.pauses, records.ended.listed_max)
     }
 }

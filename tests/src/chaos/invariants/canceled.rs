@@ -7,6 +7,7 @@
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
 use crate::chaos::person_action::CancelSelection;
+use crate::chaos::request_ids::is_named;
 use crate::{Fleet, Observation};
 use consort_protocol::ids::MissionId;
 use consort_protocol::lease::Epoch;
@@ -79,11 +80,11 @@ impl Canceled {
     }
 }
 
-/// Checks whether a selection contains a mission. A named request has its name in the ledger.
+/// Checks whether a selection contains a mission.
 fn selects(selection: &CancelSelection, entry: &MissionEntry) -> bool {
     match selection {
         CancelSelection::Requests(requests) => {
-            requests.iter().any(|request| request == entry.submission.request.as_str())
+            requests.iter().any(|request| is_named(&entry.submission.request, request))
         }
         CancelSelection::Named(mission) => mission == entry.submission.mission.name.as_str(),
     }

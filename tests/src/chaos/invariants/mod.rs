@@ -34,7 +34,7 @@ mod settled;
 mod signals;
 mod single_voter_change;
 #[cfg(test)]
-mod test_missions;
+pub(super) mod test_missions;
 mod under_lease;
 mod under_orders;
 

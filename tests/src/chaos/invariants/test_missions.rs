@@ -13,7 +13,7 @@ const REST: &str = r#"{"mission": "rest", "roles": {"r1": {"kind": "managed"}},
     "root": {"task": "rest", "type": "wait", "roles": ["r1"], "parameters": {"seconds": "5"}}}"#;
 
 /// Returns the request for a rest. The first mission is `rest-1`.
-pub(super) fn submit_rest(request: &str) -> Command {
+pub(in crate::chaos) fn submit_rest(request: &str) -> Command {
     let mission = MissionTemplate::parse(REST, Format::Json).unwrap();
     let mission = mission.instantiate(&BTreeMap::new(), &hospital()).unwrap();
     let division = divide_and_check(&mission).unwrap();
@@ -21,7 +21,7 @@ pub(super) fn submit_rest(request: &str) -> Command {
 }
 
 /// Returns the award of a rest to a robot.
-pub(super) fn award_rest(number: u32, robot: &str) -> Command {
+pub(in crate::chaos) fn award_rest(number: u32, robot: &str) -> Command {
     let mission: MissionId = slug(&format!("rest-{number}"));
     let holders = BTreeMap::from([(slug("r1"), slug(robot))]);
     let auction = AuctionRecord::empty(AuctionId { mission: mission.clone(), term: 1, round: 1 });
@@ -29,7 +29,7 @@ pub(super) fn award_rest(number: u32, robot: &str) -> Command {
 }
 
 /// Returns the cancelation of several missions by a person.
-pub(super) fn cancel(by: &str, missions: &[&str]) -> Command {
+pub(in crate::chaos) fn cancel(by: &str, missions: &[&str]) -> Command {
     let missions = missions.iter().map(|mission| (slug(mission), BTreeMap::new())).collect();
     let change = MissionCancelation { missions };
     Command::CancelMissions { order: OrderRequest { change, by: by.to_owned(), at_ms: 9, request: None } }

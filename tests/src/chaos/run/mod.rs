@@ -48,6 +48,10 @@ const MISSION_LIMIT: Duration = Duration::from_secs(600);
 /// Limit for the fleet to converge after all faults have ended.
 const CONVERGENCE_LIMIT: Duration = Duration::from_secs(60);
 
+/// Limit for the refusals of repeated requests with forgotten outcomes: a client repeats its request after 30 s at the latest,
+/// and again while as many missions as allowed are active.
+const REFUSAL_LIMIT: Duration = Duration::from_secs(180);
+
 /// Limit for each requested mission to keep the others waiting, if no fault but missions that cannot be
 /// completed disturbs them: a drive to a room, a wait for an absent person and a drive to the laboratory, during
 /// which the mission has the only arm.
@@ -150,9 +154,10 @@ async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let violation = run.run_phases(config, schedule, &composition).await.err();
     let Run { fleet, executor, checker } = run;
     let Checker { mut counters, coverage, .. } = checker;
-    counters.end(&fleet, &executor.acknowledged());
+    counters.end(&fleet, &executor.acknowledged(), |mission| coverage.forgotten_outcome(mission));
     counters.client_replies = executor.history().replies();
-    counters.coverage = coverage.end(&fleet, executor.log_writes(), executor.history().refusals());
+    let forgotten_refused = executor.refused().len();
+    counters.coverage = coverage.end(executor.log_writes(), executor.history().refusals(), forgotten_refused);
     let mut hasher = DefaultHasher::new();
     hasher.write(fleet.event_log_text().as_bytes());
     hasher.write_u64(fleet.network.digest());
@@ -229,6 +234,7 @@ impl Run {
             self.check_undisturbed_by_poison(schedule)?;
         }
         self.checker.end(&self.fleet)?;
+        self.check_forgotten_requests(schedule).await?;
         // The rest of the run has no faults.
         let end = Duration::from_secs_f64(config.minutes * 60.0);
         while self.fleet.elapsed() < end {
@@ -247,6 +253,28 @@ impl Run {
         let violation = |name, reason| self.checker.violation(name, reason, &self.fleet);
         history.check_linearizable().map_err(|reason| violation("linearizable", reason))?;
         history.check_ages().map_err(|reason| violation("read_age", reason))
+    }
+
+    /// Checks that the fleet refuses the named requests whose outcomes it has forgotten by now, as soon as their clients
+    /// repeat them.
+    async fn check_forgotten_requests(&mut self, schedule: &Schedule) -> Result<(), Violation> {
+        let acknowledged = self.executor.acknowledged();
+        let is_forgotten = |request: &String| {
+            let mission: Option<MissionId> = acknowledged.get(request).map(|mission| slug(mission));
+            mission.is_some_and(|mission| self.checker.coverage.forgotten_outcome(&mission).is_some())
+        };
+        let named = schedule.steps.iter().filter_map(|step| match &step.action {
+            ChaosAction::Submit { request, unnamed: false, .. } => Some(request.clone()),
+            _ => None,
+        });
+        let forgotten: Vec<String> = named.filter(is_forgotten).collect();
+        if forgotten.is_empty() {
+            return Ok(());
+        }
+        let refused = self.executor.refused_receiver();
+        let what = format!("the refusal of the repeated requests {forgotten:?}, whose outcomes are forgotten");
+        let are_refused = |_: &Fleet| forgotten.iter().all(|request| refused.borrow().contains(request));
+        self.until(&what, REFUSAL_LIMIT, are_refused).await
     }
 
     /// Checks, when all missions have ended, that those that can be completed were, and in time, and that no

@@ -21,7 +21,7 @@ use consort_protocol::ledger::HistoryLimits;
 use consort_skills::extensions::Extensions;
 use consort_skills::workload::Workload as UserWorkload;
 use consort_tests::chaos::UserParticipants;
-use consort_tests::history::History;
+use consort_tests::history::{EndedMissions, History};
 use consort_tests::host_network::{INSIDE, is_inside, run_inside};
 use fleet::{FleetKind, ProcessFleet};
 use std::path::PathBuf;
@@ -131,7 +131,8 @@ fn soak(args: &Args, seed: u64, own: UserWorkload, participants: &UserParticipan
     let verdict = runtime.block_on(async {
         let kind = FleetKind { open: args.open, large: args.large || seed.is_multiple_of(2), charging: true };
         let mut fleet = ProcessFleet::start(&folder, kind, own.extensions.domains, participants).await?;
-        let history = History::new(HistoryLimits::default().missions_max as usize);
+        let listed_max = HistoryLimits::default().missions_max as usize;
+        let history = History::new(EndedMissions { listed_max, are_forgotten: false });
         let workload = Workload::start(&fleet, &history, own, seed).await?;
         let (access, size) = (if kind.open { "open" } else { "closed" }, if kind.large { "large" } else { "small" });
         let minutes = args.minutes;
