@@ -392,7 +392,7 @@ impl ActionExecutor {
         }
         if self.revocation.is_some_and(|due| due <= fleet.elapsed()) {
             self.revocation = None;
-            revoke(fleet, HOSTILE, None);
+            revoke(fleet, HOSTILE, None, self.injector.reads_revocations());
         }
         self.revoke_robots_at_work(fleet);
     }
@@ -403,7 +403,7 @@ impl ActionExecutor {
             let node = if name.starts_with(CARRIER_OF) { self.carrier(fleet, &name) } else { Some(name.clone()) };
             match node.and_then(|node| Some((role_of(fleet, &node)?, node))) {
                 Some((role, node)) => {
-                    revoke(fleet, &node, Some(role));
+                    revoke(fleet, &node, Some(role), self.injector.reads_revocations());
                     self.removed.insert(node.clone());
                     self.revoked.insert(number, node);
                 }

@@ -48,6 +48,8 @@ struct Parts {
     limits: Limits,
     /// The nodes that start from now on run the latest program.
     is_upgraded: bool,
+    /// Nodes read new lists of revoked certificates; not for a mutation check.
+    reads_revocations: bool,
     /// The fleet declares zones.
     has_zones: bool,
     /// Period in which the date of a node is wrong, and the error in milliseconds.
@@ -65,7 +67,8 @@ struct Parts {
 }
 
 impl FaultInjector {
-    /// Creates the injector of a run. With `mutant` the clocks of nodes may not count some periods.
+    /// Creates the injector of a run. With `mutant` the clocks of nodes may not count some periods, or nodes may not read lists
+    /// of revoked certificates.
     pub(super) fn new(
         seed: u64,
         mutant: Option<Mutant>,
@@ -109,6 +112,7 @@ impl FaultInjector {
             seed,
             limits: Limits::of(seed, schedule),
             is_upgraded,
+            reads_revocations: mutant != Some(Mutant::RevocationsUnread),
             has_zones: schedule.names_zones(),
             wrong_dates,
             uncounted,
@@ -183,6 +187,11 @@ impl FaultInjector {
     /// Lets the nodes that start from now on run the latest program.
     pub(super) fn upgrade(&self) {
         self.0.borrow_mut().is_upgraded = true;
+    }
+
+    /// Checks whether the nodes read new lists of revoked certificates.
+    pub(super) fn reads_revocations(&self) -> bool {
+        self.0.borrow().reads_revocations
     }
 
     /// Checks whether a node replaces its process after a suspension of its machine.

@@ -71,7 +71,7 @@ pub(crate) const NODES: usize = 7;
 /// All injected bugs with the seeds within which chaos must find each: about three times
 /// the measured number. The bug with 90 seeds needs a lost acknowledgement and a client that
 /// repeats the request under the same name. Half of the runs with schedules have none, and the numbers for bugs that
-/// need orders of people, chargers, closures, alarms, speed limits or promises are guesses.
+/// need orders of people, chargers, closures, alarms, speed limits, promises or revocations are guesses.
 pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::new(Mutant::SkipFsync, 20),
     MutantCheck::new(Mutant::DoubleVote, 20),
@@ -111,6 +111,7 @@ pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
     MutantCheck::with_alarms(Mutant::LimitIgnored, 15),
     MutantCheck::under(Mutant::HoldersUnfit, &[FaultKind::None], 12),
     MutantCheck::with_orders(Mutant::LeaseIgnored, 20),
+    MutantCheck::under(Mutant::RevocationsUnread, &[FaultKind::Revoke], 12),
 ];
 
 /// Result of a mutation check.

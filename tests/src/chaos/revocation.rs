@@ -21,6 +21,9 @@ const AFTER_MS: [u64; 4] = [0, 2_000, 4_000, 8_000];
 /// Time for which the node runs on, in milliseconds: longer than lease and grace.
 const RUNS_ON_MS: Range<u64> = 15_000..30_000;
 
+/// The same with few kinds of faults: roles of later requests are awarded meanwhile.
+const RUNS_ON_LONG_MS: Range<u64> = 60_000..90_000;
+
 /// Checks whether the run with this seed and these kinds of faults may have a revocation: with few kinds always, otherwise
 /// every second run from a seed on.
 fn may_revoke(seed: u64, kinds: &[FaultKind]) -> bool {
@@ -41,7 +44,8 @@ pub(super) fn add_revocation(seed: u64, kinds: &[FaultKind], end_ms: u64, steps:
     let Some((asked_ms, request)) = requests.min() else { return };
     let turn = seed.abs_diff(FIRST_SEED_WITH_SMALL_LIMITS) / 2 % AFTER_MS.len() as u64;
     let at_ms = asked_ms + AFTER_MS[usize::try_from(turn).expect("a small number")];
-    let for_ms = chance.random_range(RUNS_ON_MS).min(end_ms.saturating_sub(at_ms));
+    let runs_on_ms = if kinds.len() <= FEW_KINDS { RUNS_ON_LONG_MS } else { RUNS_ON_MS };
+    let for_ms = chance.random_range(runs_on_ms).min(end_ms.saturating_sub(at_ms));
     if for_ms > 0 {
         let node = format!("{CARRIER_OF}{request}");
         steps.push(ScheduledAction { at_ms, action: ChaosAction::Revoke { node, for_ms } });
@@ -58,10 +62,12 @@ pub(super) fn role_of(fleet: &Fleet, node: &str) -> Option<(MissionId, RoleId)> 
     fleet.ledger(role).flatten()
 }
 
-/// Revokes the certificate of a node of a closed fleet, whose robot holds this role.
-pub(super) fn revoke(fleet: &Fleet, node: &str, role: Option<(MissionId, RoleId)>) {
+/// Revokes the certificate of a node of a closed fleet, whose robot holds this role. Without `is_read` no node learns of it.
+pub(super) fn revoke(fleet: &Fleet, node: &str, role: Option<(MissionId, RoleId)>, is_read: bool) {
     let Some(credentials) = &fleet.credentials else { return };
-    credentials.revoke(node, Duration::from_millis(DATE_MS + millis(fleet.elapsed())));
+    if is_read {
+        credentials.revoke(node, Duration::from_millis(DATE_MS + millis(fleet.elapsed())));
+    }
     fleet.event_log.add(Observation::CertificateRevoked { node: slug(node), role });
 }
 

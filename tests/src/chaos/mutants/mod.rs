@@ -10,6 +10,7 @@
 //! - by the clock (`fault_injector.rs`): `suspension-not-counted`, `stopped-with-bus`;
 //! - below the signatures of a node (`refusals.rs`): `refusals-unsigned`;
 //! - by the signer of records (`gossip.rs`): `records-unverified`;
+//! - by the list of revoked certificates (`fault_injector.rs`): `revocations-unread`;
 //! - by the bus of the node (`bus.rs`, and `reports.rs` for the reports of robots): all others.
 
 mod bus;
@@ -110,11 +111,13 @@ pub enum Mutant {
     HoldersUnfit,
     /// Nodes do not receive which robots use a charger by a lease.
     LeaseIgnored,
+    /// Nodes do not read new lists of revoked certificates.
+    RevocationsUnread,
 }
 
 impl Mutant {
     /// All mutants.
-    pub const ALL: [Mutant; 38] = [
+    pub const ALL: [Mutant; 39] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::NoCheckQuorum,
@@ -153,9 +156,10 @@ impl Mutant {
         Mutant::LimitIgnored,
         Mutant::HoldersUnfit,
         Mutant::LeaseIgnored,
+        Mutant::RevocationsUnread,
     ];
 
-    /// Checks whether the bug has an effect only in a closed fleet with a hostile node.
+    /// Checks whether the bug has an effect only in a closed fleet.
     pub fn needs_closed_fleet(self) -> bool {
         matches!(
             self,
@@ -164,6 +168,7 @@ impl Mutant {
                 | Mutant::RefusalsUnsigned
                 | Mutant::RecordsUnverified
                 | Mutant::BeaconsBelieved
+                | Mutant::RevocationsUnread
         )
     }
 
@@ -208,6 +213,7 @@ impl Mutant {
             Mutant::LimitIgnored => "limit-ignored",
             Mutant::HoldersUnfit => "holders-unfit",
             Mutant::LeaseIgnored => "lease-ignored",
+            Mutant::RevocationsUnread => "revocations-unread",
         }
     }
 }
