@@ -14,6 +14,7 @@ use super::history_limits::HistoryLimits;
 use super::shared_map::SharedMap;
 use super::shared_queue::SharedQueue;
 use crate::ids::{MissionId, RequestId};
+use crate::trust::REQUEST_SKEW_MAX_MS;
 use consort_text::shorten;
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +50,13 @@ impl Tombstone {
         }
     }
 
+    /// Returns the latest time at which the request may have been created: the time of submission, or the time in
+    /// its id if the client's clock was ahead of the coordinator's by no more than [`REQUEST_SKEW_MAX_MS`].
+    fn latest_creation_ms(&self) -> u64 {
+        let created_ms = self.request.created_ms().unwrap_or(self.submitted_ms);
+        created_ms.clamp(self.submitted_ms, self.submitted_ms.saturating_add(REQUEST_SKEW_MAX_MS))
+    }
+
     /// Returns the approximate size in a snapshot, which [`HistoryLimits`] limits: ids of the request and the mission are stored
     /// more than once.
     fn bytes(&self, mission: &MissionId) -> u64 {
@@ -80,7 +88,7 @@ pub(super) struct History {
     whole: u64,
     /// Size of all tombstones.
     bytes: u64,
-    /// Latest time of submission of a forgotten mission.
+    /// Latest time at which the request of a forgotten mission may have been created.
     forgotten_ms: Option<u64>,
     limits: HistoryLimits,
 }
@@ -158,7 +166,7 @@ impl History {
             let Some(mission) = self.order.pop_front() else { break };
             let Some(tombstone) = self.tombstones.remove(&mission) else { continue };
             self.bytes = self.bytes.saturating_sub(tombstone.bytes(&mission));
-            self.forgotten_ms = self.forgotten_ms.max(Some(tombstone.submitted_ms));
+            self.forgotten_ms = self.forgotten_ms.max(Some(tombstone.latest_creation_ms()));
             requests.push(tombstone.request);
         }
         requests
@@ -173,11 +181,12 @@ impl History {
         self.tombstones.get(mission)
     }
 
-    /// Checks that an unknown request, which arrives at `at_ms`, is certainly new: its id contains
-    /// no time of creation, or a time after the submission of every forgotten mission. If a mission
-    /// was submitted after `at_ms`, a clock was wrong, and nothing is checked.
+    /// Checks that an unknown request, which arrives at `at_ms`, is certainly new: its id contains no time of
+    /// creation, or a time after that of every forgotten request. If a forgotten request was created long after
+    /// `at_ms`, a clock was wrong, and nothing is checked.
     pub(super) fn check_remembered(&self, request: &RequestId, at_ms: u64) -> Result<(), CommandError> {
-        match (request.created_ms(), self.forgotten_ms.filter(|since_ms| *since_ms <= at_ms)) {
+        let latest_ms = at_ms.saturating_add(REQUEST_SKEW_MAX_MS);
+        match (request.created_ms(), self.forgotten_ms.filter(|since_ms| *since_ms <= latest_ms)) {
             (Some(created_ms), Some(since_ms)) if created_ms <= since_ms => {
                 Err(CommandError::RequestForgotten { request: request.clone(), created_ms, since_ms })
             }

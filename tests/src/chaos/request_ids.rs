@@ -7,14 +7,9 @@ use consort_protocol::ids::RequestId;
 use std::hash::{DefaultHasher, Hasher};
 use std::time::Duration;
 
-/// Time from the creation of an id to the first attempt. The fleet recognises a repetition only if a majority of the clocks of
-/// the voters had reached the time in the id when the request was accepted: readings of clocks arrive late, and clocks that
-/// drift are up to 5 % slow.
-const CREATED_BEFORE: Duration = Duration::from_secs(15);
-
 /// Returns an id for the request of this name in the schedule, which is first sent at this time since the start of the run.
 pub(super) fn dated_id(name: &str, elapsed: Duration) -> RequestId {
-    id_at(name, DATE_MS + millis(elapsed) - millis(CREATED_BEFORE))
+    id_at(name, DATE_MS + millis(elapsed))
 }
 
 /// Checks whether an id is that of the request of this name in the schedule.
@@ -37,7 +32,7 @@ mod tests {
     #[test]
     fn an_id_states_its_time_and_stands_for_its_name_alone() {
         let [one, later] = [20, 21].map(|at_s| dated_id("b0", Duration::from_secs(at_s)));
-        assert_eq!(one.created_ms(), Some(DATE_MS + 5_000));
+        assert_eq!(one.created_ms(), Some(DATE_MS + 20_000));
         assert_ne!(one, later);
         assert!(is_named(&one, "b0") && is_named(&later, "b0") && !is_named(&one, "b1"));
         assert!(is_named(&slug("b0"), "b0") && !is_named(&slug("b0"), "b1"));

@@ -9,6 +9,7 @@ use crate::ids::{TaskId, TaskType};
 use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskOutcome, TaskSpec};
 use crate::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 use crate::scalar::Scalar;
+use crate::trust::REQUEST_SKEW_MAX_MS;
 use std::time::{Duration, Instant};
 
 fn role(name: &str) -> RoleId {
@@ -421,29 +422,47 @@ fn lower_limits_of_the_history_hold_at_once() {
     assert_eq!(log.0.missions().count(), 1);
 }
 
+/// Submits and cancels missions, one per millisecond after the first, until the first request is forgotten. Returns
+/// the time of the last submission.
+fn forget(log: &mut Log, first: &RequestId, at_ms: u64) -> u64 {
+    for number in 0..100_000 {
+        if number > 0 && !log.0.remembers(first) {
+            return at_ms + number - 1;
+        }
+        let request = if number == 0 { first.clone() } else { RequestId::generate(at_ms - 1 + number, 1) };
+        let mission = log.submit_at(request.as_str(), at_ms + number);
+        log.cancel(&mission);
+    }
+    panic!("the tombstones are bounded");
+}
+
 #[test]
 fn a_request_that_may_be_a_repetition_of_a_forgotten_request_is_rejected() {
     let mut log = Log::with_history();
     let name = |at_ms, random| RequestId::generate(at_ms, random);
-    let first = log.submit_at(name(1000, 1).as_str(), 1001);
-    log.cancel(&first);
-    let mut number = 1;
-    while log.0.remembers(&name(1000, 1)) {
-        number += 1;
-        let mission = log.submit_at(name(1000 + number, 1).as_str(), 1001 + number);
-        log.cancel(&mission);
-        assert!(number < 100_000, "the tombstones are bounded");
-    }
+    let now_ms = forget(&mut log, &name(1000, 1), 1001);
     let before = log.0.clone();
     for random in [1, 2] {
         let request = name(1000, random);
         let refused = CommandError::RequestForgotten { request: request.clone(), created_ms: 1000, since_ms: 1001 };
-        let outcome = log.apply_submission(request.as_str(), 1001 + number);
+        let outcome = log.apply_submission(request.as_str(), now_ms);
         assert_eq!(outcome, CommandOutcome::Refused(refused));
     }
     assert!(log.0 == before);
-    log.submit_at(name(1002, 9).as_str(), 1001 + number);
-    log.submit_at("without-a-time", 1001 + number);
+    log.submit_at(name(1002, 9).as_str(), now_ms);
+    log.submit_at("without-a-time", now_ms);
+}
+
+#[test]
+fn a_repetition_is_rejected_although_the_clock_of_its_client_is_ahead() {
+    for lead_ms in [1, 2000, REQUEST_SKEW_MAX_MS] {
+        let mut log = Log::with_history();
+        let first = RequestId::generate(1001 + lead_ms, 1);
+        let now_ms = forget(&mut log, &first, 1001);
+        let (created_ms, since_ms) = (1001 + lead_ms, 1001 + lead_ms);
+        let refused = CommandError::RequestForgotten { request: first.clone(), created_ms, since_ms };
+        assert_eq!(log.apply_submission(first.as_str(), now_ms), CommandOutcome::Refused(refused));
+    }
 }
 
 #[test]
