@@ -1,5 +1,6 @@
 //! A domain of tasks that always fail, each for a cause of another class.
 
+use consort_protocol::cause::CauseClass;
 use consort_protocol::yaml;
 use consort_skills::domain_file::DomainFile;
 use std::collections::BTreeMap;
@@ -20,6 +21,17 @@ tasks:
 
 /// Task types of the domain.
 pub const FAILING_TASKS: [&str; 4] = ["fail_robot", "fail_task", "fail_transient", "fail_precondition"];
+
+/// Returns the class of the cause for which a task of the domain fails; `None` for other tasks.
+pub(crate) fn failure_class(task: &str) -> Option<CauseClass> {
+    match task {
+        "fail_robot" => Some(CauseClass::Robot),
+        "fail_task" => Some(CauseClass::Task),
+        "fail_transient" => Some(CauseClass::Transient),
+        "fail_precondition" => Some(CauseClass::Precondition),
+        _ => None,
+    }
+}
 
 /// Returns the domain.
 pub fn failing_domain() -> DomainFile {

@@ -4,7 +4,7 @@ use super::alarms::ALARMS;
 use super::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE};
 use super::control_flow::CONTROL_FLOW_MISSIONS;
 use super::person_action::{ALL_ROBOTS, IN_ZONE, MissionAction};
-use super::poison::POISON_MISSIONS;
+use super::poison::poison_missions;
 use super::schedule::{CARRIER_OF, ChaosAction, Schedule, ScheduledAction};
 use super::zones::{parts_with_zones, zone_names};
 use consort_skills::workload::Workload;
@@ -28,8 +28,8 @@ impl Schedule {
             match &step.action {
                 ChaosAction::Submit { room, mission, .. } => {
                     check_known(step, room, &ROOMS, &ROOMS_WITHOUT_NURSE)?;
-                    let own = CONTROL_FLOW_MISSIONS.into_iter().chain(POISON_MISSIONS);
-                    let own: Vec<&str> = own.chain(workload.own_missions()).collect();
+                    let mut own: Vec<&str> = CONTROL_FLOW_MISSIONS.into_iter().chain(poison_missions()).collect();
+                    own.extend(workload.own_missions());
                     check_known(step, mission, &MISSIONS, &own)?;
                 }
                 ChaosAction::Cancel { .. }

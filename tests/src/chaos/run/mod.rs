@@ -18,6 +18,7 @@ use super::generate::{LIFTED, is_large, lease_terms};
 use super::invariants::{self, Invariant, InvariantViolation};
 use super::mutants::{Mutant, MutantInjection};
 use super::people::person;
+use super::poison::{MISSION_SHARE, PoisonBound};
 use super::requested_missions::workload_with;
 use super::run_counters::{RunCounters, millis};
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
@@ -51,11 +52,6 @@ const CONVERGENCE_LIMIT: Duration = Duration::from_secs(60);
 /// Limit for the refusals of repeated requests with forgotten outcomes: a client repeats its request after 30 s at the latest,
 /// and again while as many missions as allowed are active.
 const REFUSAL_LIMIT: Duration = Duration::from_secs(180);
-
-/// Limit for each requested mission to keep the others waiting, if no fault but missions that cannot be
-/// completed disturbs them: a drive to a room, a wait for an absent person and a drive to the laboratory, during
-/// which the mission has the only arm.
-const MISSION_SHARE: Duration = Duration::from_secs(45);
 
 /// Longest time without a leader in a transfer of leadership, in milliseconds.
 const TRANSFER_MAX_MS: u64 = 120;
@@ -131,8 +127,8 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 
 async fn execute_run(config: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let composition = ChaosFleet::of(config.nodes);
-    let injector = FaultInjector::new(config.seed, config.mutant, &composition, schedule, config.workload.extensions);
     let workload = workload_with(&config.workload, schedule);
+    let injector = FaultInjector::new(config.seed, config.mutant, &composition, schedule, workload.extensions);
     let options = NodeOptions {
         world_speed: schedule.world_speed.into(),
         extensions: workload.extensions,
@@ -231,7 +227,7 @@ impl Run {
         .await?;
         self.checker.counters.converged_ms = Some(millis(self.fleet.elapsed() - since));
         if schedule.has_only_poison() {
-            self.check_undisturbed_by_poison(schedule)?;
+            self.check_undisturbed_by_poison(schedule, composition.carriers.len())?;
         }
         self.checker.end(&self.fleet)?;
         self.check_forgotten_requests(schedule).await?;
@@ -277,23 +273,19 @@ impl Run {
         self.until(&what, REFUSAL_LIMIT, are_refused).await
     }
 
-    /// Checks, when all missions have ended, that those that can be completed were, and in time, and that no
-    /// second robot tried one that cannot.
-    fn check_undisturbed_by_poison(&self, schedule: &Schedule) -> Result<(), Violation> {
+    /// Checks, when all missions have ended, that those that can be completed were, and in time, and that those that
+    /// cannot cost robots no more time than the bounds of their classes.
+    fn check_undisturbed_by_poison(&self, schedule: &Schedule, carriers: usize) -> Result<(), Violation> {
         let violation = |reason| Err(self.checker.violation("undisturbed", reason, &self.fleet));
         let acknowledged = self.executor.acknowledged();
         let (mut last_ms, mut missions) = (0, 0);
         for step in &schedule.steps {
-            let ChaosAction::Submit { request, deadline_s, .. } = &step.action else { continue };
+            let ChaosAction::Submit { request, mission, deadline_s, .. } = &step.action else { continue };
             (last_ms, missions) = (last_ms.max(step.at_ms), missions + 1);
-            let awards = self.fleet.events().into_iter().filter(|kind| match kind {
-                EventKind::Awarded { mission, holders, .. } if !holders.is_empty() => {
-                    acknowledged.get(request).is_some_and(|id| *id == mission.as_str())
-                }
-                _ => false,
-            });
-            if step.action.is_poison() && awards.count() > 1 {
-                return violation(format!("{request} was given to robots again after no robot could do it"));
+            if let Some(id) = acknowledged.get(request).filter(|_| step.action.is_poison())
+                && let Some(excess) = self.excess(&slug(id), PoisonBound::of(mission, carriers))
+            {
+                return violation(format!("{request}, which cannot be completed, {excess}"));
             }
             let is_canceled = schedule
                 .steps
@@ -315,6 +307,24 @@ impl Run {
             return violation(format!("{missions} missions ended {} s after the last request", took.as_secs()));
         }
         Ok(())
+    }
+
+    /// Returns, as text, by what a mission cost the robots more than the bound.
+    fn excess(&self, mission: &MissionId, bound: PoisonBound) -> Option<String> {
+        let is_award = |kind: &EventKind| match kind {
+            EventKind::Awarded { mission: of, holders, .. } => of == mission && !holders.is_empty(),
+            _ => false,
+        };
+        let awards = self.fleet.event_log.count(is_award);
+        if awards > bound.awards {
+            return Some(format!("was awarded {awards} times; {} are allowed", bound.awards));
+        }
+        let (now, intervals) = (self.fleet.elapsed(), self.fleet.event_log.role_intervals());
+        intervals.iter().filter(|interval| interval.mission == *mission).find_map(|interval| {
+            let held = interval.to.unwrap_or(now).saturating_sub(interval.from);
+            let text = || format!("held {} for {held:?}; {:?} are allowed", interval.robot, bound.held);
+            (held > bound.held).then(text)
+        })
     }
 
     /// Executes the schedule until all faults have ended.
