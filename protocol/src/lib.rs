@@ -49,6 +49,7 @@ pub mod chargers;
 pub mod charging_curve;
 pub mod codec;
 pub mod devices;
+mod domain_reference;
 pub mod ensemble;
 pub mod event;
 pub mod expression;

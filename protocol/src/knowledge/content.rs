@@ -3,6 +3,7 @@
 use super::attributes::Attributes;
 use super::devices::DeviceKnowledge;
 use crate::bounds::{self, ELEMENTS_MAX};
+use crate::domain_reference::DomainReference;
 use crate::ids::{ClusterId, MissionId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
 use crate::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
@@ -33,7 +34,14 @@ pub struct Knowledge {
     pub robot: Option<RobotKnowledge>,
     /// Devices of the building.
     pub devices: DeviceKnowledge,
+    /// Domain files of its task types, for the health of the fleet only: a robot compares the file of each task itself.
+    #[serde(deserialize_with = "bounds::collection::<_, _, DOMAINS_MAX>")]
+    pub domains: BTreeSet<DomainReference>,
 }
+
+/// Maximum number of domain files that a node publishes. Raised: its record is larger, and differences of more files are
+/// found. A guess.
+pub const DOMAINS_MAX: usize = 16;
 
 impl Availability {
     /// Returns the availability of a robot with this problem. A long description is shortened.
@@ -56,6 +64,7 @@ impl Knowledge {
             supported_versions: VersionRange::OWN,
             robot,
             devices: Default::default(),
+            domains: BTreeSet::new(),
         }
     }
 

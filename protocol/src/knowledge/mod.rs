@@ -15,7 +15,7 @@ mod record;
 
 pub use attributes::Attributes;
 pub use base::{KnowledgeBase, KnownRecord};
-pub use content::{AWAITED_MAX, Availability, ChargerClaim, Charging, Knowledge, RobotKnowledge};
+pub use content::{AWAITED_MAX, Availability, ChargerClaim, Charging, DOMAINS_MAX, Knowledge, RobotKnowledge};
 pub use devices::{DeviceClaim, DeviceClaims, DeviceKnowledge, DeviceReport, DeviceState};
 pub use digest::{Digest, DigestScope};
 pub use motion::{Motion, MotionUpdate};

@@ -6,8 +6,8 @@
 //! information.
 
 use super::diagnostic::MissionErrorKind;
-use super::domain_reference::DomainReference;
 use super::ihtn_names::IhtnNames;
+use crate::domain_reference::DomainReference;
 use crate::ids::{EnsembleId, PlaceId, TaskType, ZoneId};
 use crate::scalar::{SCALAR_BYTES_MAX, Scalar};
 use consort_text::AllowedNames;
@@ -374,6 +374,11 @@ impl Domain {
     /// Returns the parameters of a task type, if the domain has the type.
     pub fn get(&self, task_type: &TaskType) -> Option<&TaskSchema> {
         self.types.get(task_type)
+    }
+
+    /// Returns the domain files of the task types, except the standard domain.
+    pub fn files(&self) -> BTreeSet<DomainReference> {
+        self.types.values().filter_map(|schema| schema.domain.clone()).collect()
     }
 
     /// Returns the task types in which a robot may hand an item over, in the order of their names.

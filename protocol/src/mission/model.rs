@@ -2,8 +2,8 @@
 
 use super::condition;
 use super::domain::{Domain, ValueKind};
-use super::domain_reference::{DomainReference, OtherDomain};
 use super::outcome::{TaskOutcome, TaskOutcomes};
+use crate::domain_reference::{DomainReference, OtherDomain};
 use crate::ids::{EnsembleId, ItemId, RoleId, TaskId, TaskType};
 use crate::scalar::Scalar;
 use crate::units::EnergyLimit;

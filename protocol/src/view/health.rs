@@ -31,11 +31,11 @@ pub enum HealthLevel {
 pub struct HealthFinding {
     /// Severity.
     pub level: HealthLevel,
-    /// Subject: `coordinator`, `quorum`, `cluster`, `node`, `robot`, `device`, `mission`, `alarm`,
+    /// Subject: `coordinator`, `quorum`, `cluster`, `node`, `robot`, `device`, `domain`, `mission`, `alarm`,
     /// `ledger` or `fleet`.
     #[serde(default)]
     pub about: String,
-    /// Id of the node, robot, device, mission or alarm, if the finding concerns any.
+    /// Id of the node, robot, device, domain, mission or alarm, if the finding concerns any.
     #[serde(default)]
     pub name: Option<String>,
     /// Description for people.

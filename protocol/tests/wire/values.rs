@@ -72,13 +72,21 @@ pub(crate) fn seconds() -> impl Strategy<Value = Seconds> {
     (0.0..1e6).prop_map(|seconds| Seconds::new(seconds).expect("a time"))
 }
 
+fn domain() -> impl Strategy<Value = DomainReference> {
+    let hash = any::<u64>().prop_map(DomainHash);
+    (name(), hash).prop_map(|(name, hash)| DomainReference { name, hash })
+}
+
 pub(crate) fn spec() -> impl Strategy<Value = TaskSpec> {
     let items = (btree_map(name(), name(), 0..2), btree_set(name(), 0..2), any::<u8>());
     let input = (name(), text()).prop_map(|(task, result)| ResultReference { task, result });
-    let hash = any::<u64>().prop_map(DomainHash);
-    let domain = option::of((name(), hash).prop_map(|(name, hash)| DomainReference { name, hash }));
-    let used =
-        (btree_map(text(), input, 0..2), vec(text(), 0..2), domain, option::of(any::<u32>()), option::of(escalation()));
+    let used = (
+        btree_map(text(), input, 0..2),
+        vec(text(), 0..2),
+        option::of(domain()),
+        option::of(any::<u32>()),
+        option::of(escalation()),
+    );
     let entries = (btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2));
     (name(), vec(name(), 1..3), entries, items, used).prop_map(
         |(
@@ -230,8 +238,18 @@ pub(crate) fn record() -> impl Strategy<Value = Record> {
     let numbers = (option::of(any::<u64>()), option::of(any::<u64>().prop_map(ClusterId)));
     let speaks = (any::<u8>(), any::<u8>()).prop_map(|(oldest, newest)| VersionRange { oldest, newest });
     let proof = option::of((any::<[u8; 16]>(), any::<[u8; 32]>()));
-    (name(), stamp(), flags, numbers, speaks, option::of(worker()), proof).prop_map(
-        |(owner, stamp, (may_vote, stationary, mains_powered, leaving), (replica, cluster), speaks, worker, proof)| {
+    let domains = btree_set(domain(), 0..3);
+    (name(), stamp(), flags, numbers, speaks, option::of(worker()), domains, proof).prop_map(
+        |(
+            owner,
+            stamp,
+            (may_vote, stationary, mains_powered, leaving),
+            (replica, cluster),
+            speaks,
+            worker,
+            domains,
+            proof,
+        )| {
             Record {
                 owner,
                 stamp,
@@ -245,6 +263,7 @@ pub(crate) fn record() -> impl Strategy<Value = Record> {
                     supported_versions: speaks,
                     robot: worker,
                     devices: Default::default(),
+                    domains,
                 },
                 proof: proof.and_then(|(by, half)| Proof::new(Fingerprint(by), &[half, half].concat())),
             }

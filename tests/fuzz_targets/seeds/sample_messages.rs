@@ -28,7 +28,7 @@ use consort_protocol::message::{
     Exchange, FailureKind, FollowedLeader, OrderNotice, OrdersNotice, RecordUpdate, Report, ReportReply, SignalHistory,
     SpeedLimitNotice, TaskFailure,
 };
-use consort_protocol::mission::{Escalation, TaskOutcome, TaskOutcomes};
+use consort_protocol::mission::{DomainHash, DomainReference, Escalation, TaskOutcome, TaskOutcomes};
 use consort_protocol::plan::{LocalPlan, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::scalar::Scalar;
@@ -110,6 +110,7 @@ fn record(owner: &str) -> Record {
         supported_versions: VersionRange { oldest: 1, newest: 1 },
         robot: Some(worker),
         devices: Default::default(),
+        domains: BTreeSet::from([DomainReference { name: slug("plants"), hash: DomainHash(7) }]),
     };
     Record { owner: slug(owner), stamp: RecordStamp { incarnation: 5, version: 9 }, knowledge, proof: proof() }
 }

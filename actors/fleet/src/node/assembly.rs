@@ -29,7 +29,7 @@ use consort_protocol::api::ErrorReply;
 use consort_protocol::codec::VersionedMessage;
 use consort_protocol::ids::{ClusterId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::knowledge::{Attributes, DeviceClaims, DeviceKnowledge, Knowledge};
+use consort_protocol::knowledge::{Attributes, DOMAINS_MAX, DeviceClaims, DeviceKnowledge, Knowledge};
 use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::{BootstrapRequest, Exchange, FollowedLeader};
 use consort_protocol::timing::TimingParameters;
@@ -82,6 +82,7 @@ pub(super) async fn start_parts(
             claims: fleet.devices.is_empty().then(DeviceClaims::new),
             ..DeviceKnowledge::default()
         },
+        domains: fleet.domain.files().into_iter().take(DOMAINS_MAX).collect(),
     };
     // Signed records exist since version 2. In a closed fleet nodes reject forwarded records without a
     // signature, so its nodes write no version before.

@@ -20,6 +20,7 @@ use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, KnowledgeBase, KnownRecord};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionState, ResourceLease, RobotOrders};
+use consort_protocol::mission::DomainReference;
 use consort_protocol::scalar::Scalar;
 use consort_protocol::units::{NodeTime, Seconds};
 use consort_protocol::view::{
@@ -426,6 +427,10 @@ impl ViewContext<'_> {
                 && !stored.record.knowledge.leaving
             {
                 inputs.unreachable.push((node.clone(), status.as_str(), age_ms));
+            }
+            for DomainReference { name, hash } in stored.record.knowledge.domains.iter().filter(|_| alive(node)) {
+                let contents = inputs.domains.entry(name.clone()).or_default();
+                contents.entry(*hash).or_default().insert(node.clone());
             }
             match stored.record.knowledge.robot.as_ref().map(|worker| &worker.availability) {
                 Some(Availability::OutOfService { problem }) => {

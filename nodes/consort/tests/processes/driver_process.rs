@@ -255,7 +255,8 @@ fn a_driver_that_offers_an_undeclared_action_is_not_used() {
     });
 }
 
-/// The domain file of the robot has another content than the file of the coordinator.
+/// The domain file of the robot has another content than the file of the coordinator. The health of the fleet says so
+/// before any mission is submitted.
 #[test]
 fn a_robot_with_another_domain_refuses_with_the_reason() {
     let mut robot: Table = example("robot.toml").parse().expect("TOML");
@@ -274,6 +275,10 @@ fn a_robot_with_another_domain_refuses_with_the_reason() {
     fleet.start("robot", faster(robot), &["office"]);
     let client = Client::open(&fleet.address("office"), "cleaning-4");
     until("the robot is at its place", LONG, || place(&client));
+    until("the health names the domain", LONG, || {
+        let (_, view) = client.all("view/health", "").into_iter().next()?;
+        view.to_string().contains("the files of the domain cleaning differ: ").then_some(())
+    });
     drop(client);
     let mission = fleet.path("mission.yaml");
     fs::write(&mission, example("mission.yaml")).expect("the folder can be written to");

@@ -1,10 +1,12 @@
 //! Health of a fleet: findings with a severity and a text.
 
 use consort_protocol::auction::{BidVerdict, RefusalReason};
-use consort_protocol::ids::{AlarmId, ClusterId, DeviceId, MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{AlarmId, ClusterId, DeviceId, DomainId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionState, PersonRequestId};
+use consort_protocol::mission::DomainHash;
 use consort_protocol::view::{HealthFinding, HealthLevel, HealthView};
 use consort_text::count;
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Inputs of the health check, as seen by a single node.
@@ -31,6 +33,8 @@ pub(super) struct HealthInputs {
     pub(super) held: Vec<(RobotId, String)>,
     /// Devices of the building that no robot can use, with the problem.
     pub(super) devices: Vec<(DeviceId, String)>,
+    /// Contents of domain files that live nodes use, each with these nodes, by the name of the domain.
+    pub(super) domains: BTreeMap<DomainId, DomainContents>,
     /// Robots suspended by an expired lease, with role and mission.
     pub(super) suspended: Vec<(NodeId, String)>,
     /// Missions that need intervention by a person, with the cause.
@@ -42,6 +46,12 @@ pub(super) struct HealthInputs {
     /// The missions are known.
     pub(super) knows_missions: bool,
 }
+
+/// Contents of the files of a domain, each with the nodes that use it.
+pub(super) type DomainContents = BTreeMap<DomainHash, BTreeSet<NodeId>>;
+
+/// Maximum number of nodes that a finding names for each content of a domain.
+const NODES_NAMED_MAX: usize = 8;
 
 /// A mission holds robots for which other missions wait.
 #[derive(Debug, Clone, Default)]
@@ -169,6 +179,9 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
         let text = format!("{robot} is suspended as {role}: its lease expired");
         add(HealthLevel::Warning, "robot", Some(robot.as_str()), text);
     }
+    for (domain, contents) in inputs.domains.iter().filter(|(_, contents)| contents.len() > 1) {
+        add(HealthLevel::Warning, "domain", Some(domain.as_str()), differing_domain(domain, contents));
+    }
     for (device, problem) in &inputs.devices {
         let text = format!("{device} is unavailable: {problem}");
         add(HealthLevel::Warning, "device", Some(device.as_str()), text);
@@ -189,8 +202,26 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
         let text = format!("{}; {voters} of {voters} voters reachable; {nodes}", coordinator.unwrap_or_default());
         all.push(HealthFinding { level: HealthLevel::Ok, about: "fleet".to_owned(), name: None, text });
     }
-    all.sort_by_key(|finding| std::cmp::Reverse(finding.level));
+    all.sort_by_key(|finding| Reverse(finding.level));
     HealthView { level: all.first().map_or(HealthLevel::Ok, |worst| worst.level), findings: all }
+}
+
+/// Describes the nodes with each content of a domain, that of most nodes first.
+fn differing_domain(domain: &DomainId, contents: &DomainContents) -> String {
+    let mut groups: Vec<_> = contents.iter().collect();
+    groups.sort_by_key(|(_, nodes)| Reverse(nodes.len()));
+    let group = |(hash, nodes): (&DomainHash, &BTreeSet<NodeId>)| {
+        let named: Vec<&str> = nodes.iter().map(NodeId::as_str).take(NODES_NAMED_MAX).collect();
+        let more = nodes.len() - named.len();
+        let more = if more > 0 { format!(" and {}", count(more, "other", "others")) } else { String::new() };
+        format!("{hash} at {}{more}", named.join(", "))
+    };
+    let groups: Vec<String> = groups.into_iter().map(group).collect();
+    format!(
+        "the files of the domain {domain} differ: {}. Robots refuse tasks that were made with another content. Give all \
+         nodes the same file, whose content `consort check FILE` prints, and restart them",
+        groups.join("; ")
+    )
 }
 
 #[cfg(test)]

@@ -52,6 +52,25 @@ fn lost_voters_are_a_warning_until_the_quorum_is_lost() {
 }
 
 #[test]
+fn nodes_with_differing_files_of_a_domain_are_named() {
+    let domain = |name: &str| DomainId::new(name).unwrap();
+    let nodes = |names: &[&str]| names.iter().map(|name| node(name)).collect::<BTreeSet<NodeId>>();
+    let plants = DomainContents::from([
+        (DomainHash(0x2a), nodes(&["birch"])),
+        (DomainHash(0x1f00), nodes(&["a", "b", "c", "d", "e", "f", "g", "h", "i"])),
+    ]);
+    let equal = DomainContents::from([(DomainHash(7), nodes(&["a", "birch"]))]);
+    let domains = BTreeMap::from([(domain("cleaning"), equal), (domain("plants"), plants)]);
+    let text = "the files of the domain plants differ: 0000000000001f00 at a, b, c, d, e, f, g, h and 1 other; \
+                000000000000002a at birch. Robots refuse tasks that were made with another content. Give all nodes the \
+                same file, whose content `consort check FILE` prints, and restart them";
+    let inputs = HealthInputs { domains, ..healthy() };
+    assert_eq!(texts(&inputs), [(HealthLevel::Warning, text.to_owned())]);
+    let finding = &health(&inputs).findings[0];
+    assert_eq!((finding.about.as_str(), finding.name.as_deref()), ("domain", Some("plants")));
+}
+
+#[test]
 fn missions_that_keep_others_waiting_are_named() {
     let set = |names: &[&str]| names.iter().map(|name| MissionId::new(*name).unwrap()).collect();
     let robots = BTreeSet::from([RobotId::new("lab-arm").unwrap(), RobotId::new("amber").unwrap()]);
