@@ -1,5 +1,6 @@
 //! The form of a domain file.
 
+use super::distribution::{Distribution, SimulatedDuration};
 use crate::actions::{ActionError, ErrorCode};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::{ActionName, DomainId, PlaceId, RoleId, TaskType};
@@ -286,8 +287,8 @@ pub struct SimulatedAction {
     /// executes. Default: the name of this action.
     #[serde(rename = "as", skip_serializing_if = "Option::is_none")]
     pub goal_kind: Option<ActionName>,
-    /// Least and greatest duration in seconds; uniformly distributed. Default 2 to 2 s.
-    pub duration_s: (f64, f64),
+    /// Duration in seconds. Default 2 to 2 s.
+    pub duration_s: SimulatedDuration,
     /// Share of the goals that fail at their end for no declared reason, from 0 to 1. Default 0.
     pub failure_rate: f64,
     /// Shares of the goals that fail at their end for the declared reasons, from 0 to 1, by name. Default 0.
@@ -352,7 +353,11 @@ const SIMULATED_INTEGERS_MAX: usize = 100;
 
 /// Value in the simulator: a result or the feedback of a goal, or a reading.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "allowed are [least, greatest], a list of values, a value, \
+                 { normal: { mean, deviation, minimum, maximum } } and { exponential: { mean, maximum } }"
+)]
 pub enum SimulatedResult {
     /// A number from the first to the second; uniformly distributed.
     Range([f64; 2]),
@@ -360,11 +365,17 @@ pub enum SimulatedResult {
     OneOf(Vec<Scalar>),
     /// Always this value.
     Value(Scalar),
+    /// A number with this distribution; not for feedback.
+    Distributed(Distribution),
 }
 
 /// Change of a reading by a simulated goal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "allowed are { add: NUMBER }, [least, greatest], a list of values, a value, \
+                 { normal: { mean, deviation, minimum, maximum } } and { exponential: { mean, maximum } }"
+)]
 pub enum SimulatedEffect {
     /// The reading grows by a number, up to the end of its range.
     Add(Addition),
@@ -385,7 +396,7 @@ impl Default for SimulatedAction {
         SimulatedAction {
             system: None,
             goal_kind: None,
-            duration_s: (2.0, 2.0),
+            duration_s: SimulatedDuration::Range([2.0, 2.0]),
             failure_rate: 0.0,
             failures: BTreeMap::new(),
             results: BTreeMap::new(),
@@ -400,7 +411,7 @@ impl Default for SimulatedAction {
 impl SimulatedAction {
     /// Returns the mean duration in seconds.
     pub fn mean_s(&self) -> f64 {
-        f64::midpoint(self.duration_s.0, self.duration_s.1)
+        self.duration_s.mean_s()
     }
 }
 

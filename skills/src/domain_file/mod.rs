@@ -34,6 +34,7 @@
 
 mod action_leaf;
 mod content_hash;
+mod distribution;
 mod estimate;
 mod expression;
 mod form;
@@ -43,6 +44,7 @@ mod reading_problems;
 mod requirement;
 mod scaffold;
 
+pub use distribution::{Distribution, Exponential, Normal, SimulatedDuration};
 pub use form::{
     ActionForm, Addition, CancelForm, DomainForm, EstimateForm, FailureForm, IhtnForm, ItemHolder, ParameterForm,
     ParameterKind, ReadingForm, RetryForm, SimulatedAction, SimulatedEffect, SimulatedMove, SimulatedReading,
@@ -402,11 +404,8 @@ fn action_problems(name: &ActionName, action: &ActionForm) -> Vec<DomainProblem>
         problems
             .push(problem(format!("{place}.simulate.as"), "`as` is a kind of goals of a `system`, which is missing"));
     }
-    let SimulatedAction { duration_s: (least, greatest), failure_rate, ref failures, .. } = action.simulate;
-    if !(0.0..=greatest).contains(&least) || !greatest.is_finite() {
-        let allowed = "allowed are two numbers of seconds, the second not less than the first";
-        problems.push(problem(format!("actions.{name}.simulate.duration_s"), allowed));
-    }
+    let SimulatedAction { duration_s, failure_rate, ref failures, .. } = action.simulate;
+    problems.extend(duration_s.problem().map(|allowed| problem(format!("{place}.simulate.duration_s"), allowed)));
     let declared = failures.iter().map(|(reason, share)| (format!("failures.{reason}"), *share));
     let shares: Vec<(String, f64)> = [("failure_rate".to_owned(), failure_rate)].into_iter().chain(declared).collect();
     for (key, _) in shares.iter().filter(|(_, share)| !(0.0..=1.0).contains(share)) {

@@ -64,6 +64,13 @@ pub(super) fn value_problem(what: &str, form: &ParameterForm, simulated: &Simula
         SimulatedResult::Range([least, greatest]) if least > greatest => {
             Some(misfit(&range(*least, *greatest), what, form))
         }
+        SimulatedResult::Distributed(distribution) => match distribution.problem() {
+            Some(allowed) => Some(allowed.to_owned()),
+            None => {
+                let fits = distribution.bounds().into_iter().all(|bound| is_number(form, bound));
+                (!fits).then(|| misfit(&distribution.to_string(), what, form))
+            }
+        },
         _ => passed_value_problem(what, form, simulated),
     }
 }
@@ -77,8 +84,10 @@ pub(super) fn passed_value_problem(what: &str, form: &ParameterForm, simulated: 
         SimulatedResult::OneOf(values) if values.is_empty() => Some("an empty list".to_owned()),
         SimulatedResult::OneOf(values) => values.iter().find(|value| !accepts(value)).map(|value| format!("`{value}`")),
         SimulatedResult::Range([first, last]) => {
-            let fits = |end: f64| form.nearest(end).is_some_and(|nearest| is_same(&nearest, end));
-            (!(fits(*first) && fits(*last))).then(|| range(*first, *last))
+            (!(is_number(form, *first) && is_number(form, *last))).then(|| range(*first, *last))
+        }
+        SimulatedResult::Distributed(distribution) => {
+            return Some(format!("{distribution} cannot be passed through; allowed are a range, a list and a value"));
         }
     };
     wrong.map(|wrong| misfit(&wrong, what, form))
@@ -90,6 +99,11 @@ fn range(first: f64, last: f64) -> String {
 
 fn misfit(wrong: &str, what: &str, form: &ParameterForm) -> String {
     format!("{wrong} does not fit the {what}; allowed is {}", form.value_kind())
+}
+
+/// Checks whether a form accepts a number.
+fn is_number(form: &ParameterForm, number: f64) -> bool {
+    form.nearest(number).is_some_and(|nearest| is_same(&nearest, number))
 }
 
 /// Checks whether a value of a reading is this number.

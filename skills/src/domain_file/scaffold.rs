@@ -1,6 +1,7 @@
 //! Scaffold of a domain: simulated actions for the actions of a flat iHTN.
 
 use super::DomainFile;
+use super::distribution::SimulatedDuration;
 use super::form::{ActionForm, DomainForm, IhtnForm, ParameterForm, ParameterKind, SimulatedAction, TaskForm};
 use consort_protocol::ids::{ActionName, DomainId, TaskType};
 use consort_protocol::mission::{ActionUse, IhtnNames, ParameterSchema, ValueKind};
@@ -8,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// Duration of a scaffolded action in the simulator, in seconds.
-const DURATION_S: (f64, f64) = (3.0, 6.0);
+const DURATION_S: [f64; 2] = [3.0, 6.0];
 
 /// Returns a domain with an action and a task type for each of these actions, to be used with the
 /// `known` domains. `declared` are the names that they declare.
@@ -55,7 +56,7 @@ fn empty(form: &DomainForm) -> DomainForm {
 fn with_action(mut form: DomainForm, action: ActionName, task_type: TaskType, used: &ActionUse) -> DomainForm {
     let parameters: BTreeMap<String, ParameterForm> =
         used.schema().parameters.iter().map(|(name, schema)| (name.clone(), parameter(schema))).collect();
-    let simulate = SimulatedAction { duration_s: DURATION_S, ..SimulatedAction::default() };
+    let simulate = SimulatedAction { duration_s: SimulatedDuration::Range(DURATION_S), ..SimulatedAction::default() };
     let own = ActionForm { parameters: parameters.clone(), simulate, ..ActionForm::default() };
     form.actions.insert(action.clone(), own);
     let task = TaskForm { parameters, action: Some(action), ..TaskForm::default() };
@@ -110,7 +111,7 @@ pub fn scaffold_yaml(form: &DomainForm, comment: &[String]) -> String {
         if !action.parameters.is_empty() {
             line(format_args!("    parameters: {}", parameters(&action.parameters)));
         }
-        let (least, greatest) = action.simulate.duration_s;
+        let [least, greatest] = DURATION_S;
         line(format_args!("    simulate: {{ duration_s: [{least:?}, {greatest:?}] }}"));
     }
     if !form.tasks.is_empty() {

@@ -1,3 +1,4 @@
+mod distributions;
 mod feedback;
 mod items;
 mod requirements;
@@ -196,12 +197,12 @@ fn people_play_the_action_of_a_task_with_the_results_of_the_task() {
     let domain = DomainFile::check(yaml::parse(RESULTS).unwrap(), &BTreeMap::new(), &[]).unwrap();
     let tasks: BTreeMap<TaskType, ActionForm> = domain.simulated_tasks().collect();
     let [count, glance] = ["count", "glance"].map(|name| tasks[&name.parse::<TaskType>().unwrap()].clone());
-    assert_eq!((count.simulate.duration_s, count.results.len()), ((30.0, 60.0), 2));
+    assert_eq!((count.simulate.duration_s, count.results.len()), (SimulatedDuration::Range([30.0, 60.0]), 2));
     assert_eq!(count.simulate.results["beds"], SimulatedResult::Range([2.0, 4.0]));
     let free = SimulatedResult::OneOf(vec![Scalar::Bool(false), Scalar::Bool(true)]);
     assert_eq!(count.simulate.results["free"], free, "within the declared range");
     assert_eq!(glance.results.keys().collect::<Vec<_>>(), ["beds"]);
-    assert_eq!(glance.simulate.duration_s, (30.0, 60.0));
+    assert_eq!(glance.simulate.duration_s, SimulatedDuration::Range([30.0, 60.0]));
     let plants: BTreeMap<TaskType, ActionForm> = check(PLANTS).unwrap().simulated_tasks().collect();
     let round = &plants[&"round".parse::<TaskType>().unwrap()];
     assert_eq!(round.simulate.system.as_deref(), Some("people"), "a tree declares no time");

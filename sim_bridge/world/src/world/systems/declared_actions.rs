@@ -17,7 +17,9 @@ use crate::world::system_access::ComponentType;
 use consort_protocol::ids::{ActionName, TaskType};
 use consort_protocol::scalar::Scalar;
 use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalResult};
-use consort_skills::domain_file::{ActionForm, Addition, ParameterForm, ReadingForm, SimulatedEffect, SimulatedResult};
+use consort_skills::domain_file::{
+    ActionForm, Addition, Distribution, ParameterForm, ReadingForm, SimulatedDuration, SimulatedEffect, SimulatedResult,
+};
 use hecs::Entity;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -85,11 +87,11 @@ impl System for DeclaredActions {
         let now = state.now;
         let mut models = state.resource_mut::<ActionModels>();
         let action = models.actions.get(&goal.action)?;
-        let (least, greatest) = declared_duration_s(action)?;
+        let duration = declared_duration(action)?;
         if let Err(error) = state.declared_move(robot, goal, action) {
             return Some(Err(error));
         }
-        Some(Ok(now + models.chance.random_range(least..=greatest)))
+        Some(Ok(now + draw_duration_s(duration, &mut models.chance)))
     }
 
     fn finish_goal(&self, state: &mut SimState, robot: Entity, goal: &Goal) -> Result<GoalResult, ActionError> {
@@ -154,9 +156,21 @@ impl SimState {
     }
 }
 
-/// Returns the least and the greatest duration of an action; `None` if another system determines it.
-pub(crate) fn declared_duration_s(action: &ActionForm) -> Option<(f64, f64)> {
+/// Returns the duration of an action; `None` if another system determines it.
+pub(crate) fn declared_duration(action: &ActionForm) -> Option<SimulatedDuration> {
     action.simulate.system.is_none().then_some(action.simulate.duration_s)
+}
+
+/// Draws a duration in seconds.
+pub(crate) fn draw_duration_s(duration: SimulatedDuration, chance: &mut ChaCha8Rng) -> f64 {
+    match duration {
+        SimulatedDuration::Range([least, greatest]) => chance.random_range(least..=greatest),
+        SimulatedDuration::Distributed(distribution) => draw_number(&distribution, chance),
+    }
+}
+
+fn draw_number(distribution: &Distribution, chance: &mut ChaCha8Rng) -> f64 {
+    distribution.number([chance.random_range(0.0..1.0), chance.random_range(0.0..1.0)])
 }
 
 /// Draws the end of an action: its results, or a failure with this message.
@@ -188,6 +202,7 @@ fn draw(simulated: &SimulatedResult, chance: &mut ChaCha8Rng) -> Option<Scalar> 
         SimulatedResult::Range([least, greatest]) => Some(Scalar::Number(chance.random_range(*least..=*greatest))),
         SimulatedResult::OneOf(values) => values.choose(chance).cloned(),
         SimulatedResult::Value(value) => Some(value.clone()),
+        SimulatedResult::Distributed(distribution) => Some(Scalar::Number(draw_number(distribution, chance))),
     }
 }
 
@@ -200,6 +215,7 @@ fn value_at(simulated: &SimulatedResult, share: f64) -> Option<Scalar> {
             values.get(passed.min(values.len().saturating_sub(1))).cloned()
         }
         SimulatedResult::Value(value) => Some(value.clone()),
+        SimulatedResult::Distributed(_) => None, // the check of domains rejects it
     }
 }
 

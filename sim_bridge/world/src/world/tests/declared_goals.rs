@@ -29,6 +29,11 @@ actions:
     simulate: { duration_s: [2, 2], moves: { from: nothing, to: table, item: thing, otherwise: no_paper } }
   eat: { simulate: { duration_s: [2, 2], moves: { from: container, to: nothing } } }
   burn: { parameters: { thing: { type: text } }, simulate: { moves: { from: table, to: nothing, item: thing } } }
+  bake:
+    results: { heat: { type: integer, minimum: 0, maximum: 90 } }
+    simulate:
+      duration_s: { normal: { mean: 8, deviation: 2, minimum: 5, maximum: 10 } }
+      results: { heat: { exponential: { mean: 20, maximum: 90 } } }
   press: { cancel: { within_s: 3 }, simulate: { duration_s: [10, 10] } }
   wash:
     cancel: { within_s: 2 }
@@ -279,6 +284,29 @@ fn declared_feedback_passes_from_its_first_to_its_last_value() {
     world.start(&robot("r1"), GoalId(2), goal("press", json!({})));
     let Some(GoalStatus::Executing(plain)) = world.status(&robot("r1"), GoalId(2)) else { panic!("it is active") };
     assert!(plain.values.is_empty(), "{plain:?}");
+}
+
+#[test]
+fn durations_and_results_have_their_declared_distributions() {
+    const GOALS: u32 = 50;
+    let bake = || {
+        let mut world = store(2);
+        let baked = (1..=GOALS).map(|id| {
+            let began = world.now().as_secs();
+            let (status, _) = run(&mut world, "r1", id.into(), goal("bake", json!({})));
+            let GoalStatus::Succeeded(results) = status else { panic!("goal {id}") };
+            (world.now().as_secs() - began, results.0["heat"].as_f64().unwrap())
+        });
+        baked.collect::<Vec<_>>()
+    };
+    let baked = bake();
+    assert_eq!(baked, bake(), "the seed determines the numbers");
+    let is_within = |(time_s, heat): &(f64, f64)| (4.999..=10.001).contains(time_s) && (0.0..=90.0).contains(heat);
+    assert!(baked.iter().all(is_within), "{baked:?}");
+    assert!(baked.iter().all(|(_, heat)| heat.fract() == 0.0), "the results are whole numbers: {baked:?}");
+    let mean = |of: fn(&(f64, f64)) -> f64| baked.iter().map(of).sum::<f64>() / f64::from(GOALS);
+    let (time_s, heat) = (mean(|(time_s, _)| *time_s), mean(|(_, heat)| *heat));
+    assert!((7.0..9.0).contains(&time_s) && (10.0..30.0).contains(&heat), "{time_s} {heat}");
 }
 
 #[test]

@@ -31,14 +31,14 @@ use crate::world::setup::{PersonSetup, WorldSetup};
 use crate::world::sim_state::SimState;
 use crate::world::system::System;
 use crate::world::system_access::{ComponentType, SystemTimer};
-use crate::world::systems::declared_actions::{ActionModels, declared_duration_s, draw_end};
+use crate::world::systems::declared_actions::{ActionModels, declared_duration, draw_duration_s, draw_end};
 use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId, TaskType};
 use consort_skills::actions::{
     ActionError, ActionParameters as _, BackendEvent, ErrorCode, GoalId, PersonRequest, PersonResult,
 };
+use consort_skills::domain_file::SimulatedDuration;
 use hecs::Entity;
-use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use requests::{Handover, Request, RequestNumber, Work};
@@ -74,8 +74,7 @@ struct Ready {
     person: Entity,
     /// The robot of a handover.
     robot: Option<Entity>,
-    /// Least and greatest duration in seconds.
-    duration_s: (f64, f64),
+    duration: SimulatedDuration,
 }
 
 /// See the [module](self).
@@ -269,8 +268,8 @@ impl SimState {
         let waiting = self.resource::<PersonRequests>().waiting();
         for number in waiting {
             let ready = self.resource::<PersonRequests>().open.get(&number).and_then(|request| self.ready(request));
-            let Some(Ready { person, robot, duration_s: (least, greatest) }) = ready else { continue };
-            let duration_s = self.get_mut::<PersonRng>(person).0.random_range(least..=greatest);
+            let Some(Ready { person, robot, duration }) = ready else { continue };
+            let duration_s = draw_duration_s(duration, &mut self.get_mut::<PersonRng>(person).0);
             let ends = self.schedule(self.now + duration_s, person, number.0);
             self.get_mut::<HandsBusy>(person).0 = true;
             if let Some(robot) = robot {
@@ -287,7 +286,7 @@ impl SimState {
     /// approached them.
     fn ready(&self, request: &Request) -> Option<Ready> {
         let is_free = |person: Entity| !self.get::<HandsBusy>(person).0;
-        let of_handover_s = (self.durations.person_min_s, self.durations.person_max_s);
+        let of_handover = SimulatedDuration::Range([self.durations.person_min_s, self.durations.person_max_s]);
         match &request.work {
             Work::Handover { into } => {
                 let with = |robot: Entity| {
@@ -295,7 +294,7 @@ impl SimState {
                 };
                 let mut pairs = into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
                 let (person, robot) = pairs.find(|(person, _)| is_free(*person))?;
-                Some(Ready { person, robot: Some(robot), duration_s: of_handover_s })
+                Some(Ready { person, robot: Some(robot), duration: of_handover })
             }
             Work::Task { seconds } => {
                 let can_do = |person: &Entity| {
@@ -303,9 +302,9 @@ impl SimState {
                     info.role == request.role && self.is_present(&info.name)
                 };
                 let person = self.people.values().copied().find(|person| can_do(person) && is_free(*person))?;
-                let stated = seconds.map(|seconds| (seconds, seconds));
-                let duration_s = stated.or_else(|| self.task_duration_s(&request.task)).unwrap_or(of_handover_s);
-                Some(Ready { person, robot: None, duration_s })
+                let stated = seconds.map(|seconds| SimulatedDuration::Range([seconds, seconds]));
+                let duration = stated.or_else(|| self.task_duration(&request.task)).unwrap_or(of_handover);
+                Some(Ready { person, robot: None, duration })
             }
         }
     }
@@ -345,9 +344,9 @@ impl SimState {
         self.serve_requests();
     }
 
-    /// Returns the least and the greatest duration of a task, if a domain declares them.
-    fn task_duration_s(&self, task: &TaskType) -> Option<(f64, f64)> {
-        declared_duration_s(self.find::<ActionModels>(self.resource_entity())?.of_task(task)?)
+    /// Returns the duration of a task, if a domain declares it.
+    fn task_duration(&self, task: &TaskType) -> Option<SimulatedDuration> {
+        declared_duration(self.find::<ActionModels>(self.resource_entity())?.of_task(task)?)
     }
 
     /// Draws the result of a task that a person has done.
