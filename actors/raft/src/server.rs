@@ -8,7 +8,7 @@ use super::messages::{
     BlocksReply, BlocksRequest, HeartbeatRequest, PreVoteRequest, RaftReply, TransferRequest, decode_request,
 };
 use super::staleness::AnnouncedCommits;
-use super::storage::{PartError, ReceivedSnapshot, StateMachineStore};
+use super::storage::{PartError, ReceivedSnapshot, StateMachineStore, compute_apart};
 use super::types::{LogId, Raft, RaftId, StateMachine, TypeConfig, Vote, epoch_of, leader_id_of};
 use consort_bus::{BootInstant, BusError, Encoding, Query, Stream};
 use consort_protocol::codec::{self, CodecError};
@@ -29,6 +29,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until};
 use tracing::{debug, warn};
 
 /// Limit of concurrent requests. A voter has a single open request per peer, so more indicates a
@@ -95,13 +96,18 @@ pub(super) struct RaftServer<S: StateMachine> {
 }
 
 impl<S: StateMachine> RaftServer<S> {
-    /// Serves requests until the bus closes.
+    /// Serves requests until the bus closes, and discards a snapshot that is abandoned.
     pub(super) async fn run(self, mut queries: Stream<Query>) {
         let mut requests = FuturesUnordered::new();
         loop {
+            // A part that arrives ends a request, so the next pass reads the time anew.
+            let abandoned_at = self.received_snapshot().abandoned_at();
             tokio::select! {
                 biased;
                 Some(()) = requests.next() => {}
+                () = sleep_until(abandoned_at.unwrap_or_else(Instant::now)), if abandoned_at.is_some() => {
+                    self.received_snapshot().discard_abandoned(Instant::now());
+                }
                 query = queries.recv(), if requests.len() < REQUESTS_MAX => match query {
                     Some(query) => requests.push(self.handle(query)),
                     None => return,
@@ -186,10 +192,15 @@ impl<S: StateMachine> RaftServer<S> {
         if vote < known {
             return encode_reply(&RaftReply::Done(InstallSnapshotResponse { vote: known }));
         }
-        let added = self.received_snapshot().add(&meta.snapshot_id, offset, &data, done);
-        match added {
-            Ok(None) => encode_reply(&RaftReply::Done(InstallSnapshotResponse { vote: known })),
-            Ok(Some(state)) => {
+        let added = self.add_part(|received| received.add(&meta.snapshot_id, offset, &data, done));
+        let checked = match added {
+            Ok(None) => return encode_reply(&RaftReply::Done(InstallSnapshotResponse { vote: known })),
+            // A task that does not end has found no intact snapshot.
+            Ok(Some(complete)) => compute_apart(|| complete.check()).await.unwrap_or(Err(PartError::Damaged)),
+            Err(error) => Err(error),
+        };
+        match checked {
+            Ok(state) => {
                 let snapshot = Snapshot { meta, snapshot: Box::new(Cursor::new(state)) };
                 let reply = self.raft.install_full_snapshot(vote, snapshot).await.map_err(Box::new)?;
                 encode_reply(&RaftReply::Done(InstallSnapshotResponse::from(reply)))
@@ -216,7 +227,7 @@ impl<S: StateMachine> RaftServer<S> {
                 self.received_snapshot().begin(&id, own);
             }
         }
-        let added = self.received_snapshot().add_blocks(&id, offset, &blocks);
+        let added = self.add_part(|received| received.add_blocks(&id, offset, &blocks));
         match added {
             Ok(missing) => encode_reply(&RaftReply::Done(BlocksReply { vote: known, missing })),
             Err(error) => self.reject_part(&id, offset, &error),
@@ -227,6 +238,14 @@ impl<S: StateMachine> RaftServer<S> {
     /// acknowledges it, so this node must not have voted for another candidate.
     async fn core_vote(&self) -> Result<Vote, RequestError> {
         Ok(self.raft.with_raft_state(|state| *state.vote_ref()).await.map_err(Box::new)?)
+    }
+
+    /// Adds a part to the snapshot that is being received.
+    fn add_part<T>(&self, add: impl FnOnce(&mut ReceivedSnapshot) -> T) -> T {
+        let mut received = self.received_snapshot();
+        let added = add(&mut received);
+        received.note_part(Instant::now());
+        added
     }
 
     fn received_snapshot(&self) -> MutexGuard<'_, ReceivedSnapshot> {

@@ -17,4 +17,4 @@ pub(crate) use records::decode_record;
 pub(crate) use records::{SnapshotError, StoredSnapshot, encode_record};
 pub(crate) use snapshot_id::{has_checksum, snapshot_id};
 pub use state_machine::ApplyObserver;
-pub(crate) use state_machine::{AppliedState, StateMachineStore, compute};
+pub(crate) use state_machine::{AppliedState, StateMachineStore, compute, compute_apart};

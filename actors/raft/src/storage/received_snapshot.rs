@@ -3,6 +3,13 @@
 
 use super::blocks::{Block, OwnBlocks};
 use super::snapshot_id::{has_checksum, is_intact};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Time after the latest part from which a snapshot counts as abandoned: its leader has stopped, or sends entries instead. Raised:
+/// its state stays in memory for longer; lowered: a snapshot over a link that is often interrupted begins anew. A guess: longer
+/// than a leader repeats a part without a reply.
+const ABANDONED_AFTER: Duration = Duration::from_secs(60);
 
 /// A part of a snapshot is rejected. The leader sends the snapshot again from its start.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
@@ -21,9 +28,43 @@ pub(crate) struct ReceivedSnapshot {
     id: String,
     state: Vec<u8>,
     own: OwnBlocks,
+    /// Arrival of the latest part; `None` if no snapshot is being received.
+    latest_part_at: Option<Instant>,
+}
+
+/// State of a snapshot with all its parts, which is not checked yet: that takes long for a large one.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct CompleteSnapshot {
+    id: String,
+    state: Vec<u8>,
+}
+
+impl CompleteSnapshot {
+    /// Returns the state if its checksum is that of the id.
+    pub(crate) fn check(self) -> Result<Vec<u8>, PartError> {
+        if is_intact(&self.id, &self.state) { Ok(self.state) } else { Err(PartError::Damaged) }
+    }
 }
 
 impl ReceivedSnapshot {
+    /// Notes that a part has arrived.
+    pub(crate) fn note_part(&mut self, now: Instant) {
+        self.latest_part_at = (!self.id.is_empty()).then_some(now);
+    }
+
+    /// Returns the time at which the snapshot counts as abandoned, unless a part arrives before; `None` if no snapshot is
+    /// being received.
+    pub(crate) fn abandoned_at(&self) -> Option<Instant> {
+        Some(self.latest_part_at? + ABANDONED_AFTER)
+    }
+
+    /// Discards the snapshot if it is abandoned.
+    pub(crate) fn discard_abandoned(&mut self, now: Instant) {
+        if self.abandoned_at().is_some_and(|at| at <= now) {
+            *self = ReceivedSnapshot::default();
+        }
+    }
+
     /// Checks whether the snapshot with this id is being received.
     fn is_of(&self, id: &str) -> bool {
         self.id == id
@@ -39,20 +80,20 @@ impl ReceivedSnapshot {
     /// `own`.
     pub(crate) fn begin(&mut self, id: &str, own: OwnBlocks) {
         if !self.is_of(id) {
-            *self = ReceivedSnapshot { id: id.to_owned(), state: vec![], own };
+            *self = ReceivedSnapshot { id: id.to_owned(), own, ..ReceivedSnapshot::default() };
         } else if self.own.is_empty() {
             self.own = own;
         }
     }
 
-    /// Adds a chunk; the first begins a snapshot. Returns the state with the chunk at its end (`done`).
+    /// Adds a chunk; the first begins a snapshot. Returns the snapshot with the chunk at its end (`done`).
     pub(crate) fn add(
         &mut self,
         id: &str,
         offset: u64,
         chunk: &[u8],
         done: bool,
-    ) -> Result<Option<Vec<u8>>, PartError> {
+    ) -> Result<Option<CompleteSnapshot>, PartError> {
         if offset == 0 {
             self.begin(id, OwnBlocks::default());
         }
@@ -63,7 +104,7 @@ impl ReceivedSnapshot {
         }
         let ReceivedSnapshot { id, mut state, .. } = std::mem::take(self);
         state.truncate(start + chunk.len());
-        if is_intact(&id, &state) { Ok(Some(state)) } else { Err(PartError::Damaged) }
+        Ok(Some(CompleteSnapshot { id, state }))
     }
 
     /// Adds consecutive blocks that this replica has, and leaves room for the others. Returns for each block whether it is
@@ -126,19 +167,45 @@ mod tests {
         for part in [0, 1, 1, 0, 2] {
             assert_eq!(add(&mut received, part), Ok(None));
         }
-        assert_eq!(add(&mut received, 3), Ok(Some(state.clone())));
+        assert_eq!(checked(add(&mut received, 3)), Ok(state.clone()));
         assert_eq!(add(&mut received, 3), Err(PartError::Unexpected), "it is complete");
         assert_eq!(add(&mut received, 0), Ok(None));
         assert_eq!(add(&mut received, 2), Err(PartError::Unexpected), "a chunk is missing");
         assert_eq!(add(&mut received, 1), Ok(None));
         assert_eq!(add(&mut received, 2), Ok(None));
         assert_eq!(received.add(&id, 60, &[7; 60], false), Ok(None));
-        assert_eq!(add(&mut received, 3), Err(PartError::Damaged));
+        assert_eq!(checked(add(&mut received, 3)), Err(PartError::Damaged));
         assert_eq!(received.add("another", 0, &[1], false), Ok(None));
         for part in [0, 1, 2] {
             assert_eq!(add(&mut received, part), Ok(None));
         }
-        assert_eq!(add(&mut received, 3), Ok(Some(state.clone())), "another was received before");
+        assert_eq!(checked(add(&mut received, 3)), Ok(state.clone()), "another was received before");
+    }
+
+    /// Returns the state of a complete snapshot, if it is intact.
+    fn checked(added: Result<Option<CompleteSnapshot>, PartError>) -> Result<Vec<u8>, PartError> {
+        added?.expect("the snapshot is complete").check()
+    }
+
+    #[test]
+    fn an_abandoned_snapshot_is_discarded() {
+        let (start, state) = (Instant::now(), [7; 200]);
+        let id = snapshot_id("T1-N2-3", STORE, &state);
+        let mut received = ReceivedSnapshot::default();
+        received.note_part(start);
+        assert_eq!(received.abandoned_at(), None, "no snapshot is being received");
+        for (seconds, offset) in [(0, 0), (50, 60)] {
+            assert_eq!(received.add(&id, offset, &state[..60], false), Ok(None));
+            received.note_part(start + Duration::from_secs(seconds));
+        }
+        assert_eq!(received.abandoned_at(), Some(start + Duration::from_secs(50) + ABANDONED_AFTER));
+        let kept_bytes = [109, 110].map(|seconds| {
+            received.discard_abandoned(start + Duration::from_secs(seconds));
+            received.state.capacity().min(120)
+        });
+        assert_eq!(kept_bytes, [120, 0]);
+        assert_eq!(received.abandoned_at(), None);
+        assert_eq!(received.add(&id, 120, &state[..60], false), Err(PartError::Unexpected), "it begins anew");
     }
 
     /// Returns two states of 300 kB with a common end.
@@ -174,8 +241,8 @@ mod tests {
                 }
             }
             assert!((1..150_000).contains(&sent), "{sent} bytes of {}", state.len());
-            let expected = if damage { Err(PartError::Damaged) } else { Ok(Some(state.clone())) };
-            assert!(received.add(&id, state.len() as u64, &[], true) == expected, "damage: {damage}");
+            let expected = if damage { Err(PartError::Damaged) } else { Ok(state.clone()) };
+            assert!(checked(received.add(&id, state.len() as u64, &[], true)) == expected, "damage: {damage}");
         }
     }
 
@@ -203,7 +270,8 @@ mod tests {
         let mut received = ReceivedSnapshot::default();
         received.begin(&id, OwnBlocks::default());
         assert_eq!(received.add_blocks(&id, 0, &blocks), Ok(vec![true; blocks.len()]));
-        assert_eq!(received.add(&id, state.len() as u64, &[], true), Err(PartError::Damaged), "no block was sent");
+        let complete = received.add(&id, state.len() as u64, &[], true);
+        assert_eq!(checked(complete), Err(PartError::Damaged), "no block was sent");
     }
 
     #[test]

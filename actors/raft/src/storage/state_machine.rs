@@ -18,7 +18,7 @@ use std::io::Cursor;
 use std::sync::{Arc, Mutex};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::watch;
-use tokio::task::block_in_place;
+use tokio::task::{JoinError, block_in_place};
 
 /// Callback for each entry that a replica applies, with its commands; without commands for Raft's
 /// own entries. It must not read the state of the replica, which is locked meanwhile.
@@ -113,11 +113,10 @@ impl<S: StateMachine> StateMachineStore<S> {
         lock(&self.machine).snapshot.as_ref().map_or(0, |stored| stored.state.len() as u64)
     }
 
-    /// Returns the blocks of the latest snapshot; none without one. A task of its own cuts them, so that the caller can
-    /// do other work.
+    /// Returns the blocks of the latest snapshot; none without one.
     pub(crate) async fn own_blocks(&self) -> OwnBlocks {
         let Some(snapshot) = lock(&self.machine).snapshot.clone() else { return OwnBlocks::default() };
-        tokio::spawn(async move { compute(|| OwnBlocks::of(snapshot)) }).await.unwrap_or_default()
+        compute_apart(|| OwnBlocks::of(snapshot)).await.unwrap_or_default()
     }
 
     /// Returns the state as applied so far on this node, and the position of its last entry.
@@ -243,6 +242,16 @@ pub(crate) fn compute<T>(work: impl FnOnce() -> T) -> T {
     }
 }
 
+/// Computes like [`compute`], in a task of its own, so that the task of the caller can do other work.
+///
+/// # Errors
+/// The runtime ends, or `work` has panicked.
+pub(crate) async fn compute_apart<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, JoinError> {
+    tokio::spawn(async move { compute(work) }).await
+}
+
 fn to_snapshot<S: StateMachine>(stored: StoredSnapshot) -> Snapshot<TypeConfig<S>> {
     Snapshot { meta: stored.meta, snapshot: Box::new(Cursor::new(stored.state)) }
 }
@@ -278,5 +287,21 @@ impl<S: StateMachine> RaftSnapshotBuilder<TypeConfig<S>> for SnapshotBuilder<S> 
                 .send_if_modified(|covered| covered.as_mut().map(|last| *last = stored.meta.last_log_id).is_ok());
         }
         Ok(to_snapshot(StoredSnapshot::clone(&stored)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    #[tokio::test]
+    async fn the_caller_of_a_computation_apart_does_other_work_before_it() {
+        let done = Arc::new(AtomicUsize::new(0));
+        let counted = Arc::clone(&done);
+        let computed = compute_apart(move || counted.load(Ordering::Relaxed));
+        let other = async { done.fetch_add(1, Ordering::Relaxed) };
+        let (computed, _) = tokio::join!(computed, other);
+        assert_eq!(computed.unwrap(), 1);
     }
 }
