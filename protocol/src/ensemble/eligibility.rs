@@ -35,6 +35,11 @@ impl Eligibility {
         self.0.may_use_attribute(name)
     }
 
+    /// Checks whether a robot meets the condition by its record, or may meet it once its place or charge has changed.
+    pub fn may_be_met(&self, name: &RobotId, robot: &RobotKnowledge) -> bool {
+        self.check(name, robot).map_or_else(|found| !found.permanent, |()| true)
+    }
+
     /// Compiles a condition and checks it for a robot.
     ///
     /// # Errors

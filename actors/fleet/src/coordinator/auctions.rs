@@ -14,7 +14,7 @@
 
 use super::actions::{AuctionRound, ClosedBidding, RoundPhase};
 use super::auctioneer::{call_for_roles, send_call};
-use super::candidates::{SkilledRobots, first_call};
+use super::candidates::{RecordedRobots, first_call};
 use super::clearing::{AuctionInputs, allocate_missions};
 use super::message::{CollectedBids, CoordinatorMessage};
 use super::reconcile::{backoff, can_be_auctioned};
@@ -104,7 +104,7 @@ impl Auctions {
     /// Ends the backoffs of missions that these robots, which have become free, may serve. Of many missions the best-ranked
     /// ones wake: the others would not get the robots.
     pub(super) fn wake(&mut self, freed: &BTreeSet<NodeId>, context: &SessionContext, now: NodeTime) {
-        let robots = SkilledRobots::read(freed.iter().cloned().map(RobotId::from), context);
+        let robots = RecordedRobots::read(freed.iter().cloned().map(RobotId::from), context);
         let missions: Vec<MissionId> = context.read_ledger(|ledger| {
             let waits = |mission: &MissionId| self.rounds.get(mission).is_some_and(AuctionRound::is_backing_off);
             let waiting = ledger.active_missions().into_iter().filter(|entry| waits(&entry.id));
@@ -234,7 +234,7 @@ impl Auctions {
                     };
                     if (outcome.holders.is_some() || is_joint) && may_wait {
                         let taken = allocated.values().chain(&outcome.holders).flat_map(BTreeMap::values);
-                        let takers = is_restricted.then(|| SkilledRobots::read(taken.cloned(), context));
+                        let takers = is_restricted.then(|| RecordedRobots::read(taken.cloned(), context));
                         let may_need =
                             |mission: &MissionId| takers.as_ref().is_none_or(|it| it.may_serve_in(mission, context));
                         let (due, others): (Vec<_>, Vec<_>) =

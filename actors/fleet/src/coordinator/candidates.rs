@@ -15,14 +15,15 @@ use super::session_context::SessionContext;
 use super::settings::{AuctionSettings, CandidateSettings};
 use crate::robot::pricing_context;
 use consort_protocol::auction::{CallForBids, Candidates, Expectation, Invitation, Price, RoleTerms};
-use consort_protocol::ensemble::{Ensembles, ExchangedValue};
-use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
+use consort_protocol::ensemble::{Eligibility, Ensembles, ExchangedValue};
+use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId};
 use consort_protocol::knowledge::{Attributes, KnowledgeBase, RobotKnowledge};
 use consort_protocol::ledger::MissionEntry;
 use consort_protocol::plan::LocalPlan;
 use consort_protocol::units::{MetresPerSecond, NodeTime};
 use consort_skills::descriptor::{EstimateContext, EstimateError, Estimator};
 use consort_skills::environment::{RouteError, Routes, SpeedLimits};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -97,35 +98,74 @@ fn has_private_attributes(ensembles: &Ensembles) -> bool {
     ensembles.iter().any(|ensemble| ensemble.spec().exchange.iter().any(is_attribute))
 }
 
-/// Skills of robots, for the choice of missions that these robots may serve.
-pub(super) struct SkilledRobots(BTreeMap<RobotId, BTreeSet<TaskType>>);
+/// Robots with their records, for the choice of missions that these robots may serve.
+pub(super) struct RecordedRobots {
+    robots: BTreeMap<RobotId, RecordedRobot>,
+    /// For each condition that was checked, the robots that may meet it. Many missions have the same conditions.
+    eligible: RefCell<BTreeMap<String, BTreeSet<RobotId>>>,
+}
 
-impl SkilledRobots {
-    /// Reads the records of robots.
-    pub(super) fn read(robots: impl Iterator<Item = RobotId>, context: &SessionContext) -> SkilledRobots {
-        let skills = context.settings.parts.knowledge.read(|base| {
-            let skills = |robot: RobotId| {
-                let known = base.get(&NodeId::from(robot.clone()))?;
-                Some((robot, known.record.knowledge.robot.as_ref()?.skills.clone()))
-            };
-            robots.filter_map(skills).collect()
-        });
-        SkilledRobots(skills)
+/// A robot by its record.
+struct RecordedRobot {
+    worker: RobotKnowledge,
+    /// The record shows whether the robot may meet a condition: it is recent, and contains all attributes.
+    shows_eligibility: bool,
+}
+
+impl RecordedRobots {
+    fn new(robots: BTreeMap<RobotId, RecordedRobot>) -> RecordedRobots {
+        RecordedRobots { robots, eligible: RefCell::default() }
     }
 
-    /// Checks whether a robot has the skills for an open role of a mission, and no order of a person keeps it from the role.
+    /// Reads the records of robots.
+    pub(super) fn read(robots: impl Iterator<Item = RobotId>, context: &SessionContext) -> RecordedRobots {
+        let (now, has_all) = (context.now(), !has_private_attributes(&context.settings.auctions.ensembles));
+        let recorded = context.settings.parts.knowledge.read(|base| {
+            let recorded = |robot: RobotId| {
+                let known = base.get(&NodeId::from(robot.clone()))?;
+                let worker = known.knowledge().robot.clone()?;
+                let shows_eligibility = has_all && known.age(now) <= RECORD_AGE_MAX;
+                Some((robot, RecordedRobot { worker, shows_eligibility }))
+            };
+            robots.filter_map(recorded).collect()
+        });
+        RecordedRobots::new(recorded)
+    }
+
+    /// Checks whether a robot has the skills for an open role of a mission, may meet its condition, and no order of a person keeps
+    /// it from the role.
     pub(super) fn may_serve(&self, entry: &MissionEntry) -> bool {
-        let roles = entry.roles_to_auction();
-        let may_get = |role: &RoleId, robot: &RobotId, skills: &BTreeSet<TaskType>| {
+        let (roles, conditions) = (entry.roles_to_auction(), &entry.mission().roles);
+        let may_get = |role: &RoleId, robot: &RobotId, recorded: &RecordedRobot| {
             let is_permitted = entry.role_orders().get(role).is_none_or(|order| order.restriction.permits(robot));
-            is_permitted && entry.plan(role).is_some_and(|plan| plan.skills_missing_in(skills).is_empty())
+            let has_skills =
+                || entry.plan(role).is_some_and(|plan| plan.skills_missing_in(&recorded.worker.skills).is_empty());
+            let condition = conditions.get(role).and_then(|role| role.eligible.as_deref());
+            let is_eligible = || condition.is_none_or(|condition| self.may_meet(condition, robot));
+            is_permitted && has_skills() && is_eligible()
         };
-        self.0.iter().any(|(robot, skills)| roles.iter().any(|role| may_get(role, robot, skills)))
+        self.robots.iter().any(|(robot, recorded)| roles.iter().any(|role| may_get(role, robot, recorded)))
     }
 
     /// Checks the same for a mission of the ledger.
     pub(super) fn may_serve_in(&self, mission: &MissionId, context: &SessionContext) -> bool {
         context.read_ledger(|ledger| ledger.mission(mission).is_some_and(|entry| self.may_serve(entry)))
+    }
+
+    /// Checks whether a robot may meet a condition.
+    fn may_meet(&self, condition: &str, robot: &RobotId) -> bool {
+        let mut known = self.eligible.borrow_mut();
+        if let Some(eligible) = known.get(condition) {
+            return eligible.contains(robot);
+        }
+        let compiled = Eligibility::compile(condition);
+        let may_meet = |(robot, recorded): &(&RobotId, &RecordedRobot)| {
+            !recorded.shows_eligibility || compiled.as_ref().is_ok_and(|it| it.may_be_met(robot, &recorded.worker))
+        };
+        let eligible: BTreeSet<RobotId> = self.robots.iter().filter(may_meet).map(|(robot, _)| robot.clone()).collect();
+        let is_eligible = eligible.contains(robot);
+        known.insert(condition.to_owned(), eligible);
+        is_eligible
     }
 }
 
@@ -206,8 +246,14 @@ mod tests {
     use crate::robot::test_values::idle_robot;
     use consort_protocol::auction::{AuctionId, NotAskedReason, Timelines};
     use consort_protocol::knowledge::{Knowledge, Record, RecordStamp};
+    use consort_protocol::lease::Epoch;
+    use consort_protocol::ledger::{Command, Ledger, Submission};
+    use consort_protocol::mission::{Format, MissionTemplate};
+    use consort_protocol::plan::divide_and_check;
     use consort_protocol::pose::Pose;
+    use consort_protocol::units::BatteryShare;
     use consort_skills::descriptor::DescriptorRegistry;
+    use consort_skills::domain::hospital;
     use consort_skills::environment::{Edge, Environment, Passages, TopologicalMap};
     use serde_json::json;
     use std::sync::Arc;
@@ -282,6 +328,45 @@ mod tests {
             let by_role = BTreeMap::from([("r1".parse().unwrap(), reply)]);
             let candidates = Candidates::new(BTreeMap::from([("ada".parse().unwrap(), by_role)]));
             assert_eq!(expected(worker.clone(), Duration::from_secs(age_s)), candidates, "{worker:?}, {age_s} s");
+        }
+    }
+
+    /// Returns a ledger with a waiting mission for each of these conditions.
+    fn ledger(conditions: impl Iterator<Item = &'static str>) -> Ledger {
+        let mut ledger = Ledger::default();
+        for (index, condition) in (1..).zip(conditions) {
+            let mission = json!({
+                "mission": "visit",
+                "roles": { "r1": { "kind": "managed", "eligible": condition } },
+                "root": { "task": "stay", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "5" } },
+            });
+            let template = MissionTemplate::parse(&mission.to_string(), Format::Json).unwrap();
+            let mission = template.instantiate(&BTreeMap::new(), &hospital()).unwrap();
+            let division = divide_and_check(&mission).unwrap();
+            let submission = Submission::of(format!("r-{index}").parse().unwrap(), mission, division);
+            ledger.apply(Epoch { term: 1, index }, Command::Submit(Box::new(submission)));
+        }
+        ledger
+    }
+
+    #[test]
+    fn a_robot_serves_only_missions_whose_condition_it_may_meet() {
+        let (icu, er, full) =
+            ("robot.attributes.section == 'icu'", "robot.attributes.section == 'er'", "robot.battery > 0.9");
+        let ledger = ledger([er, icu, er, er, full].into_iter().cycle().take(50));
+        let worker = RobotKnowledge {
+            skills: BTreeSet::from(["wait".parse().unwrap()]),
+            attributes: serde_json::from_value(json!({ "section": "icu" })).unwrap(),
+            battery: BatteryShare::new(0.5).unwrap(),
+            ..idle_robot()
+        };
+        for (shows_eligibility, count, conditions) in [(true, 20, 3), (false, 50, 3)] {
+            let recorded = RecordedRobot { worker: worker.clone(), shows_eligibility };
+            let robots = RecordedRobots::new(BTreeMap::from([("ada".parse().unwrap(), recorded)]));
+            let missions = ledger.active_missions();
+            let served = missions.into_iter().filter(|entry| robots.may_serve(entry)).count();
+            assert_eq!(served, count, "the record shows eligibility: {shows_eligibility}");
+            assert_eq!(robots.eligible.borrow().len(), conditions, "each condition is compiled once");
         }
     }
 }

@@ -74,9 +74,8 @@ impl<'a> RoleTerms<'a> {
             return Expectation::Refuses(NotAskedReason::OutOfService);
         }
         // The record contains changes of the charge and the place in steps, and later.
-        let may_be_eligible = |condition: &Result<Eligibility, String>| match condition {
-            Ok(condition) => condition.check(robot, worker).map_or_else(|found| !found.permanent, |()| true),
-            Err(_) => false,
+        let may_be_eligible = |condition: &Result<Eligibility, String>| {
+            condition.as_ref().is_ok_and(|condition| condition.may_be_met(robot, worker))
         };
         if !self.eligible.iter().all(may_be_eligible) {
             return Expectation::Refuses(NotAskedReason::NotEligible);
