@@ -95,7 +95,7 @@ impl Actor for Coordinator {
                 drop(changed);
                 session.follow_ledger();
             }
-            (CoordinatorMessage::Tick, Some(session)) => session.tick().await,
+            (CoordinatorMessage::Tick, Some(session)) => session.tick(),
             (CoordinatorMessage::VotersChanged { term, result }, Some(session)) if term == session.term() => {
                 session.handle_voters_changed(result).await;
             }
@@ -110,7 +110,6 @@ impl Actor for Coordinator {
             (CoordinatorMessage::OrdersAcknowledged { robot, as_of }, Some(session)) => {
                 session.acknowledge_orders(&robot, as_of);
             }
-            (CoordinatorMessage::Report(query), Some(session)) => session.handle_report(query),
             (CoordinatorMessage::Question { mission, role, epoch, question }, Some(session)) => {
                 session.handle_question(mission, role, epoch, question);
             }

@@ -3,6 +3,7 @@
 use super::actions::{CoordinatorAction, SessionState};
 use super::auctions::Auctions;
 use super::battery_swaps::BatterySwaps;
+use super::beacons::Beacons;
 use super::change_feed::ChangeFeed;
 use super::ensemble_members::EnsembleMembers;
 use super::held_roles::HeldRoles;
@@ -11,7 +12,7 @@ use super::people::People;
 use super::promises::{recorded_charges, unfit_robots};
 use super::reauctions::{self, Reauctions};
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards, track_new_awards};
-use super::reports::ReportHandler;
+use super::reports::{ReportHandler, serve_reports};
 use super::requests::Requests;
 use super::resource_leases::ResourceDelivery;
 use super::robot_orders::OrderDelivery;
@@ -20,12 +21,11 @@ use super::scope::Scope;
 use super::session_context::SessionContext;
 use super::settings::{AuctionSettings, CoordinatorSettings, NodeParts};
 use super::status::CoordinatorStatus;
-use super::voter_clocks::VoterClocks;
 use crate::autopilot::{ActionResult, Autopilot, perform};
 use crate::robot_driver::PersonRequestState;
 use bytes::Bytes;
 use consort_bus::tasks::Tasks;
-use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus, reply};
+use consort_bus::{Author, BusError, PresenceToken, Query, Sample, SharedBus};
 use consort_protocol::auction::{AuctionId, PromiseTerms};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
@@ -36,7 +36,7 @@ use consort_protocol::lease::{DeclineReason, Epoch};
 use consort_protocol::ledger::{
     ChangeCursor, Command, CommandOutcome, HistoryLimits, Ledger, MissionChanges, TaskQuestion,
 };
-use consort_protocol::message::{AwardReply, Beacon, Report};
+use consort_protocol::message::AwardReply;
 use consort_protocol::units::NodeTime;
 use consort_protocol::versions::VersionRange;
 use consort_raft::{LeadershipView, ProposeError};
@@ -74,7 +74,7 @@ pub(super) struct LeaderSession {
     members: EnsembleMembers,
     requests: Requests,
     autopilot: Autopilot,
-    clocks: VoterClocks,
+    beacons: Beacons,
     /// Requests that arrived before the clocks of a majority were known.
     early_requests: Vec<Query>,
     people: People,
@@ -101,11 +101,11 @@ impl LeaderSession {
         let (NodeParts { node, keys, bus, .. }, term) = (&settings.parts, leadership.term);
         let mut tasks = Tasks::default();
         let reports = bus.serve(&keys.write(&Key::Report(node.clone()))).await?;
-        tasks.forward_queries(reports, mailbox, CoordinatorMessage::Report);
         let of_people = bus.subscribe(&keys.write(&Key::People(PeopleCall::Done))).await?;
         tasks.forward_samples(of_people, mailbox, CoordinatorMessage::PersonEvent);
         let token = bus.announce(&keys.write(&Key::AliveCoordinator(term, node.clone()))).await?;
         let mut context = SessionContext::new(settings.clone(), mailbox.clone(), term, tasks);
+        context.tasks.spawn(serve_reports(reports, ReportHandler::new(&context)));
         info!(%node, term, "started to coordinate");
         let voters = leadership.voters.values().cloned().collect();
         context.publish_event(EventKind::Elected { term, voters });
@@ -125,7 +125,7 @@ impl LeaderSession {
             schedules: Schedules::default(),
             swaps: BatterySwaps::default(),
             autopilot: Autopilot::new(settings.autopilot, yielded),
-            clocks: VoterClocks::default(),
+            beacons: Beacons::new(&settings.parts, term),
             early_requests: vec![],
             voter_change: Tasks::default(),
             failing: BTreeMap::new(),
@@ -152,17 +152,18 @@ impl LeaderSession {
 
     /// Publishes the first beacon and performs all pending actions.
     pub(super) async fn begin(&mut self) {
-        self.publish_beacon().await;
+        self.beacons.publish().await;
+        let interval = self.context.settings.tick_interval;
+        self.context.tasks.spawn(self.beacons.clone().publish_at_intervals(interval));
         self.update_members();
         self.read_clocks();
         self.reconcile();
     }
 
-    /// Publishes the beacon and performs all periodic work.
-    pub(super) async fn tick(&mut self) {
+    /// Performs all periodic work.
+    pub(super) fn tick(&mut self) {
         let (cluster, wire) = self.context.read_ledger(|ledger| (ledger.cluster(), ledger.wire()));
         self.context.settings.parts.wire_version.adopt(cluster, wire);
-        self.publish_beacon().await;
         self.update_members();
         self.members.report_foreign_clusters(&self.context);
         self.start_voter_change();
@@ -178,7 +179,7 @@ impl LeaderSession {
     /// Reads the clocks of the other voters, if that is due.
     fn read_clocks(&mut self) {
         let (now, is_confirmed) = (self.context.now(), self.confirmed_ms().is_some());
-        if !self.clocks.begin_reading(is_confirmed, now) {
+        if !self.context.time.clocks().begin_reading(is_confirmed, now) {
             return;
         }
         let (voters, NodeParts { node, keys, bus, .. }) = (self.voters::<Vec<_>>(), &self.context.settings.parts);
@@ -195,7 +196,7 @@ impl LeaderSession {
     }
 
     pub(super) fn record_clock(&mut self, voter: NodeId, wall_ms: u64) {
-        self.clocks.record(voter, wall_ms, self.context.now());
+        self.context.time.clocks().record(voter, wall_ms, self.context.now());
         if self.confirmed_ms().is_some() {
             self.handle_early_requests();
         }
@@ -210,22 +211,7 @@ impl LeaderSession {
 
     /// Returns the time of day, in milliseconds since 1970, that a majority of the voters confirms.
     fn confirmed_ms(&self) -> Option<u64> {
-        let NodeParts { node, clock, .. } = &self.context.settings.parts;
-        self.clocks.confirmed_ms(&self.voters(), node, clock.wall_ms(), self.context.now())
-    }
-
-    /// Publishes the beacon: the node, term and voters of this coordinator.
-    async fn publish_beacon(&self) {
-        let NodeParts { node, replica, .. } = &self.context.settings.parts;
-        let beacon = Beacon {
-            node: node.clone(),
-            term: self.context.term,
-            voters: self.voters(),
-            since_ms: self.since_ms(),
-            cluster: *replica.cluster().borrow(),
-            wire: replica.read(Ledger::wire),
-        };
-        self.context.publish(&Key::Beacon, &beacon).await;
+        self.context.time.now_ms()
     }
 
     fn voters<C: FromIterator<NodeId>>(&self) -> C {
@@ -269,7 +255,7 @@ impl LeaderSession {
             Err((reason, problem)) => warn!(reason, %problem, "voters were not changed"),
         }
         // A node in decommission waits for a beacon without its name among the voters.
-        self.publish_beacon().await;
+        self.beacons.publish().await;
     }
 
     /// Compares the ledger with the session, publishes changes and performs the pending actions of all missions.
@@ -442,21 +428,6 @@ impl LeaderSession {
 
     pub(super) fn acknowledge_orders(&mut self, robot: &RobotId, as_of: Epoch) {
         self.orders.acknowledge(robot, as_of);
-    }
-
-    pub(super) fn handle_report(&mut self, query: Query) {
-        let Some((query, report)) = reply::decode_or_refuse_in::<Report>(&mut self.context.tasks, query) else {
-            return;
-        };
-        let handler = ReportHandler::new(&self.context, self.confirmed_ms());
-        self.context.tasks.spawn(async move {
-            if !query.author.may_be(report.robot.as_str()) {
-                let problem = format!("{} may not report for role {}", query.author, report.role);
-                return reply::refuse(&query, &problem).await;
-            }
-            let reply = handler.handle(report).await;
-            reply::wire(&query, &query.key, &reply).await;
-        });
     }
 
     /// Proposes the question of a robot, or its withdrawal. Until the time of day is confirmed, the robot

@@ -21,7 +21,7 @@ pub(crate) enum CoordinatorMessage {
     Leadership(Option<Forwarded<()>>),
     /// The ledger has changed.
     Ledger(Forwarded<()>),
-    /// Periodic timer: publish the beacon and perform all periodic work.
+    /// Periodic timer: perform all periodic work.
     Tick,
     /// All bids have arrived, or the bid window has closed.
     BidsCollected(Box<CollectedBids>),
@@ -41,8 +41,6 @@ pub(crate) enum CoordinatorMessage {
         term: u64,
         result: ActionResult,
     },
-    /// Report of a robot.
-    Report(Query),
     /// A robot reports a question that the ledger lacks, or no longer asks.
     Question { mission: MissionId, role: RoleId, epoch: Epoch, question: TaskQuestion },
     /// Event of the host of simulated people.

@@ -12,7 +12,8 @@
 //! ```
 //!
 //! `reconcile` computes the pending actions as values. The `Coordinator` actor performs them, in
-//! a separate session for each term.
+//! a separate session for each term. Beacons, and the reports by which robots renew their leases, do not pass through the mailbox
+//! of the actor: tasks beside it handle them, so that they never wait behind auctions.
 
 mod actions;
 mod actor;
@@ -21,11 +22,13 @@ mod api;
 mod auctioneer;
 mod auctions;
 mod battery_swaps;
+mod beacons;
 mod candidates;
 mod change_feed;
 mod circular_waits;
 mod clearing;
 mod closure_requests;
+mod confirmed_time;
 mod ensemble_members;
 mod held_roles;
 mod last_known_place;
@@ -58,6 +61,8 @@ mod settings;
 mod stall_detector;
 mod status;
 pub(crate) mod submission;
+#[cfg(test)]
+mod test_leader;
 #[cfg(test)]
 pub(crate) mod test_ledger;
 mod voter_clocks;

@@ -1,13 +1,14 @@
 //! Context of a leader session: what its parts share, and the ways in which they act.
 
+use super::confirmed_time::ConfirmedTime;
 use super::last_known_place::{last_known_place, last_known_places};
 use super::lease_monitor::SharedLeaseMonitor;
 use super::message::{AwardedRole, CoordinatorMessage};
 use super::open_replies::OpenReplies;
-use super::settings::CoordinatorSettings;
+use super::settings::{CoordinatorSettings, NodeParts};
 use bytes::Bytes;
+use consort_bus::SharedBus;
 use consort_bus::tasks::Tasks;
-use consort_bus::{Delivery, Encoding, SharedBus};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::codec;
 use consort_protocol::event::EventKind;
@@ -41,6 +42,7 @@ pub(super) struct SessionContext {
     pub(super) since: NodeTime,
     pub(super) lease_monitor: SharedLeaseMonitor,
     pub(super) open_replies: OpenReplies,
+    pub(super) time: ConfirmedTime,
     /// Time of day that a majority of the voters confirmed at the latest reconciliation, in milliseconds since 1970.
     pub(super) confirmed_ms: Option<u64>,
     pub(super) tasks: Tasks,
@@ -53,7 +55,8 @@ impl SessionContext {
         term: u64,
         tasks: Tasks,
     ) -> SessionContext {
-        let since = settings.parts.clock.now();
+        let NodeParts { node, clock, replica, .. } = &settings.parts;
+        let (since, time) = (clock.now(), ConfirmedTime::new(node.clone(), *clock, replica.clone()));
         let lease_monitor = SharedLeaseMonitor::new(settings.lease_terms);
         SessionContext {
             settings,
@@ -62,6 +65,7 @@ impl SessionContext {
             since,
             lease_monitor,
             open_replies: OpenReplies::default(),
+            time,
             confirmed_ms: None,
             tasks,
         }
@@ -211,21 +215,6 @@ impl SessionContext {
             Err(problem) => {
                 warn!(%robot, %problem, "award notice does not fit a message");
                 None
-            }
-        }
-    }
-
-    /// Encodes a message. Returns the task that publishes it.
-    pub(super) fn publish<T: serde::Serialize>(
-        &self,
-        key: &Key,
-        message: &T,
-    ) -> impl Future<Output = ()> + Send + use<T> {
-        let bytes = Bytes::from(codec::encode(message).expect("a beacon fits a message"));
-        let (key, bus) = (self.settings.parts.keys.write(key), self.settings.parts.bus.clone());
-        async move {
-            if let Err(problem) = bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
-                debug!(%problem, key, "not published");
             }
         }
     }

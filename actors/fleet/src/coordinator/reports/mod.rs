@@ -1,5 +1,8 @@
 //! Handling of robot reports by the coordinator.
 
+mod service;
+
+use super::confirmed_time::ConfirmedTime;
 use super::lease_monitor::SharedLeaseMonitor;
 use super::message::CoordinatorMessage;
 use super::session_context::SessionContext;
@@ -15,6 +18,7 @@ use consort_protocol::message::{FailureKind, OrdersNotice, QuestionAnswer, Repor
 use consort_protocol::units::NodeTime;
 use consort_raft::{ProposeError, Replica};
 use ractor::ActorRef;
+pub(super) use service::serve_reports;
 use std::time::Duration;
 use tracing::{debug, info};
 
@@ -41,12 +45,11 @@ pub(super) struct ReportHandler {
     clock: Clock,
     lease_monitor: SharedLeaseMonitor,
     mailbox: ActorRef<CoordinatorMessage>,
-    /// Time of day that a majority of the voters confirms, in milliseconds since 1970.
-    confirmed_ms: Option<u64>,
+    time: ConfirmedTime,
 }
 
 impl ReportHandler {
-    pub(super) fn new(context: &SessionContext, confirmed_ms: Option<u64>) -> ReportHandler {
+    pub(super) fn new(context: &SessionContext) -> ReportHandler {
         let NodeParts { replica, clock, .. } = &context.settings.parts;
         ReportHandler {
             replica: replica.clone(),
@@ -54,7 +57,7 @@ impl ReportHandler {
             clock: *clock,
             lease_monitor: context.lease_monitor.clone(),
             mailbox: context.mailbox.clone(),
-            confirmed_ms,
+            time: context.time.clone(),
         }
     }
 
@@ -93,7 +96,8 @@ impl ReportHandler {
     /// Adds the orders of people to the renewal of a lease: a robot that was cut off gets them before it acts.
     fn with_orders(&self, mut reply: ReportReply, report: &Report) -> ReportReply {
         if let ReportReply::Renewed { orders, .. } = &mut reply {
-            **orders = self.replica.read(|ledger| OrdersNotice::of(ledger, &report.robot, self.confirmed_ms));
+            let confirmed_ms = self.time.now_ms();
+            **orders = self.replica.read(|ledger| OrdersNotice::of(ledger, &report.robot, confirmed_ms));
         }
         reply
     }

@@ -4,7 +4,7 @@ use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::lease::Epoch;
 use std::collections::{BTreeMap, BTreeSet};
 
-fn report(mission: &MissionId, ended: &[u32]) -> Report {
+pub(super) fn report(mission: &MissionId, ended: &[u32]) -> Report {
     Report {
         robot: RobotId::new("ward").unwrap(),
         incarnation: 0,
