@@ -12,12 +12,12 @@
 //! In a large fleet a round calls the robots that may get a role (the module `candidates`), and calls more of them until its result is
 //! proven.
 
-use super::actions::{AuctionRound, ClosedBidding, RoundPhase};
 use super::auctioneer::{call_for_roles, send_call};
 use super::candidates::{RecordedRobots, first_call};
 use super::clearing::{AuctionInputs, allocate_missions};
 use super::message::{CollectedBids, CoordinatorMessage};
 use super::reconcile::{backoff, can_be_auctioned};
+use super::rounds::{AuctionRound, ClosedBidding, RoundPhase, Rounds};
 use super::session_context::{AWARD_TIMEOUT, SessionContext};
 use consort_protocol::auction::{
     AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidVerdict, NotAskedReason, RefusalReason,
@@ -63,13 +63,13 @@ type Restrictions = BTreeMap<RoleId, RobotRestriction>;
 /// Auctions of a session, by mission.
 #[derive(Default)]
 pub(super) struct Auctions {
-    rounds: BTreeMap<MissionId, AuctionRound>,
+    rounds: Rounds,
     /// Restrictions of roles by people when the latest auction without a result was recorded, of missions with any.
     restrictions: BTreeMap<MissionId, Restrictions>,
 }
 
 impl Auctions {
-    pub(super) fn rounds(&self) -> &BTreeMap<MissionId, AuctionRound> {
+    pub(super) fn rounds(&self) -> &Rounds {
         &self.rounds
     }
 
@@ -79,7 +79,7 @@ impl Auctions {
             let entry = ledger.mission(mission).filter(|entry| !entry.state.is_final());
             entry.inspect(|entry| round.follow_branch(entry.branch, now)).is_some()
         });
-        self.restrictions.retain(|mission, _| self.rounds.contains_key(mission));
+        self.restrictions.retain(|mission, _| self.rounds.contains(mission));
     }
 
     /// Does the same for these missions.
@@ -87,18 +87,16 @@ impl Auctions {
         for mission in missions {
             match ledger.mission(mission).filter(|entry| !entry.state.is_final()) {
                 Some(entry) => {
-                    if let Some(round) = self.rounds.get_mut(mission) {
-                        round.follow_branch(entry.branch, now);
-                    }
+                    self.rounds.change(mission, |round| round.follow_branch(entry.branch, now));
                 }
-                None => drop(self.rounds.remove(mission)),
+                None => self.rounds.remove(mission),
             }
         }
     }
 
     /// Ends all backoffs, because a robot has become free.
     pub(super) fn wake_all(&mut self, now: NodeTime) {
-        self.rounds.values_mut().for_each(|round| round.end_backoff(now));
+        self.rounds.end_backoffs(now);
     }
 
     /// Ends the backoffs of missions that these robots, which have become free, may serve. Of many missions the best-ranked
@@ -112,16 +110,14 @@ impl Auctions {
             served.map(|entry| entry.id.clone()).collect()
         });
         for mission in missions {
-            if let Some(round) = self.rounds.get_mut(&mission) {
-                round.end_backoff(now);
-            }
+            self.rounds.change(&mission, |round| round.end_backoff(now));
         }
     }
 
     /// Calls for bids for the open roles of a mission.
     pub(super) fn call_for_bids(&mut self, mission: &MissionId, context: &mut SessionContext, now: NodeTime) {
         let Some(branch) = context.read_ledger(|ledger| Some(ledger.mission(mission)?.branch)) else { return };
-        let previous = self.rounds.get_mut(mission).map(|round| {
+        let previous = self.rounds.change(mission, |round| {
             round.follow_branch(branch, now);
             (round.number + 1, round.since, round.hopeless_rounds)
         });
@@ -145,57 +141,59 @@ impl Auctions {
 
     /// Asks further robots in the same round.
     fn ask_more(&mut self, mission: &MissionId, robots: BTreeSet<RobotId>, context: &mut SessionContext) {
-        let Some(round) = self.rounds.get_mut(mission) else { return };
-        match std::mem::replace(&mut round.phase, RoundPhase::Bidding) {
-            RoundPhase::BiddingClosed(closed) => {
-                let mut bids = closed.bids;
-                bids.invite(robots);
-                send_call(bids, context);
-            }
-            other => round.phase = other,
+        let closed =
+            self.rounds.change(mission, |round| match std::mem::replace(&mut round.phase, RoundPhase::Bidding) {
+                RoundPhase::BiddingClosed(closed) => Some(closed.bids),
+                other => {
+                    round.phase = other;
+                    None
+                }
+            });
+        if let Some(mut bids) = closed.flatten() {
+            bids.invite(robots);
+            send_call(bids, context);
         }
     }
 
     /// Closes an auction: all bids have arrived, or the bid window has closed.
     pub(super) fn close_bidding(&mut self, bids: CollectedBids, context: &mut SessionContext) {
         let AuctionId { mission, round: number, .. } = bids.call.auction.clone();
-        let current = |round: &&mut AuctionRound| round.number == number && round.phase == RoundPhase::Bidding;
-        let Some(round) = self.rounds.get_mut(&mission).filter(current) else {
+        let is_current = |round: &AuctionRound| round.number == number && round.phase == RoundPhase::Bidding;
+        if !self.rounds.get(&mission).is_some_and(is_current) {
             return; // the mission has ended, or another round has started
-        };
+        }
         for bid in bids.latest_responses().flat_map(|response| &response.replies) {
             if let RoleReply::Bid(bid) = bid {
                 context.publish_event(EventKind::Bid { mission: mission.clone(), bid: bid.clone() });
             }
         }
         let deadline = context.now() + context.settings.auctions.bid_window * 2;
-        round.phase = RoundPhase::BiddingClosed(Box::new(ClosedBidding { bids, deadline, is_fillable: false }));
+        let closed = ClosedBidding { bids, deadline, is_fillable: false };
+        self.rounds.set_phase(&mission, RoundPhase::BiddingClosed(Box::new(closed)));
         self.clear(context);
     }
 
     /// Clears the closed auctions that need not wait for a better-ranked mission.
     pub(super) fn clear(&mut self, context: &mut SessionContext) {
-        if !self.rounds.values().any(|round| matches!(round.phase, RoundPhase::BiddingClosed(_))) {
+        if !self.rounds.under_way().any(|(_, round)| matches!(round.phase, RoundPhase::BiddingClosed(_))) {
             return;
         }
         let now = context.now();
         let open = context.read_ledger(|ledger| {
             let lease_monitor = context.lease_monitor.lock();
-            let called = self.rounds.keys().filter_map(|mission| ledger.mission(mission));
+            let called = self.rounds.under_way().filter_map(|(mission, _)| ledger.mission(mission));
             let called = called.filter(|entry| !entry.state.is_final());
             let open = service_order(called.filter(|entry| can_be_auctioned(entry, &lease_monitor, now)));
             open.into_iter().map(|entry| (entry.id.clone(), entry.submission.priority)).collect::<Vec<_>>()
         });
         let mut calling = false;
-        let mut waiting: Vec<(MissionId, NodeTime)> = vec![];
         let mut allocated = Allocation::new();
         for (index, (mission, priority)) in open.iter().enumerate() {
             let Some(round) = self.rounds.get(mission) else { continue };
             let called = round.called_at;
             match &round.phase {
                 RoundPhase::Bidding => calling = true,
-                RoundPhase::BackingOff { since, .. } => waiting.push((mission.clone(), *since)),
-                RoundPhase::Proposing(_) => {}
+                RoundPhase::Proposing(_) | RoundPhase::BackingOff { .. } => {}
                 RoundPhase::BiddingClosed(closed) => {
                     let has_bidding = calling || self.is_followed(&open[index..], *priority, called);
                     let may_wait = now < closed.deadline;
@@ -235,12 +233,7 @@ impl Auctions {
                     if (outcome.holders.is_some() || is_joint) && may_wait {
                         let taken = allocated.values().chain(&outcome.holders).flat_map(BTreeMap::values);
                         let takers = is_restricted.then(|| RecordedRobots::read(taken.cloned(), context));
-                        let may_need =
-                            |mission: &MissionId| takers.as_ref().is_none_or(|it| it.may_serve_in(mission, context));
-                        let (due, others): (Vec<_>, Vec<_>) =
-                            waiting.into_iter().partition(|(id, since)| *since < called && may_need(id));
-                        waiting = others;
-                        for (better_ranked, _) in due {
+                        for better_ranked in self.waiting_before(mission, called, takers.as_ref(), context) {
                             self.call_for_bids(&better_ranked, context, now);
                             calling = true;
                         }
@@ -256,12 +249,37 @@ impl Auctions {
         }
     }
 
+    /// Returns the missions ranked before a mission whose rounds had no result before its call, and that may need one of these
+    /// robots, or any.
+    fn waiting_before(
+        &self,
+        mission: &MissionId,
+        called: NodeTime,
+        takers: Option<&RecordedRobots>,
+        context: &SessionContext,
+    ) -> Vec<MissionId> {
+        let waits = |entry: &&MissionEntry| match self.rounds.get(&entry.id).map(|round| &round.phase) {
+            Some(RoundPhase::BackingOff { since, .. }) => *since < called,
+            _ => false,
+        };
+        context.read_ledger(|ledger| {
+            let Some(entry) = ledger.mission(mission) else { return vec![] };
+            let (lease_monitor, now) = (context.lease_monitor.lock(), context.now());
+            let waiting = ledger.missions_before(entry).into_iter().filter(waits);
+            let open = waiting.filter(|entry| can_be_auctioned(entry, &lease_monitor, now));
+            let served = open.filter(|entry| takers.is_none_or(|robots| robots.may_serve(entry)));
+            served.map(|entry| entry.id.clone()).collect()
+        })
+    }
+
     /// Notes whether the roles of an auction that begins to wait could be filled. Then it is not cleared again while it waits:
     /// a clearing takes long in a large fleet.
     fn note_fillable(&mut self, mission: &MissionId, is_fillable: bool) {
-        if let Some(RoundPhase::BiddingClosed(closed)) = self.rounds.get_mut(mission).map(|round| &mut round.phase) {
-            closed.is_fillable = is_fillable;
-        }
+        self.rounds.change(mission, |round| {
+            if let RoundPhase::BiddingClosed(closed) = &mut round.phase {
+                closed.is_fillable = is_fillable;
+            }
+        });
     }
 
     /// Allocates the first of these missions together with those that were called at about the same time.
@@ -329,19 +347,23 @@ impl Auctions {
     fn record(&mut self, mission: &MissionId, outcome: AuctionOutcome, context: &mut SessionContext) {
         let AuctionOutcome { holders, record, unfillable, energy_exceeded } = outcome;
         context.publish_event(EventKind::Closed { mission: mission.clone(), record: record.clone() });
-        let Some(round) = self.rounds.get_mut(mission) else { return };
-        round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
-        let (branch, auction, mission) = (round.branch, record.auction.clone(), mission.clone());
+        let count_rounds = |round: &mut AuctionRound| {
+            round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
+            (round.branch, round.hopeless_rounds)
+        };
+        let Some((branch, hopeless_rounds)) = self.rounds.change(mission, count_rounds) else { return };
+        let (auction, mission) = (record.auction.clone(), mission.clone());
         let mut failure = None;
         let command = match holders {
             Some(holders) => {
                 let record = record.for_ledger(false);
-                round.phase = RoundPhase::Proposing(Box::new(record.clone()));
+                self.rounds.set_phase(&mission, RoundPhase::Proposing(Box::new(record.clone())));
                 Command::Award { mission, branch, holders, auction: record }
             }
             None => {
                 let since = context.now();
-                round.phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
+                let phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
+                self.rounds.set_phase(&mission, phase);
                 let (stored, restrictions, has_changed) = context.read_ledger(|ledger| {
                     let entry = ledger.mission(&mission);
                     let holds_robots = entry.is_some_and(|entry| entry.assigned_roles().next().is_some());
@@ -358,7 +380,7 @@ impl Auctions {
                         false => self.restrictions.insert(mission.clone(), restrictions),
                     };
                 }
-                let hopeless = round.hopeless_rounds >= HOPELESS_ROUNDS;
+                let hopeless = hopeless_rounds >= HOPELESS_ROUNDS;
                 let class_of_failures = |ledger: &Ledger| {
                     ledger.mission(&mission).map_or(CauseClass::Robot, |entry| entry.class_of_failures(&unfillable))
                 };
@@ -402,7 +424,7 @@ impl Auctions {
     ) {
         let since = context.now();
         let mission = &auction.mission;
-        let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
+        let Some(round) = self.rounds.get(mission).filter(|round| round.number == auction.round) else { return };
         let RoundPhase::Proposing(record) = &round.phase else { return };
         match outcome {
             Ok(CommandOutcome::Awarded { epoch }) => {
@@ -416,12 +438,12 @@ impl Auctions {
             }
             Ok(outcome) => {
                 debug!(%mission, ?outcome, "the award no longer fits the ledger");
-                round.phase = RoundPhase::BackingOff { until: since + backoff(1), since };
+                self.rounds.set_phase(mission, RoundPhase::BackingOff { until: since + backoff(1), since });
             }
             Err(problem) => {
                 // The commit is uncertain; the next reconciliation shows it.
                 debug!(%mission, %problem, "the award was not committed");
-                round.phase = RoundPhase::BackingOff { until: since + backoff(round.number), since };
+                self.rounds.set_phase(mission, RoundPhase::BackingOff { until: since + backoff(auction.round), since });
             }
         }
     }

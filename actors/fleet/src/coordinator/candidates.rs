@@ -8,15 +8,15 @@
 //! Changes of a record arrive within the delay of a message. A robot that changes in this time may be missed, as if it had changed
 //! after the auction. A new coordinator asks all robots until it has their records.
 
-use super::actions::AuctionRound;
 use super::clearing::AuctionInputs;
 use super::message::CollectedBids;
+use super::rounds::Rounds;
 use super::session_context::SessionContext;
 use super::settings::{AuctionSettings, CandidateSettings};
 use crate::robot::pricing_context;
 use consort_protocol::auction::{CallForBids, Candidates, Expectation, Invitation, Price, RoleTerms};
 use consort_protocol::ensemble::{Eligibility, Ensembles, ExchangedValue};
-use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId};
+use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId};
 use consort_protocol::knowledge::{Attributes, KnowledgeBase, RobotKnowledge};
 use consort_protocol::ledger::MissionEntry;
 use consort_protocol::plan::LocalPlan;
@@ -33,11 +33,7 @@ use std::time::Duration;
 const RECORD_AGE_MAX: Duration = Duration::from_secs(7);
 
 /// Restricts a call to all robots to the best candidates, in a large fleet. A promised role is also offered to its robot.
-pub(super) fn first_call(
-    mut bids: CollectedBids,
-    rounds: &BTreeMap<MissionId, AuctionRound>,
-    context: &SessionContext,
-) -> CollectedBids {
+pub(super) fn first_call(mut bids: CollectedBids, rounds: &Rounds, context: &SessionContext) -> CollectedBids {
     let Some(candidates) = candidates_of(&bids.call, &bids.invitation, context) else { return bids };
     let members = std::mem::take(&mut bids.invitation.robots);
     bids.candidates = candidates;
@@ -145,11 +141,6 @@ impl RecordedRobots {
             is_permitted && has_skills() && is_eligible()
         };
         self.robots.iter().any(|(robot, recorded)| roles.iter().any(|role| may_get(role, robot, recorded)))
-    }
-
-    /// Checks the same for a mission of the ledger.
-    pub(super) fn may_serve_in(&self, mission: &MissionId, context: &SessionContext) -> bool {
-        context.read_ledger(|ledger| ledger.mission(mission).is_some_and(|entry| self.may_serve(entry)))
     }
 
     /// Checks whether a robot may meet a condition.

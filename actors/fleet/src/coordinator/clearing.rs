@@ -1,8 +1,8 @@
 //! Clearing of an auction by what the ledger and the other auctions of the session contain.
 
-use super::actions::AuctionRound;
 use super::message::CollectedBids;
 use super::queues::{reserve, robot_queues, unavailable_robots, unpromisable_robots};
+use super::rounds::Rounds;
 use super::session_context::SessionContext;
 use consort_protocol::auction::{
     AuctionContext, AuctionOutcome, BidResponse, Candidates, EnergyBudget, OpenAuction, PromiseContext, PromiseTerms,
@@ -38,11 +38,7 @@ pub(super) struct AuctionInputs<'a> {
 
 impl<'a> AuctionInputs<'a> {
     /// Reads the inputs from the ledger and the auctions of the session.
-    pub(super) fn read(
-        bids: &'a CollectedBids,
-        rounds: &BTreeMap<MissionId, AuctionRound>,
-        context: &SessionContext,
-    ) -> AuctionInputs<'a> {
+    pub(super) fn read(bids: &'a CollectedBids, rounds: &Rounds, context: &SessionContext) -> AuctionInputs<'a> {
         let CollectedBids { call, responses, again, candidates, .. } = bids;
         let mission = &call.auction.mission;
         // A mission that has waited for as long as a promise may be delayed and late might never start in a busy fleet.
@@ -201,7 +197,7 @@ fn next_count(bids: &CollectedBids, context: &SessionContext) -> usize {
 /// Returns the robots of each mission in the allocation of all together; none for a mission that is cleared by itself.
 pub(super) fn allocate_missions<'a>(
     missions: &[(&'a MissionId, &'a CollectedBids)],
-    rounds: &BTreeMap<MissionId, AuctionRound>,
+    rounds: &Rounds,
     context: &SessionContext,
 ) -> Vec<(&'a MissionId, BTreeMap<RoleId, RobotId>)> {
     // The others are cleared by themselves, so their inputs are not needed.

@@ -54,6 +54,7 @@ mod requests;
 mod resource_leases;
 mod robot_orders;
 mod role_requests;
+mod rounds;
 mod schedules;
 mod scope;
 mod session_context;

@@ -4,6 +4,7 @@
 use super::actions::{CoordinatorAction, SessionState};
 use super::reconcile::{pending_actions, stop_renewing_released, track_awards};
 use super::reports::{QuorumContact, Step, confirm, next, reply_to_refusal};
+use super::rounds::Rounds;
 use super::scope::Scope;
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::{Epoch, LeaseMonitor, LeaseTerms};
@@ -64,7 +65,7 @@ impl ModelSession {
     }
 
     fn pending_actions(&self, now: NodeTime) -> Vec<CoordinatorAction> {
-        let (rounds, notified) = (BTreeMap::new(), BTreeMap::new());
+        let (rounds, notified) = (Rounds::default(), BTreeMap::new());
         let (unfit, charges) = (BTreeMap::new(), BTreeMap::new());
         let state = SessionState {
             lease_monitor: &self.monitor,

@@ -1,8 +1,9 @@
 //! Promises that are due: the award of a promised role, or the end of a promise that cannot be kept.
 
-use super::actions::{CoordinatorAction, RecordedCharge, RoundPhase, SessionState};
+use super::actions::{CoordinatorAction, RecordedCharge, SessionState};
 use super::message::AwardedRole;
 use super::queues::may_return;
+use super::rounds::RoundPhase;
 use super::scope::Scope;
 use consort_gossip::{MemberStatus, SharedKnowledge};
 use consort_protocol::auction::{BidLimits, CHARGE_TOLERANCE, ChargingStop};
@@ -43,7 +44,7 @@ pub(super) fn promises_due(
             waiting.insert(robot, AwardedRole::of(entry, role, holder));
         }
     }
-    for round in rounds.values() {
+    for (_, round) in rounds.under_way() {
         if let RoundPhase::Proposing(record) = &round.phase {
             taken.extend(record.chosen.values());
         }
@@ -159,6 +160,7 @@ fn problem_of(availability: &Availability) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rounds::Rounds;
     use super::super::test_ledger::Log;
     use super::*;
     use consort_protocol::ids::{MissionId, RoleId};
@@ -188,7 +190,7 @@ mod tests {
         Case { promises_max, unfit, spare, is_due }: Case,
         now_ms: u64,
     ) -> Vec<CoordinatorAction> {
-        let (rounds, notified) = (&BTreeMap::new(), &BTreeMap::new());
+        let (rounds, notified) = (&Rounds::default(), &BTreeMap::new());
         let unfit = &unfit.iter().map(|robot| (robot.parse().unwrap(), "judged dead".to_owned())).collect();
         let recorded = spare.map(|spare| ("lab-arm".parse().unwrap(), RecordedCharge { charge: spare, spare }));
         let charges = &recorded.into_iter().collect();

@@ -1,7 +1,7 @@
 //! Robots that cannot get a role now: what each holds, has promised and carries.
 
-use super::actions::{AuctionRound, RoundPhase};
 use super::message::AwardedRole;
+use super::rounds::{RoundPhase, Rounds};
 use consort_protocol::auction::{RefusalReason, RobotQueue, RoleEstimate};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionEntry, RoleAssignment, RolePhase};
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// Proposed awards and promises count, too.
 pub(super) fn robot_queues(
     ledger: &Ledger,
-    rounds: &BTreeMap<MissionId, AuctionRound>,
+    rounds: &Rounds,
     of: &MissionId,
     auctioned: Option<&AwardedRole>,
 ) -> Queues {
@@ -34,7 +34,7 @@ pub(super) fn robot_queues(
             }
         }
     }
-    for (mission, round) in rounds {
+    for (mission, round) in rounds.under_way() {
         let RoundPhase::Proposing(record) = &round.phase else { continue };
         let Some(entry) = ledger.mission(mission) else { continue };
         let (is_lower, open) = (entry.submission.priority < priority, entry.open_roles());
@@ -121,6 +121,7 @@ pub(super) fn unavailable_robots(
 
 #[cfg(test)]
 mod tests {
+    use super::super::rounds::AuctionRound;
     use super::super::test_ledger::Log;
     use super::*;
     use consort_protocol::auction::{AuctionId, AuctionRecord};
@@ -137,7 +138,7 @@ mod tests {
         let epoch = log.0.mission(&held).unwrap().role_robots()[&role].epoch;
         log.apply(Command::AwardPromised { mission: held, role, epoch });
         let arm: RobotId = "lab-arm".parse().unwrap();
-        let queue = |of: &MissionId| robot_queues(&log.0, &BTreeMap::new(), of, None).remove(&arm).unwrap();
+        let queue = |of: &MissionId| robot_queues(&log.0, &Rounds::default(), of, None).remove(&arm).unwrap();
         let counts = |queue: &RobotQueue| {
             let tenths = (queue.energy.get() * 10.0).round();
             (queue.held.is_some(), queue.promised, queue.preceding, tenths, queue.yields)
@@ -158,7 +159,7 @@ mod tests {
             ..AuctionRecord::empty(auction)
         };
         let round = AuctionRound::first(RoundPhase::Proposing(Box::new(record)));
-        let rounds = BTreeMap::from([(proposed.clone(), round)]);
+        let rounds = Rounds::from_iter([(proposed.clone(), round)]);
         let counts = |log: &Log| {
             let queue = robot_queues(&log.0, &rounds, &called, None).remove(&arm).unwrap();
             (queue.held, queue.promised, queue.preceding)

@@ -4,10 +4,11 @@
 //! After a commit only the missions that it has changed are examined, and the promises of their robots. Everything else
 //! becomes due by time or by the records of robots, so each tick examines all active missions.
 
-use super::actions::{CoordinatorAction, RoundPhase, SessionState};
+use super::actions::{CoordinatorAction, SessionState};
 use super::circular_waits::{roles_to_give_up, waits_with_robots};
 use super::message::AwardedRole;
 use super::promises::promises_due;
+use super::rounds::RoundPhase;
 use super::scope::Scope;
 use consort_protocol::cause::CauseClass;
 use consort_protocol::lease::{Epoch, LeaseMonitor};
@@ -153,6 +154,7 @@ pub(super) fn stop_renewing_released(actions: &[CoordinatorAction], lease_monito
 
 #[cfg(test)]
 mod tests {
+    use super::super::rounds::Rounds;
     use super::super::test_ledger::Log;
     use super::*;
     use consort_protocol::ids::RobotId;
@@ -170,7 +172,7 @@ mod tests {
         (promises_max, ahead): (u32, Seconds),
         confirmed_ms: Option<u64>,
     ) -> Vec<CoordinatorAction> {
-        let (rounds, notified, unfit) = (&BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new());
+        let (rounds, notified, unfit) = (&Rounds::default(), &BTreeMap::new(), &BTreeMap::new());
         let (lease_monitor, charges) = (&LeaseMonitor::new(LeaseTerms::default()), &BTreeMap::new());
         let state = SessionState { lease_monitor, rounds, notified, unfit, charges, promises_max, ahead };
         pending_actions(ledger, &state, scope, NodeTime::ZERO, confirmed_ms)

@@ -197,6 +197,11 @@ impl Ledger {
         self.missions.of_group(MissionGroup::Active)
     }
 
+    /// Returns the missions that are served before a mission, as [`active_missions`](Self::active_missions) does.
+    pub fn missions_before(&self, entry: &MissionEntry) -> Vec<&MissionEntry> {
+        self.missions.active_before(entry.rank())
+    }
+
     /// Returns the active missions whose roles have, or had, robots, in the order in which they are served.
     pub fn missions_with_robots(&self) -> Vec<&MissionEntry> {
         self.missions.of_group(MissionGroup::WithRobots)

@@ -98,6 +98,11 @@ impl MissionIndex {
         self.groups[group as usize].iter().map(|((_, id), ())| id)
     }
 
+    pub(super) fn active_before(&self, rank: ServiceRank) -> impl Iterator<Item = &MissionId> {
+        let active = self.groups[MissionGroup::Active as usize].iter().map(|((other, id), ())| (other, id));
+        active.take_while(move |(other, _)| **other < rank).map(|(_, id)| id)
+    }
+
     pub(super) fn count(&self, group: MissionGroup) -> usize {
         self.groups[group as usize].len()
     }

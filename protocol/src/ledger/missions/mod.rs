@@ -11,7 +11,7 @@ mod index;
 
 use super::entry::MissionEntry;
 use super::mission_changes::ChangeList;
-use super::service_order::service_order;
+use super::service_order::{ServiceRank, service_order};
 use super::shared_map::SharedMap;
 use crate::ids::{MissionId, RobotId};
 pub(super) use index::MissionGroup;
@@ -84,6 +84,16 @@ impl Missions {
         let touched = self.touched_missions().map(|(_, entry)| entry).filter(|entry| group.contains(entry));
         let missions = indexed.chain(touched);
         if self.touched.is_empty() { missions.collect() } else { service_order(missions) }
+    }
+
+    /// Returns the active missions with a better rank, in the order in which missions are served.
+    pub(super) fn active_before(&self, rank: ServiceRank) -> Vec<&MissionEntry> {
+        if self.touched.is_empty() {
+            return self.index.active_before(rank).filter_map(|id| self.get(id)).collect();
+        }
+        let mut missions = self.of_group(MissionGroup::Active);
+        missions.retain(|entry| entry.rank() < rank);
+        missions
     }
 
     /// Returns the number of missions of a group.

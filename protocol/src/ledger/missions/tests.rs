@@ -116,6 +116,9 @@ fn check_queries(ledger: &Ledger) {
     active.sort_by_key(|entry| entry.rank());
     assert_eq!(ids(ledger.active_missions()), ids(active.clone()));
     assert!(ledger.has_active(active.len()) && !ledger.has_active(active.len() + 1));
+    for (place, entry) in active.iter().enumerate() {
+        assert_eq!(ids(ledger.missions_before(entry)), ids(active[..place].iter().copied()));
+    }
     let has_robots = |entry: &&MissionEntry| !entry.role_robots().is_empty() || !entry.former_holders.is_empty();
     assert_eq!(ids(ledger.missions_with_robots()), ids(active.iter().copied().filter(has_robots)));
     let is_open = |entry: &MissionEntry| entry.person_requests().any(|(_, request)| request.is_open());

@@ -7,14 +7,14 @@
 //! gain and the lateness that it requires, and the time to the next call, rise with the number of changes. So a role does not
 //! pass back and forth between robots with the same work. A role that a person has given to a robot stays with it.
 
-use super::actions::AuctionRound;
 use super::auctioneer::{call_for_roles, send_call};
 use super::candidates::first_call;
 use super::clearing::AuctionInputs;
 use super::message::{AwardedRole, CollectedBids, Reauction};
+use super::rounds::Rounds;
 use super::session_context::SessionContext;
 use consort_protocol::auction::{AuctionId, AuctionOutcome, PromiseTerms, RefusalReason, RoleReply};
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, Ledger, PromiseMove};
 use consort_protocol::units::{NodeTime, Seconds};
@@ -68,7 +68,7 @@ impl Reauctions {
     pub(super) fn due(
         &mut self,
         ledger: &Ledger,
-        rounds: &BTreeMap<MissionId, AuctionRound>,
+        rounds: &Rounds,
         terms: &PromiseTerms,
         now: NodeTime,
         confirmed_ms: Option<u64>,
@@ -95,7 +95,7 @@ impl Reauctions {
             let is_for_robot =
                 || entry.role_orders().get(role).is_some_and(|order| order.restriction.permits_only_one());
             // Other roles of the mission may stay open for long, but a late promise has waited enough.
-            let is_auctioned = || rounds.contains_key(&entry.id) || !entry.open_roles().is_empty();
+            let is_auctioned = || rounds.contains(&entry.id) || !entry.open_roles().is_empty();
             let may_be_called = || (is_late || !is_auctioned()) && !is_free() && !is_for_robot();
             if may_call && times.is_call_due(is_late, changes, now) && may_be_called() {
                 let reauction = Reauction { promised: AwardedRole::of(entry, role, promise), is_late, changes };
@@ -129,12 +129,7 @@ impl Reauctions {
 }
 
 /// Calls for bids for a promised role.
-pub(super) fn call_again(
-    reauction: Reauction,
-    rounds: &BTreeMap<MissionId, AuctionRound>,
-    context: &mut SessionContext,
-    now: NodeTime,
-) {
+pub(super) fn call_again(reauction: Reauction, rounds: &Rounds, context: &mut SessionContext, now: NodeTime) {
     let AwardedRole { mission, role, .. } = &reauction.promised;
     let latest = |ledger: &Ledger| Some(ledger.mission(mission)?.auction.as_ref()?.auction.round);
     let round = context.read_ledger(latest).unwrap_or(0).saturating_add(1);
@@ -151,7 +146,7 @@ pub(super) fn call_again(
 pub(super) fn conclude(
     mut bids: CollectedBids,
     reauction: &Reauction,
-    rounds: &BTreeMap<MissionId, AuctionRound>,
+    rounds: &Rounds,
     reauctions: &mut Reauctions,
     context: &mut SessionContext,
 ) {

@@ -1,13 +1,14 @@
-use super::super::actions::RoundPhase;
+use super::super::rounds::{AuctionRound, RoundPhase};
 use super::super::test_ledger::Log;
 use super::*;
+use consort_protocol::ids::MissionId;
 use consort_protocol::ledger::{MissionChange, OrderRequest};
 
 /// A session with promises, at a time.
 #[derive(Default)]
 struct Session {
     reauctions: Reauctions,
-    rounds: BTreeMap<MissionId, AuctionRound>,
+    rounds: Rounds,
     now: NodeTime,
 }
 
@@ -66,7 +67,7 @@ fn only_late_promises_are_auctioned_beside_other_roles_of_the_mission() {
     let (mut log, first, second) = promises();
     log.end_cart(&second);
     let round = AuctionRound::first(RoundPhase::BackingOff { until: NodeTime::ZERO, since: NodeTime::ZERO });
-    let rounds = [first, second.clone()].map(|mission| (mission, round.clone())).into();
+    let rounds = [first, second.clone()].map(|mission| (mission, round.clone())).into_iter().collect();
     let mut session = Session { rounds, ..Session::default() };
     assert_eq!([0, 99].map(|seconds| session.due_after(seconds, &log.0)), [None, None]);
     assert_eq!(session.due_after(1, &log.0), Some((second, true)));
