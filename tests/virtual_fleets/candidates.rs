@@ -8,7 +8,7 @@ use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::LeaseTerms;
 use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 const SEEDS: [u64; 2] = [311, 312];
@@ -271,6 +271,43 @@ fn a_freed_robot_wakes_only_missions_that_it_may_serve() {
         let pause = |round: usize| times[round] - times[round - 1];
         assert!(pause(6) > Duration::from_millis(4900), "seed {seed}: dogwood cannot serve it: {times:?}");
         assert!(pause(7) < Duration::from_secs(4), "seed {seed}: amber can: {times:?}");
+    });
+}
+
+/// Returns the largest number of missions whose first auctions were open at the same time after a time, and the number of missions
+/// with such auctions.
+fn first_auctions(fleet: &Fleet, after: Duration) -> (usize, usize) {
+    let (mut open, mut called, mut most) = (BTreeSet::new(), BTreeSet::new(), 0);
+    for (at, entry) in fleet.event_log.entries() {
+        match entry.event_kind() {
+            Some(EventKind::BidsRequested { mission, round: 1, .. }) if at > after => {
+                open.insert(mission.clone());
+                called.insert(mission.clone());
+                most = most.max(open.len());
+            }
+            Some(EventKind::Closed { mission, .. }) => {
+                open.remove(mission);
+            }
+            _ => {}
+        }
+    }
+    (most, called.len())
+}
+
+#[test]
+fn a_new_coordinator_calls_few_waiting_missions_at_a_time() {
+    for_each_seed([SEEDS[0]], async |seed| {
+        let mut fleet = new_fleet(seed, carriers(), 2).await;
+        let visitor = json!({ "kind": "managed", "eligible": "robot.battery > 2.0" });
+        for number in 0..40 {
+            let (name, to) = (format!("m-{number}"), json!({ "to": "IC Room 2" }));
+            request_for(&fleet, &name, visitor.clone(), "navigation", to).await;
+        }
+        let killed_at = fleet.elapsed();
+        fleet.kill("aba").await;
+        fleet.wait_until("all auctions", SOON, |fleet| first_auctions(fleet, killed_at).1 == 40).await;
+        let (most, _) = first_auctions(&fleet, killed_at);
+        assert!(most <= 32, "seed {seed}: {most} at the same time");
     });
 }
 

@@ -9,6 +9,8 @@
 //! Missions of the same priority whose calls are sent at about the same time are allocated together: an auction that has its
 //! bids waits for the others. So do missions that have waited for a robot, which are called when one becomes free.
 //!
+//! A new coordinator finds all waiting missions at once. It calls the best-ranked ones, and the others as the first rounds end.
+//!
 //! In a large fleet a round calls the robots that may get a role (the module `candidates`), and calls more of them until its result is
 //! proven.
 
@@ -26,7 +28,7 @@ use consort_protocol::auction::{
 use consort_protocol::cause::CauseClass;
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Priority, service_order};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger, MissionEntry, Priority, ServiceRank, service_order};
 use consort_protocol::units::NodeTime;
 use consort_raft::ProposeError;
 use std::collections::{BTreeMap, BTreeSet};
@@ -46,6 +48,11 @@ const TOGETHER: Duration = Duration::from_millis(50);
 /// large backlog; a robot is used sooner if the missions that wake cannot use it. A guess.
 const WOKEN_MAX: usize = 16;
 
+/// Number of first rounds under way from which further missions that waited when the session began are held back. Raised: more
+/// messages at once after a takeover; lowered: more time until all waiting missions have been called. As many as may be allocated
+/// together.
+const FIRST_ROUNDS_MAX: usize = 32;
+
 /// Minimum time between two records of auctions without a result of a mission that holds no robots, in milliseconds.
 /// Raised: fewer entries of the log, and people read older reasons. In a fleet with a backlog each robot that becomes free
 /// bids for all waiting missions.
@@ -64,6 +71,8 @@ type Restrictions = BTreeMap<RoleId, RobotRestriction>;
 #[derive(Default)]
 pub(super) struct Auctions {
     rounds: Rounds,
+    /// Missions whose first rounds are held back, in the order in which they are served.
+    held_back: BTreeSet<(ServiceRank, MissionId)>,
     /// Restrictions of roles by people when the latest auction without a result was recorded, of missions with any.
     restrictions: BTreeMap<MissionId, Restrictions>,
 }
@@ -112,6 +121,48 @@ impl Auctions {
         for mission in missions {
             self.rounds.change(&mission, |round| round.end_backoff(now));
         }
+    }
+
+    /// Calls for bids for a mission. The first call for a mission that `was_found` in the ledger when the session began is held back
+    /// while many first rounds are under way.
+    pub(super) fn call_or_hold_back(
+        &mut self,
+        mission: &MissionId,
+        was_found: bool,
+        context: &mut SessionContext,
+        now: NodeTime,
+    ) {
+        if !was_found || self.rounds.contains(mission) || self.first_rounds() < FIRST_ROUNDS_MAX {
+            return self.call_for_bids(mission, context, now);
+        }
+        context.read_ledger(|ledger| {
+            if let Some(entry) = ledger.mission(mission) {
+                self.hold_back(entry, now);
+            }
+        });
+    }
+
+    fn hold_back(&mut self, entry: &MissionEntry, now: NodeTime) {
+        self.rounds.insert(entry.id.clone(), AuctionRound::held_back(entry.branch, now));
+        self.held_back.insert((entry.rank(), entry.id.clone()));
+    }
+
+    /// Returns the number of first rounds under way.
+    fn first_rounds(&self) -> usize {
+        self.rounds.under_way().filter(|(_, round)| round.number == 1).count()
+    }
+
+    /// Takes the best-ranked mission that is held back, if few first rounds are under way.
+    fn next_held_back(&mut self) -> Option<MissionId> {
+        while self.first_rounds() < FIRST_ROUNDS_MAX {
+            let (_, mission) = self.held_back.pop_first()?;
+            // The mission may have ended, or have been called before an award to a mission ranked after it.
+            if self.rounds.get(&mission).is_some_and(|round| round.phase == RoundPhase::HeldBack) {
+                self.rounds.remove(&mission);
+                return Some(mission);
+            }
+        }
+        None
     }
 
     /// Calls for bids for the open roles of a mission.
@@ -173,8 +224,16 @@ impl Auctions {
         self.clear(context);
     }
 
-    /// Clears the closed auctions that need not wait for a better-ranked mission.
+    /// Clears the closed auctions that need not wait for a better-ranked mission, and calls missions that were held back.
     pub(super) fn clear(&mut self, context: &mut SessionContext) {
+        self.clear_closed(context);
+        let now = context.now();
+        while let Some(mission) = self.next_held_back() {
+            self.call_for_bids(&mission, context, now);
+        }
+    }
+
+    fn clear_closed(&mut self, context: &mut SessionContext) {
         if !self.rounds.under_way().any(|(_, round)| matches!(round.phase, RoundPhase::BiddingClosed(_))) {
             return;
         }
@@ -193,7 +252,7 @@ impl Auctions {
             let called = round.called_at;
             match &round.phase {
                 RoundPhase::Bidding => calling = true,
-                RoundPhase::Proposing(_) | RoundPhase::BackingOff { .. } => {}
+                RoundPhase::Proposing(_) | RoundPhase::BackingOff { .. } | RoundPhase::HeldBack => {}
                 RoundPhase::BiddingClosed(closed) => {
                     let has_bidding = calling || self.is_followed(&open[index..], *priority, called);
                     let may_wait = now < closed.deadline;
@@ -249,8 +308,8 @@ impl Auctions {
         }
     }
 
-    /// Returns the missions ranked before a mission whose rounds had no result before its call, and that may need one of these
-    /// robots, or any.
+    /// Returns the missions ranked before a mission whose rounds had no result before its call, or have not begun, and that may need
+    /// one of these robots, or any.
     fn waiting_before(
         &self,
         mission: &MissionId,
@@ -260,7 +319,8 @@ impl Auctions {
     ) -> Vec<MissionId> {
         let waits = |entry: &&MissionEntry| match self.rounds.get(&entry.id).map(|round| &round.phase) {
             Some(RoundPhase::BackingOff { since, .. }) => *since < called,
-            _ => false,
+            Some(RoundPhase::HeldBack) => true,
+            Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_)) | None => false,
         };
         context.read_ledger(|ledger| {
             let Some(entry) = ledger.mission(mission) else { return vec![] };
@@ -549,8 +609,48 @@ fn no_robot_left(hopeless: &BTreeSet<RoleId>, entries: &[AuctionEntry]) -> Strin
 
 #[cfg(test)]
 mod tests {
+    use super::super::test_ledger::Log;
     use super::*;
+    use consort_protocol::ledger::Submission;
     use consort_protocol::units::Seconds;
+
+    /// Begins the first rounds of the missions whose turn it is, and returns them.
+    fn begun(auctions: &mut Auctions) -> Vec<MissionId> {
+        let mut begun = vec![];
+        while let Some(mission) = auctions.next_held_back() {
+            auctions.rounds.insert(mission.clone(), AuctionRound::first(RoundPhase::Bidding));
+            begun.push(mission);
+        }
+        begun
+    }
+
+    #[test]
+    fn missions_that_are_held_back_are_called_by_rank_as_others_end() {
+        let (mut log, mut auctions) = (Log::default(), Auctions::default());
+        let known = log.add_mission("ada");
+        let submission = log.0.mission(&known).unwrap().submission.clone();
+        for number in 0..40 {
+            let request = format!("r-{number}").parse().unwrap();
+            log.apply(Command::Submit(Box::new(Submission { request, ..submission.clone() })));
+        }
+        let missions = log.0.active_missions().into_iter().skip(1);
+        let missions: Vec<MissionId> = missions.map(|entry| entry.id.clone()).collect();
+        for mission in missions.iter().rev() {
+            auctions.hold_back(log.0.mission(mission).unwrap(), NodeTime::ZERO);
+        }
+        assert_eq!(begun(&mut auctions), missions[..FIRST_ROUNDS_MAX]);
+        assert!(begun(&mut auctions).is_empty());
+        auctions.rounds.remove(&missions[4]);
+        let phase = RoundPhase::BackingOff { until: NodeTime::ZERO, since: NodeTime::ZERO };
+        auctions.rounds.set_phase(&missions[2], phase);
+        assert_eq!(begun(&mut auctions), missions[32..34]);
+        // A later round of a mission delays no first round, and the next mission in turn has ended.
+        let later = AuctionRound { number: 2, ..AuctionRound::first(RoundPhase::Bidding) };
+        auctions.rounds.insert(missions[2].clone(), later);
+        auctions.rounds.remove(&missions[34]);
+        auctions.rounds.remove(&missions[0]);
+        assert_eq!(begun(&mut auctions), missions[35..36]);
+    }
 
     /// Returns the record of an auction without a result, whose only robot is busy or does not reply.
     fn failed(at_ms: u64, is_busy: bool) -> AuctionRecord {

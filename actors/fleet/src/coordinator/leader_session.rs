@@ -357,7 +357,11 @@ impl LeaderSession {
 
     fn perform(&mut self, action: CoordinatorAction, now: NodeTime) {
         match action {
-            CoordinatorAction::CallForBids(mission) => self.auctions.call_for_bids(&mission, &mut self.context, now),
+            CoordinatorAction::CallForBids(mission) => {
+                let session_age = now.since(self.context.since);
+                let was_found = self.changes.time_known(&mission, now) == Some(session_age);
+                self.auctions.call_or_hold_back(&mission, was_found, &mut self.context, now);
+            }
             CoordinatorAction::NotifyAward(awarded) => self.held_roles.notify_award(awarded, &mut self.context, now),
             CoordinatorAction::AwardPromised(promised) => {
                 self.held_roles.award_promised(promised, &mut self.context, now);

@@ -55,6 +55,7 @@ pub(super) fn pending_actions(
             None => true,
             Some(RoundPhase::BackingOff { until, .. }) => *until <= now,
             Some(RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_)) => false,
+            Some(RoundPhase::HeldBack) => false, // it is called when others have ended
         };
         if due && entry.submission.may_start_within(confirmed_ms, ahead) && can_be_auctioned(entry, lease_monitor, now)
         {

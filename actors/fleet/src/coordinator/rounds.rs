@@ -31,7 +31,10 @@ impl AuctionRound {
 
     /// Checks whether the round has begun and has no result yet.
     fn is_under_way(&self) -> bool {
-        !self.is_backing_off()
+        match self.phase {
+            RoundPhase::Bidding | RoundPhase::BiddingClosed(_) | RoundPhase::Proposing(_) => true,
+            RoundPhase::BackingOff { .. } | RoundPhase::HeldBack => false,
+        }
     }
 
     /// Makes the next call due, if the round had no result.
@@ -50,6 +53,12 @@ impl AuctionRound {
             let phase = RoundPhase::BackingOff { until: now, since: now };
             *self = AuctionRound { number, branch, since: now, called_at, hopeless_rounds: 0, phase };
         }
+    }
+
+    /// Returns the state of a mission before its first round, which is held back.
+    pub(super) fn held_back(branch: Branch, now: NodeTime) -> AuctionRound {
+        let phase = RoundPhase::HeldBack;
+        AuctionRound { number: 0, branch, since: now, called_at: now, hopeless_rounds: 0, phase }
     }
 
     /// Returns the first round for the main branch, called at time 0.
@@ -76,6 +85,8 @@ pub(super) enum RoundPhase {
         /// End of the round.
         since: NodeTime,
     },
+    /// The first round has not begun: it follows when others have ended.
+    HeldBack,
 }
 
 /// Auction with all its bids.
@@ -88,7 +99,7 @@ pub(super) struct ClosedBidding {
     pub(super) is_fillable: bool,
 }
 
-/// Auction rounds of a session, by mission. With a backlog most missions are backing off, so the rounds under way are found by an
+/// Auction rounds of a session, by mission. With a backlog most missions wait, so the rounds under way are found by an
 /// index.
 #[derive(Debug, Default)]
 pub(super) struct Rounds {
@@ -189,7 +200,8 @@ mod tests {
 
     /// Returns the rounds under way, as an examination of all rounds finds them.
     fn examined(rounds: &Rounds) -> Vec<&MissionId> {
-        let under_way = rounds.all.iter().filter(|(_, round)| !matches!(round.phase, RoundPhase::BackingOff { .. }));
+        let waits = |phase: &RoundPhase| matches!(phase, RoundPhase::BackingOff { .. } | RoundPhase::HeldBack);
+        let under_way = rounds.all.iter().filter(|(_, round)| !waits(&round.phase));
         under_way.map(|(mission, _)| mission).collect()
     }
 
@@ -204,12 +216,13 @@ mod tests {
         assert_eq!(rounds.under_way().count(), 3);
         for step in 0..5000 {
             let changed = mission(step % 997);
-            match step % 6 {
+            match step % 7 {
                 0 => rounds.set_phase(&changed, RoundPhase::Bidding),
                 1 => rounds.set_phase(&changed, waiting()),
                 2 => rounds.insert(changed, AuctionRound::first(RoundPhase::Bidding)),
                 3 => rounds.insert(changed, AuctionRound::first(waiting())),
                 4 => rounds.remove(&changed),
+                5 => rounds.insert(changed, AuctionRound::held_back(Branch::Main, NodeTime::ZERO)),
                 _ => {
                     rounds.change(&changed, |round| round.follow_branch(Branch::Recovery, NodeTime::ZERO));
                 }
