@@ -49,6 +49,7 @@ mod queues;
 mod rate_limit;
 mod reauctions;
 mod reconcile;
+mod record_news;
 mod reports;
 mod requests;
 mod resource_leases;
