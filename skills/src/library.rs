@@ -39,7 +39,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use crate::actions::RobotActions;
+use crate::actions::{ErrorCode, RobotActions};
 use crate::bt::xml::read_xml;
 use crate::bt::{
     BlackboardError, Blueprint, NodeSpec, NodeStatus, PortType, Registry, RegistryError, Tree, TreeError, TreeInput,
@@ -302,6 +302,12 @@ impl ActiveSkill {
         };
         self.ended = Some(status.clone());
         status
+    }
+
+    /// Returns the code of the goal's failure that is the cause of the latest failure of a leaf; `None` if the cause is
+    /// another one.
+    pub fn failure_code(&self) -> Option<ErrorCode> {
+        self.tree.cause()?.error.as_ref().map(|error| error.code)
     }
 
     fn results(&self) -> BTreeMap<String, Scalar> {

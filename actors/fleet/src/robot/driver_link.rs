@@ -1,14 +1,11 @@
 //! The link of a robot to its driver: latest telemetry, and the record derived from it.
 
 use super::energy_check::pricing_context;
-use super::recovery_policy::AttemptFailure;
 use super::release::DriverActivity;
 use super::worker_record::{Publication, WorkerRecord};
 use crate::robot_driver::{MapOrders, OpenQuestion, RobotDriver, SharedWays};
-use consort_protocol::cause::CauseClass;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::{Availability, Charging, RobotKnowledge};
-use consort_protocol::message::FailureKind;
 use consort_protocol::units::{NodeTime, WorldTime};
 use consort_skills::actions::{GoalId, RobotActions, Telemetry};
 use consort_skills::descriptor::EstimateContext;
@@ -169,14 +166,10 @@ impl DriverLink {
         self.driver.stop();
     }
 
-    /// Returns the failure of an attempt from the cause that the skill returned: a robot that
-    /// cannot move any more has an empty battery.
-    pub(super) fn attempt_failure(&mut self, cause: String, class: CauseClass) -> AttemptFailure {
+    /// Checks whether the robot can move, by the latest report of its driver.
+    pub(super) fn is_able(&mut self) -> bool {
         self.driver.refresh();
-        match self.telemetry().is_some_and(|report| !report.able) {
-            true => AttemptFailure::new(FailureKind::Battery, cause),
-            false => AttemptFailure { class, ..AttemptFailure::new(FailureKind::Task, cause) },
-        }
+        self.telemetry().is_none_or(|report| report.able)
     }
 
     /// Checks whether no goal of the task with this first goal has moved an item, as far as can be said for

@@ -7,6 +7,7 @@
 use super::sequencer::{Sequencer, StepRef};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::message::{FailureKind, TaskFailure};
+use consort_skills::actions::ErrorCode;
 
 /// Failure of an attempt at a task.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,6 +26,18 @@ impl AttemptFailure {
     /// Creates a failure that says nothing about other robots, and may have moved an item.
     pub(super) fn new(kind: FailureKind, cause: impl Into<String>) -> AttemptFailure {
         AttemptFailure { kind, cause: cause.into(), class: CauseClass::Robot, moved_nothing: false }
+    }
+
+    /// Creates the failure of an attempt whose skill has failed. `code` is that of the failed goal, and `is_able` is false
+    /// for a robot that cannot move. Unless its battery is the reason, as when its driver has no connection to it, the same
+    /// attempt may succeed later.
+    pub(super) fn of_skill(cause: String, class: CauseClass, code: Option<ErrorCode>, is_able: bool) -> AttemptFailure {
+        let (kind, class) = match (code, class) {
+            (Some(ErrorCode::BatteryLow), _) => (FailureKind::Battery, CauseClass::Robot),
+            (_, CauseClass::Robot) if !is_able => (FailureKind::Task, CauseClass::Transient),
+            _ => (FailureKind::Task, class),
+        };
+        AttemptFailure { class, ..AttemptFailure::new(kind, cause) }
     }
 }
 
@@ -209,6 +222,22 @@ mod tests {
         let failure = AttemptFailure { class: CauseClass::Task, moved_nothing: true, ..failure(FailureKind::Task) };
         let RecoveryAction::ReleaseRole(released) = policy.next_action(failure, &mut sequencer) else { panic!() };
         assert_eq!((released.class, released.moved_nothing), (CauseClass::Task, true));
+    }
+
+    #[test]
+    fn a_robot_without_a_connection_to_its_driver_has_no_empty_battery() {
+        let of_skill = |class, code, is_able| {
+            let AttemptFailure { kind, class, .. } =
+                AttemptFailure::of_skill("stopped".to_owned(), class, code, is_able);
+            (kind, class)
+        };
+        let (low, offline) = (Some(ErrorCode::BatteryLow), Some(ErrorCode::TimedOut));
+        let (task, robot) = (FailureKind::Task, CauseClass::Robot);
+        assert_eq!(of_skill(robot, low, false), (FailureKind::Battery, robot));
+        assert_eq!(of_skill(robot, offline, false), (task, CauseClass::Transient), "it may be back later");
+        assert_eq!(of_skill(CauseClass::Task, offline, false), (task, CauseClass::Task), "no robot can do the task");
+        assert_eq!(of_skill(robot, offline, true), (task, robot));
+        assert_eq!(of_skill(robot, None, true), (task, robot));
     }
 
     #[test]

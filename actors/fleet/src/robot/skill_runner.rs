@@ -5,6 +5,7 @@ use crate::robot_driver::RobotDriver;
 use consort_bus::tasks::{Forwarded, Tasks};
 use consort_protocol::cause::CauseClass;
 use consort_protocol::scalar::Scalar;
+use consort_skills::actions::ErrorCode;
 use consort_skills::library::{ActiveSkill, SkillStatus};
 use ractor::{Actor, ActorCell, ActorId, ActorProcessingErr, ActorRef, SpawnErr};
 use std::collections::BTreeMap;
@@ -21,6 +22,8 @@ pub(crate) enum SkillOutcome {
         cause: String,
         /// Class of the cause.
         class: CauseClass,
+        /// Code of the failed goal, if a goal is the cause.
+        code: Option<ErrorCode>,
     },
 }
 
@@ -121,7 +124,9 @@ impl Actor for SkillRunner {
                 match state.skill.tick(&mut state.driver) {
                     SkillStatus::Running => return Ok(()),
                     SkillStatus::Succeeded(results) => Some(SkillOutcome::Succeeded(results)),
-                    SkillStatus::Failed { cause, class } => Some(SkillOutcome::Failed { cause, class }),
+                    SkillStatus::Failed { cause, class } => {
+                        Some(SkillOutcome::Failed { cause, class, code: state.skill.failure_code() })
+                    }
                 }
             }
             RunnerMessage::Halt => {

@@ -151,9 +151,9 @@ impl RobotState {
                 active.end_task(attempt.step, task, results, self.driver.next_goal());
                 self.advance().await
             }
-            SkillOutcome::Failed { cause, class } => {
-                let failure = self.driver.attempt_failure(cause, class);
-                self.handle_failure(failure).await
+            SkillOutcome::Failed { cause, class, code } => {
+                let is_able = self.driver.is_able();
+                self.handle_failure(AttemptFailure::of_skill(cause, class, code, is_able)).await
             }
         }
     }
