@@ -13,6 +13,9 @@
 //! device's host only ([`Devices::reports`]). The ledger contains the leases, which order the robots as those of
 //! chargers do. A robot enters only while a coordinator is in contact, and while the device confirms the robot's lease.
 //! A device that is silent, or has a lost robot inside, closes its lanes and places for routes, as a person would.
+//!
+//! A robot that stands inside of a device keeps it, so a robot enters once it has all devices whose places follow on its route.
+//! Two robots from opposite sides of a door and a lift therefore do not wait for each other inside.
 
 mod leases;
 mod reports;
@@ -26,6 +29,7 @@ use crate::ids::{DeviceId, NodeId, PlaceId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
+use std::iter;
 use std::time::Duration;
 
 /// Kind of a device, for people.
@@ -123,5 +127,14 @@ impl Devices {
     /// Returns the devices that a robot needs for the way from a place to its neighbour.
     pub fn guarding(&self, from: &PlaceId, to: &PlaceId) -> impl Iterator<Item = &Device> {
         self.0.values().filter(move |device| device.guards(from, to))
+    }
+
+    /// Returns the ways of a route from a place to the first place that no device contains. A robot cannot wait on them
+    /// without a device.
+    pub fn ways_inside(&self, from: &PlaceId, route: &[PlaceId]) -> Vec<(PlaceId, PlaceId)> {
+        let contains = |place: &PlaceId| self.0.values().any(|device| device.places.contains(place));
+        let starts = iter::once(from).chain(route);
+        let ways = starts.zip(route).take_while(|(start, _)| contains(start));
+        ways.map(|(start, end)| (start.clone(), end.clone())).collect()
     }
 }

@@ -71,6 +71,27 @@ fn robots_get_all_devices_that_they_need_in_the_order_of_their_claims() {
 }
 
 #[test]
+fn robots_from_both_sides_of_a_door_and_a_lift_do_not_wait_for_each_other() {
+    let place = |name: &str| name.parse::<PlaceId>().unwrap();
+    let door = Device { name: device("door"), kind: DeviceKind::Door, places: [place("V")].into(), ..lift() };
+    let devices = Devices::new([door, lift()]);
+    let route = ["L0", "L1", "Ward", "Room"].map(place);
+    let ways = [("V", "L0"), ("L0", "L1"), ("L1", "Ward")].map(|(from, to)| (place(from), place(to)));
+    assert_eq!(devices.ways_inside(&place("V"), &route), ways);
+    assert!(devices.ways_inside(&place("Ward"), &route[3..]).is_empty(), "it can wait there");
+    // One robot waits before the door, and claims the lift, too. The other is in the lift, and leaves through the door.
+    let (mut leases, served) = (DeviceLeases::default(), DeviceReports::new());
+    let used = leased(&[("lift", "ada", 5)]);
+    let outside = user("bob", &[("door", None), ("lift", None)]);
+    let inside = user("ada", &[("door", None), ("lift", Some(5))]);
+    assert_eq!(leases.due(&used, &[outside.clone(), inside], &served, at(0)), [grant("door", "ada")]);
+    assert_eq!(
+        leases.due(&BTreeMap::new(), &[outside], &served, at(60_000)),
+        [grant("door", "bob"), grant("lift", "bob")]
+    );
+}
+
+#[test]
 fn a_robot_that_waits_for_a_stuck_lift_keeps_no_door_free() {
     let (mut leases, served) = (DeviceLeases::default(), DeviceReports::new());
     let stuck = leased(&[("lift", "cleo", 5)]);

@@ -85,9 +85,9 @@ pub trait RobotActions {
     }
 
     /// Requests the way from a place to its neighbour from the devices of the building, and checks whether the robot may
-    /// drive it now. Repeated at each tick until the robot arrives.
-    fn request_way(&mut self, from: &PlaceId, to: &PlaceId) -> bool {
-        let _ = (from, to);
+    /// drive it now. `then` are the places after it on the route. Repeated at each tick until the robot arrives.
+    fn request_way(&mut self, from: &PlaceId, to: &PlaceId, then: &[PlaceId]) -> bool {
+        let _ = (from, to, then);
         true
     }
 

@@ -105,6 +105,8 @@ struct Drive {
     /// Place that the robot had passed at the start of the leg.
     from: PlaceId,
     to: PlaceId,
+    /// Places after the leg on the route.
+    then: Vec<PlaceId>,
     speed_max: Option<MetresPerSecond>,
     /// Closed lanes that the robot reported at the start of the leg.
     known_closed: Vec<(PlaceId, PlaceId)>,
@@ -140,7 +142,8 @@ impl NavigateToPose {
         }
         let known_closed = closed(context);
         let from = context.actions().telemetry().map_or_else(|| place.clone(), |telemetry| telemetry.place.clone());
-        if !context.actions().request_way(&from, &place) {
+        let then = self.places_after(context, &place)?;
+        if !context.actions().request_way(&from, &place, &then) {
             self.must_plan = true;
             return Ok(NodeStatus::Running);
         }
@@ -150,8 +153,21 @@ impl NavigateToPose {
             ..actions::NavigateToPose::to(pose, Some(place.clone()))
         };
         let goal = context.actions().send_goal(drive.into());
-        self.drive = Some(Drive { goal, from, to: place, speed_max, known_closed, blocked: None });
+        self.drive = Some(Drive { goal, from, to: place, then, speed_max, known_closed, blocked: None });
         self.follow(context)
+    }
+
+    /// Returns the places after the leg to `place` on the route to the destination.
+    fn places_after(&self, context: &mut LeafContext<'_, '_>, place: &PlaceId) -> Result<Vec<PlaceId>, Cause> {
+        if !self.detour.is_empty() {
+            return Ok(self.detour.iter().cloned().collect());
+        }
+        let Some(to) = context.read_optional::<PlaceId>("to")?.filter(|to| to != place) else { return Ok(vec![]) };
+        let route = legs(&self.environment, context, &to).ok().flatten().unwrap_or_default();
+        Ok(match route.split_first() {
+            Some((first, rest)) if first == place => rest.to_vec(),
+            _ => vec![],
+        })
     }
 
     fn follow(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
@@ -168,7 +184,7 @@ impl NavigateToPose {
                 Ok(NodeStatus::Running)
             }
             Some(GoalStatus::Sent | GoalStatus::Executing(_)) => {
-                context.actions().request_way(&drive.from, &drive.to);
+                context.actions().request_way(&drive.from, &drive.to, &drive.then);
                 self.drive = Some(drive);
                 Ok(NodeStatus::Running)
             }

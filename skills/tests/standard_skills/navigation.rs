@@ -233,6 +233,20 @@ fn a_drive_waits_for_a_device_or_takes_another_route() {
 }
 
 #[test]
+fn a_request_contains_the_rest_of_the_route() {
+    let mut driver = ScriptedDriver::at("A");
+    let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
+    driver.guard("B", "C");
+    skill.tick(&mut driver);
+    assert_eq!(driver.requested(), ["A B C"]);
+    driver.end_goal();
+    skill.tick(&mut driver);
+    driver.close("B", "C");
+    assert_eq!(run(&mut skill, &mut driver), succeeded());
+    assert_eq!(driver.requested(), ["A B C", "B C", "B A E C", "A E C", "E C"], "the detour, too");
+}
+
+#[test]
 fn a_robot_leaves_a_closed_place() {
     let mut driver = ScriptedDriver::at("B");
     driver.close("B", "B");

@@ -18,6 +18,8 @@ pub(crate) struct ScriptedDriver {
     closed_by_people: Vec<(PlaceId, PlaceId)>,
     /// Ways that devices of the building have not admitted.
     guarded: Vec<(PlaceId, PlaceId)>,
+    /// Requested routes, without repetitions.
+    requested: Vec<Vec<PlaceId>>,
     /// Speed limits of people.
     limits: SpeedLimits,
     /// Results of goals, in order. Later goals succeed.
@@ -48,6 +50,7 @@ impl ScriptedDriver {
             telemetry,
             closed_by_people: vec![],
             guarded: vec![],
+            requested: vec![],
             limits: SpeedLimits::default(),
             script: VecDeque::new(),
             goals: Vec::new(),
@@ -77,6 +80,12 @@ impl ScriptedDriver {
     /// All devices admit the robot.
     pub(crate) fn admit(&mut self) {
         self.guarded.clear();
+    }
+
+    /// All routes requested from the devices of the building, as text.
+    pub(crate) fn requested(&self) -> Vec<String> {
+        let text = |route: &Vec<PlaceId>| route.iter().map(PlaceId::as_str).collect::<Vec<_>>().join(" ");
+        self.requested.iter().map(text).collect()
     }
 
     /// People limit the speed on a lane, and nowhere else.
@@ -218,7 +227,11 @@ impl RobotActions for ScriptedDriver {
         &self.closed_by_people
     }
 
-    fn request_way(&mut self, from: &PlaceId, to: &PlaceId) -> bool {
+    fn request_way(&mut self, from: &PlaceId, to: &PlaceId, then: &[PlaceId]) -> bool {
+        let route = [&[from.clone(), to.clone()][..], then].concat();
+        if self.requested.last() != Some(&route) {
+            self.requested.push(route);
+        }
         !self.guarded.contains(&(from.clone(), to.clone()))
     }
 

@@ -280,8 +280,8 @@ impl RobotActions for RobotDriver {
         Some(&self.orders.limits)
     }
 
-    fn request_way(&mut self, from: &PlaceId, to: &PlaceId) -> bool {
-        self.ways.request(from, to, self.clock.now())
+    fn request_way(&mut self, from: &PlaceId, to: &PlaceId, then: &[PlaceId]) -> bool {
+        self.ways.request(from, to, then, self.clock.now())
     }
 
     fn end_way(&mut self) {

@@ -39,4 +39,4 @@ pub use messages::{DriverCommand, DriverState, GoalRequest, Permit, PersonComman
 pub(crate) use questions::OpenQuestion;
 pub use server::{DriverServer, DriverServerMessage, DriverServerSettings};
 pub use state_order::{StateOrder, StateStamp};
-pub(crate) use ways::{SharedWays, Way};
+pub(crate) use ways::{RequestedWay, SharedWays, Way};

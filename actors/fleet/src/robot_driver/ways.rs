@@ -12,6 +12,15 @@ const REQUEST_LASTS: Duration = Duration::from_secs(3);
 /// A way from a place to its neighbour.
 pub(crate) type Way = (PlaceId, PlaceId);
 
+/// The way that a skill requests.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct RequestedWay {
+    /// The way to the next place.
+    pub(crate) way: Way,
+    /// The ways after it, up to the first place at which the robot can wait without a device.
+    pub(crate) then: Vec<Way>,
+}
+
 /// Request of a skill, for all clones of a driver.
 #[derive(Clone, Default)]
 pub(crate) struct SharedWays {
@@ -21,7 +30,7 @@ pub(crate) struct SharedWays {
 
 #[derive(Default)]
 struct Ways {
-    requested: Option<(Way, NodeTime)>,
+    requested: Option<(RequestedWay, NodeTime)>,
     granted: Option<Way>,
 }
 
@@ -31,8 +40,8 @@ impl SharedWays {
         SharedWays { devices, state: Arc::default() }
     }
 
-    /// Requests a way. Returns true if the robot may drive it now.
-    pub(super) fn request(&self, from: &PlaceId, to: &PlaceId, now: NodeTime) -> bool {
+    /// Requests a way, after which the route leads to these places. Returns true if the robot may drive it now.
+    pub(super) fn request(&self, from: &PlaceId, to: &PlaceId, then: &[PlaceId], now: NodeTime) -> bool {
         if from == to {
             return true; // back to the place that the robot has left last
         }
@@ -43,7 +52,8 @@ impl SharedWays {
         }
         let way = (from.clone(), to.clone());
         let is_granted = ways.granted.as_ref() == Some(&way);
-        ways.requested = Some((way, now));
+        let then = self.devices.ways_inside(to, then);
+        ways.requested = Some((RequestedWay { way, then }, now));
         is_granted
     }
 
@@ -53,9 +63,9 @@ impl SharedWays {
     }
 
     /// Returns the requested way.
-    pub(crate) fn requested(&self, now: NodeTime) -> Option<Way> {
+    pub(crate) fn requested(&self, now: NodeTime) -> Option<RequestedWay> {
         let requested = self.lock().requested.clone();
-        requested.filter(|(_, at)| now.since(*at) < REQUEST_LASTS).map(|(way, _)| way)
+        requested.filter(|(_, at)| now.since(*at) < REQUEST_LASTS).map(|(requested, _)| requested)
     }
 
     /// Grants a way, and no other.

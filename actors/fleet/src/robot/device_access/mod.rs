@@ -2,8 +2,11 @@
 //!
 //! The robot claims all devices of the way that its skill requests, and of the place at which it stands. It enters when
 //! each of them confirms the lease of the robot, while a coordinator is in contact. It keeps the claims until it has left.
+//!
+//! If the way ends inside of a device, the robot also claims the devices whose places follow on its route, up to the first place
+//! outside of all, and enters once they are leased to it. Inside it would keep what a robot from the other side needs.
 
-use crate::robot_driver::Way;
+use crate::robot_driver::{RequestedWay, Way};
 use consort_protocol::devices::{Device, DeviceReports, DeviceWatch, Devices};
 use consort_protocol::ids::{DeviceId, PlaceId};
 use consort_protocol::knowledge::{DeviceClaim, DeviceClaims, DeviceReport, DeviceState};
@@ -45,7 +48,7 @@ pub(super) struct AccessSituation<'a> {
     /// True if it stands there.
     pub(super) is_at_place: bool,
     /// Way that a skill requests.
-    pub(super) requested: Option<&'a Way>,
+    pub(super) requested: Option<&'a RequestedWay>,
     /// Places that it may pass next if it stands between two places.
     pub(super) ahead: &'a [&'a PlaceId],
     /// Reports of the devices.
@@ -117,6 +120,8 @@ impl DeviceAccess {
     /// Decides what the robot claims. Returns the requested way if the robot may drive it now.
     pub(super) fn decide(&mut self, situation: &AccessSituation) -> Option<Way> {
         let AccessSituation { place, is_at_place, requested, ahead, reports, has_coordinator, now } = *situation;
+        let then: &[Way] = requested.map_or(&[], |requested| &requested.then);
+        let requested = requested.map(|requested| &requested.way);
         // A robot that still stands there after the end of the grant has not used it.
         let is_unused = is_at_place && !self.is_granted;
         let has_ended = |way: &Way| *place != way.0 || is_at_place && requested != Some(way) || is_unused;
@@ -137,10 +142,16 @@ impl DeviceAccess {
         let text = |(device, problem): &(&Device, String)| format!("{} is unavailable: {problem}", device.name);
         self.problems = others.iter().map(text).collect();
         let closed: BTreeSet<&DeviceId> = others.iter().map(|(device, _)| &device.name).collect();
+        let follows =
+            |device: &Device| !device.places.is_empty() && then.iter().any(|(from, to)| device.guards(from, to));
+        let is_requested =
+            |device: &Device| requested.is_some_and(|(from, to)| device.guards(from, to)) || follows(device);
+        // A robot needs all devices of its way or none.
+        let is_open = !devices.iter().any(|device| is_requested(device) && closed.contains(&device.name));
         let is_needed = |device: &&Device| {
-            let is_requested = requested.is_some_and(|(from, to)| device.guards(from, to));
             let may_be_on_way = !self.knows_its_way && ahead.iter().any(|next| device.guards(place, next));
-            inside.contains(&device.name) || (is_requested || may_be_on_way) && !closed.contains(&device.name)
+            let is_claimed = is_open && is_requested(device) || may_be_on_way && !closed.contains(&device.name);
+            inside.contains(&device.name) || is_claimed
         };
         let needed: BTreeSet<&DeviceId> = devices.iter().filter(is_needed).map(|device| &device.name).collect();
         self.claims.retain(|device, _| needed.contains(device));
@@ -153,7 +164,8 @@ impl DeviceAccess {
         });
         for (device, claim) in &mut self.claims {
             let Some(declared) = devices.get(device) else { continue };
-            let way = requested.or(self.entered.as_ref()).filter(|(from, to)| declared.guards(from, to));
+            let mut ways = requested.or(self.entered.as_ref()).into_iter().chain(then);
+            let way = ways.find(|(from, to)| declared.guards(from, to));
             let before = claim.place.take();
             let stop = || declared.places.contains(place).then(|| place.clone());
             claim.place = match way {
@@ -173,7 +185,10 @@ impl DeviceAccess {
             let report = reports.get(&device.name).filter(|_| !is_doubted);
             report.is_some_and(|report| report.admits(device, claim) || is_between && has_jammed_for(report, claim))
         };
-        let is_free = |(from, to): &&Way| has_coordinator && devices.guarding(from, to).all(admits);
+        let is_leased = |device: &Device| self.claims.get(&device.name).is_some_and(|claim| claim.lease.is_some());
+        let is_way_out_free =
+            devices.iter().filter(|device| follows(device)).all(|device| is_leased(device) || admits(device));
+        let is_free = |(from, to): &&Way| has_coordinator && is_way_out_free && devices.guarding(from, to).all(admits);
         let granted = requested.filter(is_free).cloned();
         self.is_granted = granted.is_some();
         if granted.is_some() {

@@ -22,6 +22,12 @@ fn access() -> DeviceAccess {
     DeviceAccess::new(Arc::new(Devices::new([device])))
 }
 
+/// Returns the request of a way, after which the route leads through these ways inside of devices.
+fn requested(from: &str, to: &str, then: &[(&str, &str)]) -> RequestedWay {
+    let way = |from: &str, to: &str| (place(from), place(to));
+    RequestedWay { way: way(from, to), then: then.iter().map(|(from, to)| way(from, to)).collect() }
+}
+
 fn reports(state: DeviceState, lease: Option<u64>) -> DeviceReports {
     DeviceReports::from([(door(), DeviceReport { state, lease, place: None })])
 }
@@ -34,9 +40,9 @@ fn decide(
     reports: &DeviceReports,
     has_coordinator: bool,
 ) -> bool {
-    let (at, way) = (place(at), (place("A"), place("B")));
-    let requested = requests.then_some(&way);
-    let (now, ahead) = (NodeTime::at(Duration::from_secs(100)), [&way.1]);
+    let (at, request) = (place(at), requested("A", "B", &[]));
+    let requested = requests.then_some(&request);
+    let (now, ahead) = (NodeTime::at(Duration::from_secs(100)), [&request.way.1]);
     let ahead: &[&PlaceId] = if is_at_place { &[] } else { &ahead };
     let situation = AccessSituation { place: &at, is_at_place, requested, ahead, reports, has_coordinator, now };
     access.decide(&situation).is_some()
@@ -150,13 +156,13 @@ fn claims_are_published_once_the_node_knows_where_its_robot_is() {
 
 /// Decides for a robot that stands at the lower stop of a lift.
 fn ride(access: &mut DeviceAccess, to: &str, at_stop: &str, ms: u64) -> bool {
-    let (low, way) = (place("L0"), (place("L0"), place(to)));
+    let (low, request) = (place("L0"), requested("L0", to, &[]));
     let report = DeviceReport { state: DeviceState::Ready, lease: Some(7), place: Some(place(at_stop)) };
     access
         .decide(&AccessSituation {
             place: &low,
             is_at_place: true,
-            requested: Some(&way),
+            requested: Some(&request),
             ahead: &[],
             reports: &DeviceReports::from([("lift".parse().unwrap(), report)]),
             has_coordinator: true,
@@ -185,4 +191,61 @@ fn a_robot_that_turns_back_trusts_no_report_from_before() {
     assert!(ride(&mut access, "Hall", "L0", 3_400), "it has not left");
     assert!(!ride(&mut access, "L1", "L0", 3_500));
     assert!(ride(&mut access, "L1", "L1", 3_600), "it has arrived");
+}
+
+/// A door to the place V, and a lift behind it with the stops L0 and L1.
+fn door_before_lift() -> DeviceAccess {
+    let device = |name: &str, kind, places: &[&str]| Device {
+        name: name.parse().unwrap(),
+        kind,
+        host: "station".parse().unwrap(),
+        lanes: BTreeSet::new(),
+        places: places.iter().map(|name| place(name)).collect(),
+        silent_after: Duration::from_secs(10),
+        in_alarm: AlarmPosition::OutOfUse,
+    };
+    let devices = [device("door", DeviceKind::Door, &["V"]), device("lift", DeviceKind::Lift, &["L0", "L1"])];
+    DeviceAccess::new(Arc::new(Devices::new(devices)))
+}
+
+/// Decides for a robot at C, which requests the way through the door to the upper stop of the lift.
+fn enter(access: &mut DeviceAccess, states: [(&str, DeviceState, Option<u64>, &str); 2]) -> bool {
+    let (at, request) = (place("C"), requested("C", "V", &[("V", "L0"), ("L0", "L1")]));
+    let report = |(name, state, lease, stop): (&str, _, _, &str)| {
+        (name.parse::<DeviceId>().unwrap(), DeviceReport { state, lease, place: Some(place(stop)) })
+    };
+    let granted = access.decide(&AccessSituation {
+        place: &at,
+        is_at_place: true,
+        requested: Some(&request),
+        ahead: &[],
+        reports: &states.map(report).into(),
+        has_coordinator: true,
+        now: NodeTime::at(Duration::from_secs(100)),
+    });
+    granted.is_some()
+}
+
+#[test]
+fn a_robot_enters_a_door_once_the_lift_behind_it_is_its_own() {
+    let mut access = door_before_lift();
+    let idle = [("door", DeviceState::Idle, None, "V"), ("lift", DeviceState::Idle, None, "L0")];
+    assert!(!enter(&mut access, idle));
+    let claim =
+        |name: &str, stop| (name.parse::<DeviceId>().unwrap(), DeviceClaim { lease: None, place: Some(place(stop)) });
+    let both = DeviceClaims::from([claim("door", "V"), claim("lift", "L0")]);
+    assert_eq!(access.claims(), Some(&both));
+    let open = [("door", DeviceState::Ready, Some(7), "V"), ("lift", DeviceState::Preparing, Some(8), "L0")];
+    access.receive_lease(&door(), 7);
+    assert!(!enter(&mut access, open), "a robot in the lift may need the door");
+    access.receive_lease(&"lift".parse().unwrap(), 8);
+    assert!(enter(&mut access, open), "the lift may still come");
+}
+
+#[test]
+fn a_robot_claims_no_door_before_a_silent_lift() {
+    let mut access = door_before_lift();
+    let silent = [("door", DeviceState::Idle, None, "V"), ("lift", DeviceState::Silent, None, "L0")];
+    assert!(!enter(&mut access, silent));
+    assert_eq!(access.claims(), Some(&DeviceClaims::new()));
 }
