@@ -326,6 +326,15 @@ impl Routes {
         self.graph.neighbors(*start).map(|place| &self.graph[place].0).collect()
     }
 
+    /// Returns those of the [next places](Routes::places_ahead) to which the robot may be on its way: it is at most
+    /// `within_m` metres away from the straight line to them.
+    pub fn ways_at(&self, passed: &PlaceId, pose: Pose, within_m: f64) -> Vec<&PlaceId> {
+        let Some(begin) = self.pose(passed) else { return vec![] };
+        let is_near = |end: Pose| distance_to_segment(pose, begin, end) <= within_m;
+        let ahead = self.places_ahead(passed, pose).into_iter();
+        ahead.filter(|next| self.pose(next).is_some_and(is_near)).collect()
+    }
+
     /// Returns the pose of a place.
     pub fn pose(&self, place: &PlaceId) -> Option<Pose> {
         self.index.get(place).map(|node| self.graph[*node].1)

@@ -114,6 +114,15 @@ fn a_robot_between_places_may_pass_a_neighbour_next() {
 }
 
 #[test]
+fn a_robot_far_from_every_lane_is_on_no_way() {
+    let routes = corridor();
+    let ways = |x, y| routes.ways_at(&place("W"), Pose::new(x, y, 0.0), 1.0);
+    assert_eq!(ways(1.0, 0.9), [&place("M")]);
+    assert!(ways(1.0, 1.1).is_empty() && ways(-1.1, 0.0).is_empty());
+    assert!(ways(0.1, 0.0).is_empty(), "it stands at the place");
+}
+
+#[test]
 fn a_robot_on_a_leg_takes_the_shorter_of_both_directions() {
     let routes = corridor();
     let legs = |passed: &str, x: f64, y: f64, to: &str| {

@@ -2,14 +2,15 @@
 
 use super::state::RobotState;
 use crate::device_reports::device_reports;
-use crate::robot::device_access::{AccessSituation, DeviceAccess};
+use crate::robot::device_access::{AT_PLACE_M, AccessSituation, DeviceAccess};
 use consort_protocol::ids::{DeviceId, NodeId};
 use consort_protocol::units::NodeTime;
 use consort_skills::environment::Routes;
 use tracing::debug;
 
-/// Greatest distance from a place at which the robot stands there, in metres: Nav2's default goal tolerance.
-const AT_PLACE_M: f64 = 0.25;
+/// Greatest distance from the straight line of a way at which the robot may be on it, in metres: half of the width of a wide
+/// door. Raised: a robot whose pose is wrong keeps more doors after a restart.
+const ON_WAY_M: f64 = 1.0;
 
 impl RobotState {
     /// Sets the orders of people about the map, and the lanes of devices that no robot can use.
@@ -30,10 +31,13 @@ impl RobotState {
         let is_near = pose.is_none_or(|pose| pose.distance(report.pose).get() <= AT_PLACE_M);
         let reports = device_reports(&links.knowledge, devices, &NodeId::from(self.settings.robot.clone()));
         let requested = self.driver.ways().requested(now);
-        let ahead = routes.map_or(vec![], |routes| routes.places_ahead(&report.place, report.pose));
+        let ahead = routes.map_or(vec![], |routes| routes.ways_at(&report.place, report.pose, ON_WAY_M));
+        let is_at_rest = self.driver.activity().is_idle;
         let granted = access.decide(&AccessSituation {
             place: &report.place,
-            is_at_place: is_near && self.driver.activity().is_idle,
+            is_at_place: is_near && is_at_rest,
+            is_at_rest,
+            pose: report.pose,
             requested: requested.as_ref(),
             ahead: &ahead,
             reports: &reports,

@@ -1,7 +1,8 @@
 //! Access to the ways that devices of the building guard, as a value: what the robot claims, and when it may enter.
 //!
 //! The robot claims all devices of the way that its skill requests, and of the place at which it stands. It enters when
-//! each of them confirms the lease of the robot, while a coordinator is in contact. It keeps the claims until it has left.
+//! each of them confirms the lease of the robot, while a coordinator is in contact. It keeps the claims until it has left. A robot
+//! at rest has not entered if it is still where it waited. A robot that rests far from all ways is on none of them.
 //!
 //! If the way ends inside of a device, the robot also claims the devices whose places follow on its route, up to the first place
 //! outside of all, and enters once they are leased to it. Inside it would keep what a robot from the other side needs.
@@ -10,6 +11,7 @@ use crate::robot_driver::{RequestedWay, Way};
 use consort_protocol::devices::{Device, DeviceReports, DeviceWatch, Devices};
 use consort_protocol::ids::{DeviceId, PlaceId};
 use consort_protocol::knowledge::{DeviceClaim, DeviceClaims, DeviceReport, DeviceState};
+use consort_protocol::pose::Pose;
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -18,6 +20,13 @@ use std::time::Duration;
 /// Time after which a report counts that was already known when the robot asked for another place: the device would have
 /// reported otherwise. Raised: a robot that turns back waits longer. Several intervals of gossip and of the device's node.
 const STALE_FOR: Duration = Duration::from_secs(3);
+
+/// Greatest distance from a place at which the robot stands there, in metres: Nav2's default goal tolerance.
+pub(super) const AT_PLACE_M: f64 = 0.25;
+
+/// Time for which a robot rests far from all ways until it counts as on none of them. Raised: a device waits longer for a robot whose
+/// pose does not fit its place. Long enough for a robot that restarts to find its pose; a guess.
+const OFF_WAY_MAX: Duration = Duration::from_secs(120);
 
 /// Access of a robot.
 pub(super) struct DeviceAccess {
@@ -30,6 +39,10 @@ pub(super) struct DeviceAccess {
     doubted: BTreeMap<DeviceId, (DeviceReport, NodeTime)>,
     /// Way that the robot was allowed to drive, until it has arrived or has not left its place.
     entered: Option<Way>,
+    /// Pose at which it was allowed to, if that is not the pose of its place.
+    entered_from: Option<Pose>,
+    /// Time since which the robot rests far from all ways.
+    off_way_since: Option<NodeTime>,
     /// True if the latest decision has granted a way.
     is_granted: bool,
     /// Place at the first decision.
@@ -47,9 +60,13 @@ pub(super) struct AccessSituation<'a> {
     pub(super) place: &'a PlaceId,
     /// True if it stands there.
     pub(super) is_at_place: bool,
+    /// True if no goal is in progress.
+    pub(super) is_at_rest: bool,
+    /// Pose.
+    pub(super) pose: Pose,
     /// Way that a skill requests.
     pub(super) requested: Option<&'a RequestedWay>,
-    /// Places that it may pass next if it stands between two places.
+    /// Places to which it may be on its way.
     pub(super) ahead: &'a [&'a PlaceId],
     /// Reports of the devices.
     pub(super) reports: &'a DeviceReports,
@@ -68,6 +85,8 @@ impl DeviceAccess {
             published: None,
             doubted: BTreeMap::new(),
             entered: None,
+            entered_from: None,
+            off_way_since: None,
             is_granted: false,
             started_at: None,
             knows_its_way: false,
@@ -119,15 +138,20 @@ impl DeviceAccess {
 
     /// Decides what the robot claims. Returns the requested way if the robot may drive it now.
     pub(super) fn decide(&mut self, situation: &AccessSituation) -> Option<Way> {
-        let AccessSituation { place, is_at_place, requested, ahead, reports, has_coordinator, now } = *situation;
+        let AccessSituation { place, is_at_place, pose, requested, ahead, reports, has_coordinator, now, .. } =
+            *situation;
         let then: &[Way] = requested.map_or(&[], |requested| &requested.then);
         let requested = requested.map(|requested| &requested.way);
-        // A robot that still stands there after the end of the grant has not used it.
-        let is_unused = is_at_place && !self.is_granted;
-        let has_ended = |way: &Way| *place != way.0 || is_at_place && requested != Some(way) || is_unused;
+        let is_off_way = self.is_off_way(situation);
+        let is_where_it_waited =
+            situation.is_at_rest && self.entered_from.is_some_and(|from| from.distance(pose).get() <= AT_PLACE_M);
+        let is_outside = is_at_place || is_where_it_waited || is_off_way;
+        // A robot that is still outside after the end of the grant has not used it.
+        let is_unused = is_outside && !self.is_granted;
+        let has_ended = |way: &Way| *place != way.0 || is_outside && requested != Some(way) || is_unused;
         self.entered.take_if(|way| has_ended(way));
         let started_at = self.started_at.get_or_insert_with(|| place.clone());
-        self.knows_its_way |= is_at_place || *started_at != *place;
+        self.knows_its_way |= is_at_place || is_off_way || *started_at != *place;
         let devices = Arc::clone(&self.devices);
         let is_inside = |device: &Device| {
             let is_on_way = self.entered.as_ref().is_some_and(|(from, to)| device.guards(from, to));
@@ -191,11 +215,22 @@ impl DeviceAccess {
         let is_free = |(from, to): &&Way| has_coordinator && is_way_out_free && devices.guarding(from, to).all(admits);
         let granted = requested.filter(is_free).cloned();
         self.is_granted = granted.is_some();
-        if granted.is_some() {
+        if granted.is_some() && self.entered != granted {
             self.entered.clone_from(&granted);
+            self.entered_from = (!is_at_place).then_some(pose);
         }
         self.is_waiting = requested.is_some() && self.entered.is_none();
         granted
+    }
+
+    /// Checks whether the robot has rested far from all ways for so long that it is on none of them.
+    fn is_off_way(&mut self, situation: &AccessSituation) -> bool {
+        let AccessSituation { is_at_place, is_at_rest, requested, ahead, now, .. } = *situation;
+        if is_at_place || !is_at_rest || requested.is_some() || !ahead.is_empty() {
+            self.off_way_since = None;
+            return false;
+        }
+        now.since(*self.off_way_since.get_or_insert(now)) >= OFF_WAY_MAX
     }
 }
 

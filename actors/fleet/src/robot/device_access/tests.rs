@@ -43,8 +43,20 @@ fn decide(
     let (at, request) = (place(at), requested("A", "B", &[]));
     let requested = requests.then_some(&request);
     let (now, ahead) = (NodeTime::at(Duration::from_secs(100)), [&request.way.1]);
+    let x = if is_at_place { 0.0 } else { 1.0 };
     let ahead: &[&PlaceId] = if is_at_place { &[] } else { &ahead };
-    let situation = AccessSituation { place: &at, is_at_place, requested, ahead, reports, has_coordinator, now };
+    let pose = Pose::new(x, 0.0, 0.0);
+    let situation = AccessSituation {
+        place: &at,
+        is_at_place,
+        is_at_rest: true,
+        pose,
+        requested,
+        ahead,
+        reports,
+        has_coordinator,
+        now,
+    };
     access.decide(&situation).is_some()
 }
 
@@ -162,6 +174,8 @@ fn ride(access: &mut DeviceAccess, to: &str, at_stop: &str, ms: u64) -> bool {
         .decide(&AccessSituation {
             place: &low,
             is_at_place: true,
+            is_at_rest: true,
+            pose: Pose::default(),
             requested: Some(&request),
             ahead: &[],
             reports: &DeviceReports::from([("lift".parse().unwrap(), report)]),
@@ -217,6 +231,8 @@ fn enter(access: &mut DeviceAccess, states: [(&str, DeviceState, Option<u64>, &s
     let granted = access.decide(&AccessSituation {
         place: &at,
         is_at_place: true,
+        is_at_rest: true,
+        pose: Pose::default(),
         requested: Some(&request),
         ahead: &[],
         reports: &states.map(report).into(),
@@ -248,4 +264,54 @@ fn a_robot_claims_no_door_before_a_silent_lift() {
     let silent = [("door", DeviceState::Idle, None, "V"), ("lift", DeviceState::Silent, None, "L0")];
     assert!(!enter(&mut access, silent));
     assert_eq!(access.claims(), Some(&DeviceClaims::new()));
+}
+
+/// Decides for a robot whose stated place is A, and whose pose is not there.
+fn rest(access: &mut DeviceAccess, x: f64, ahead: &[&PlaceId], reports: &DeviceReports, seconds: u64) {
+    access.decide(&AccessSituation {
+        place: &place("A"),
+        is_at_place: false,
+        is_at_rest: true,
+        pose: Pose::new(x, 0.0, 0.0),
+        requested: None,
+        ahead,
+        reports,
+        has_coordinator: true,
+        now: NodeTime::at(Duration::from_secs(seconds)),
+    });
+}
+
+#[test]
+fn a_robot_whose_pose_is_far_from_its_place_claims_no_door() {
+    let (mut access, idle) = (access(), reports(DeviceState::Idle, None));
+    rest(&mut access, 50.0, &[], &idle, 0);
+    assert_eq!(access.claims(), None, "its earlier claims count until it knows its way");
+    rest(&mut access, 50.0, &[], &idle, 119);
+    assert_eq!(access.claims(), None);
+    rest(&mut access, 50.0, &[], &idle, 120);
+    assert_eq!(access.claims(), Some(&DeviceClaims::new()), "not for ever");
+}
+
+#[test]
+fn a_robot_that_does_not_pass_gives_the_door_back() {
+    let let_in = || {
+        let (mut access, idle) = (access(), reports(DeviceState::Idle, None));
+        decide(&mut access, ("C", false), false, &idle, true);
+        decide(&mut access, ("A", false), true, &idle, true);
+        access.receive_lease(&door(), 7);
+        assert!(decide(&mut access, ("A", false), true, &reports(DeviceState::Ready, Some(7)), true));
+        (access, reports(DeviceState::Ready, Some(7)))
+    };
+    let b = place("B");
+    let (mut waiting, ready) = let_in();
+    rest(&mut waiting, 1.2, &[&b], &ready, 101);
+    assert_eq!(waiting.claims(), Some(&DeviceClaims::new()), "it is where it was let in, and asks no longer");
+    let (mut inside, ready) = let_in();
+    rest(&mut inside, 1.5, &[&b], &ready, 1_000);
+    assert_eq!(inside.claims.len(), 1, "it may be in the door");
+    let (mut elsewhere, ready) = let_in();
+    rest(&mut elsewhere, 50.0, &[], &ready, 1_000);
+    assert_eq!(elsewhere.claims.len(), 1);
+    rest(&mut elsewhere, 50.0, &[], &ready, 1_120);
+    assert_eq!(elsewhere.claims(), Some(&DeviceClaims::new()));
 }
