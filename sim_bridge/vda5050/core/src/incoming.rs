@@ -2,6 +2,7 @@
 
 use crate::cause::{ErrorLevel, VehicleError};
 use crate::identity::{Topic, Vehicle, Version};
+use crate::order_id::OrderId;
 use crate::schema::{Violation, check, schema};
 use serde_json::Value;
 
@@ -123,6 +124,18 @@ impl VehicleState {
     /// Returns the ids of the reported actions.
     pub(crate) fn action_ids(&self) -> impl Iterator<Item = &str> {
         self.actions.iter().chain(&self.instant_actions).map(|action| action.id.as_str())
+    }
+
+    /// Checks whether the vehicle cancels or has cancelled an order, for this or an earlier process.
+    pub(crate) fn has_cancelled(&self, order: OrderId) -> bool {
+        let mut reports = self.actions.iter().chain(&self.instant_actions);
+        reports.any(|action| action.status != ActionStatus::Failed && order.is_cancel(&action.id))
+    }
+
+    /// Checks whether the action of an order has failed because the order was cancelled.
+    pub(crate) fn has_cancelled_action(&self, order: OrderId) -> bool {
+        let has_failed = |report: &ActionReport| report.status == ActionStatus::Failed;
+        self.action(&order.action(0)).is_some_and(has_failed) && self.has_cancelled(order)
     }
 
     /// Checks whether the latest order has ended: nothing is left to drive, and all its actions have ended.

@@ -46,11 +46,24 @@ pub(crate) fn latest_of(actions: impl IntoIterator<Item = (u64, u32)>) -> Acts {
 /// First part of the text of an id.
 const PREFIX: &str = "consort";
 
+/// Part of the id of a cancel after the order.
+const CANCEL: &str = "-x";
+
 impl OrderId {
     /// Returns the id of an action of the order. It is a function of the order, so a repeated order
     /// repeats no action.
     pub fn action(&self, index: usize) -> String {
         format!("{self}-a{index}")
+    }
+
+    /// Returns the id of the instant action that cancels the order. A later process sees by it that the order was cancelled.
+    pub(crate) fn cancel(&self, session: u64, number: u64) -> String {
+        format!("{self}{CANCEL}{session}-{number}")
+    }
+
+    /// Checks whether an instant action cancels the order, by its id.
+    pub(crate) fn is_cancel(&self, action: &str) -> bool {
+        action.strip_prefix(&self.to_string()).is_some_and(|rest| rest.starts_with(CANCEL))
     }
 
     /// Returns the latest actions that may have been sent, with this order and before it.
@@ -140,6 +153,12 @@ mod tests {
         assert_eq!(id.action(0), format!("{id}-a0"));
         assert_eq!(OrderId::of_action(&id.action(0)), Ok(id));
         assert_eq!(OrderId::of_action(&id.to_string()), Err(OrderIdError));
+        let cancel = id.cancel(1, 2);
+        assert_eq!(
+            (id.is_cancel(&cancel), drive.is_cancel(&cancel), id.is_cancel(&id.action(0))),
+            (true, false, false)
+        );
+        assert_eq!((id.is_cancel(&drive.cancel(1, 2)), OrderId::of_action(&cancel)), (false, Err(OrderIdError)));
         let parts = ["consort-7-1", "consort-7-0000000G-0", "consort-07-00000001-0", "consort-7-00000001-0-6"];
         for foreign in ["", "order-7", "consort-7-00000001-0-06-00000001"].into_iter().chain(parts) {
             assert_eq!(foreign.parse::<OrderId>(), Err(OrderIdError), "{foreign}");

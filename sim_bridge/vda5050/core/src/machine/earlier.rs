@@ -40,8 +40,8 @@ impl EarlierProcesses {
         self.before.get_or_insert_with(|| state.clone());
     }
 
-    /// Compares a goal with the reports of an earlier process: `Absent` if it has not begun the action, and `None` if
-    /// that is unknown. `state` is the latest state.
+    /// Compares a goal with the reports of an earlier process: `Absent` if it has not begun the action, or has cancelled
+    /// it, and `None` if that is unknown. `state` is the latest state.
     ///
     /// The id of the latest order names all actions since the oldest that it names. If that one is not younger than the
     /// first of the goals, and no action since that goal has the work, the action was not begun.
@@ -50,7 +50,8 @@ impl EarlierProcesses {
         let begun = before.action_ids().map(OrderId::of_action).chain([before.order.parse::<OrderId>()]);
         let latest = begun.filter_map(Result::ok).filter(|order| goal.includes(*order)).max();
         if let Some(latest) = latest {
-            return ActionRun::adopt(latest.action(0), before).map(|mut run| run.judge(before, causes));
+            let verdict = ActionRun::adopt(latest.action(0), before).map(|mut run| run.judge(before, causes));
+            return if before.has_cancelled_action(latest) { Some(Verdict::Absent) } else { verdict };
         }
         let since = goal.earlier.as_ref()?.start;
         let acts = before.order.parse::<OrderId>().ok()?.latest_acts();

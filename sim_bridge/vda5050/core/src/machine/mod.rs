@@ -14,8 +14,9 @@
 //!   earlier goal with the same work: the node restarted. Any other unfinished order of Consort is
 //!   cancelled. Orders of other masters are not touched.
 //! - An action that an earlier process may have begun, and that the vehicle reports, is not ordered
-//!   again: its end is the result of the goal, also if an order of this process has displaced the report. If
-//!   the end is unknown, the goal fails, unless the latest order of the vehicle shows that the action was not begun.
+//!   again, unless that process has cancelled it: its end is the result of the goal, also if an order of this
+//!   process has displaced the report. If the end is unknown, the goal fails, unless the latest order of the
+//!   vehicle shows that the action was not begun.
 //! - A vehicle that restarts loses its order. A drive is ordered again from where the vehicle is; an
 //!   action is not, since it may have happened.
 
@@ -273,6 +274,7 @@ impl OrderMachine {
         if let Command::SendInstant(action) = &mut cancel {
             // A later order of another master is not cancelled.
             action.parameters.insert("orderId".to_owned(), Value::from(order.to_string()));
+            action.id = order.cancel(self.settings.session, self.instants_sent);
         }
         commands.push(cancel);
         Some(now)
@@ -376,11 +378,12 @@ impl OrderMachine {
         let run = OrderRun::adopt(order, state, has_action, speed_max_mps, &self.settings.layout);
         let at_end = match &goal.work {
             Work::Drive { to, .. } => state.last_node == *to,
-            Work::Act { .. } => state.action(&order.action(0)).is_some(),
+            Work::Act { .. } => state.action(&order.action(0)).is_some() && !state.has_cancelled_action(order),
         };
         if state.is_idle() && !at_end {
-            // A drive that ended early is ordered again. An action without a report may have happened.
-            if !has_action || goal.earlier.is_none() {
+            // A drive that ended early and a cancelled action are ordered again. An action without a report may have
+            // happened.
+            if !has_action || goal.earlier.is_none() || state.has_cancelled_action(order) {
                 goal.attempt = order.attempt + 1;
             }
             return false;
@@ -469,8 +472,17 @@ impl OrderMachine {
             Some(state) => run.judge(state, &self.settings.causes),
             None => Verdict::Continues,
         };
+        let is_cancelled = |state: &VehicleState| goal.stop.is_none() && state.has_cancelled(run.id());
         match verdict {
             Verdict::Succeeded(result) => return Some(GoalStatus::Succeeded(result)),
+            // An earlier process has sent the cancel: its node was stopped.
+            Verdict::Ended(_) | Verdict::Fails(_) if self.view.state().is_some_and(is_cancelled) => {
+                if self.view.state().is_some_and(VehicleState::is_idle) {
+                    goal.attempt = run.id().attempt + 1;
+                    goal.waiting_since = now;
+                    return None;
+                }
+            }
             Verdict::Ended(cause) => return goal.stopped().or(Some(GoalStatus::Aborted(cause))),
             Verdict::Fails(cause) => goal.stop(Some(cause)),
             Verdict::Absent if goal.stop.is_some() => {

@@ -143,3 +143,51 @@ fn a_vehicle_that_restarts_before_an_update_drives_again() {
     let again = orders(&commands).remove(0);
     assert_eq!((again.id.parse::<OrderId>().unwrap().attempt, again.update), (1, 0));
 }
+
+#[test]
+fn an_action_that_the_stop_of_the_node_has_cancelled_is_executed_again() {
+    let stopped = || {
+        let (mut stopped, mut vehicle) = (machine(1), FakeVehicle::at("a"));
+        exchange(&mut stopped, &mut vehicle, 1);
+        send(&mut stopped, &mut vehicle, goal(7, pick(false)), 2);
+        exchange(&mut stopped, &mut vehicle, 3);
+        let stop = stopped.step(Event::Shutdown, seconds(4));
+        assert_eq!(cancels(&stop), 1);
+        (vehicle, stop)
+    };
+    // The vehicle executes the cancel before the goal of the next process, or during it.
+    for is_late in [false, true] {
+        let ((mut vehicle, stop), mut next) = (stopped(), machine(1));
+        let cancel = |vehicle: &mut FakeVehicle| stop.iter().for_each(|command| vehicle.receive(command));
+        if !is_late {
+            cancel(&mut vehicle);
+        }
+        exchange(&mut next, &mut vehicle, 1);
+        let begun = send(&mut next, &mut vehicle, begun_since(7, NEXT, pick(false)), 2);
+        if is_late {
+            cancel(&mut vehicle);
+        }
+        let commands = [3, 4, 5].map(|time| exchange(&mut next, &mut vehicle, time)).concat();
+        assert_eq!((result(&begun), result(&commands), acted(&vehicle)), (None, None, 2), "{vehicle:?}");
+        vehicle.finish_actions();
+        assert!(matches!(result(&exchange(&mut next, &mut vehicle, 6)), Some(GoalStatus::Succeeded(_))));
+    }
+    // The next process has driven before.
+    let ((mut vehicle, stop), mut next) = (stopped(), machine(3));
+    stop.iter().for_each(|command| vehicle.receive(command));
+    exchange(&mut next, &mut vehicle, 1);
+    send(&mut next, &mut vehicle, goal(NEXT, drive("b")), 2);
+    (0..3).for_each(|_| vehicle.step());
+    assert!(result(&exchange(&mut next, &mut vehicle, 3)).is_some());
+    send(&mut next, &mut vehicle, begun_since(7, NEXT + 1, pick(false)), 4);
+    let commands = [5, 6].map(|time| exchange(&mut next, &mut vehicle, time)).concat();
+    assert_eq!((result(&commands), acted(&vehicle)), (None, 2), "{vehicle:?}");
+    // The action has ended before the vehicle could cancel it.
+    let ((mut vehicle, stop), mut next) = (stopped(), machine(1));
+    vehicle.finish_actions();
+    stop.iter().for_each(|command| vehicle.receive(command));
+    send(&mut next, &mut vehicle, begun_since(7, NEXT, pick(false)), 1);
+    let commands = [2, 3].map(|time| exchange(&mut next, &mut vehicle, time)).concat();
+    assert!(matches!(result(&commands), Some(GoalStatus::Succeeded(_))), "{commands:?}");
+    assert_eq!(acted(&vehicle), 1, "{vehicle:?}");
+}
