@@ -17,6 +17,10 @@ use tracing::info;
 /// Number of final goal states that are kept.
 const GOALS_KEPT: usize = 32;
 
+/// Number of restarts of the server during a goal after each of which the goal is started again; after another it fails, since
+/// it may be the cause.
+const RESUMPTIONS_MAX: u32 = 3;
+
 /// State of a driver as known to its client, and pending requests.
 pub(super) struct GoalTracker {
     next: u64,
@@ -27,6 +31,8 @@ pub(super) struct GoalTracker {
     /// Time until which the robot may act.
     allowed_until: Option<NodeTime>,
     goals: BTreeMap<GoalId, GoalStatus>,
+    /// Contents of the goals of this incarnation in progress, and how often each was started again.
+    contents: BTreeMap<GoalId, (Goal, u32)>,
     /// Canceled goals, until their end is reported.
     canceled: BTreeSet<GoalId>,
     /// Completed goals that must not be repeated, including those of previous incarnations of this
@@ -81,6 +87,7 @@ impl GoalTracker {
             since: Instant::now(),
             allowed_until: None,
             goals: BTreeMap::new(),
+            contents: BTreeMap::new(),
             canceled: BTreeSet::new(),
             done: BTreeMap::new(),
             attempt: Attempt::default(),
@@ -171,8 +178,21 @@ impl GoalTracker {
             self.moving.insert(id);
         }
         goal.since = self.attempt.since().filter(|since| *since < self.first && !goal.repeatable);
+        self.contents.insert(id, (goal.clone(), 0));
         self.pending.push(GoalRequest::Start { id, goal });
         id
+    }
+
+    /// Starts a goal again that the server has lost in a restart. The driver may have begun it. Returns false if it has failed.
+    fn resume(&mut self, id: GoalId) -> bool {
+        let content = self.contents.get_mut(&id).filter(|(_, resumptions)| *resumptions < RESUMPTIONS_MAX);
+        let Some((goal, resumptions)) = content else { return false };
+        *resumptions += 1;
+        goal.since = goal.since.or(Some(id)).filter(|_| !goal.repeatable);
+        info!(goal = id.0, "started again after a restart of the driver server");
+        self.pending.push(GoalRequest::Start { id, goal: goal.clone() });
+        self.goals.insert(id, GoalStatus::Sent);
+        true
     }
 
     /// Checks whether no goal of the task with this first goal has moved an item. A goal that is in progress,
@@ -274,9 +294,11 @@ impl GoalTracker {
     /// Applies a state of the server, which has arrived now. Returns true if requests should be sent
     /// at once.
     pub(super) fn apply_state(&mut self, state: DriverState, now: NodeTime) -> bool {
+        let boot = self.latest.as_ref().map(|_| self.order.newest().boot);
         if !self.order.accept(state.stamp) {
             return false;
         }
+        let has_restarted = boot.is_some_and(|boot| boot != state.stamp.boot);
         let (telemetry, arrived) = (state.telemetry, Instant::now());
         self.latest = Some(LatestState { telemetry, arrived, arrived_at: now });
         let done = |(id, goal, result)| (id, (Goal { since: None, ..goal }, result));
@@ -286,7 +308,7 @@ impl GoalTracker {
         }
         self.canceled.retain(|id| self.goals.contains_key(id));
         let reported: BTreeSet<GoalId> = state.goals.iter().map(|(id, _)| *id).collect();
-        let mut has_unknown = false;
+        let mut must_send = false;
         for (id, status) in state.goals {
             match self.goals.get_mut(&id) {
                 Some(known) if known.is_final() => {}
@@ -296,20 +318,28 @@ impl GoalTracker {
                 None if !status.is_final() => {
                     self.goals.insert(id, status);
                     self.request_cancel(id);
-                    has_unknown = true;
+                    must_send = true;
                 }
                 None => {}
             }
         }
-        // A server reports all goals in progress. A restarted server has lost them.
+        // A server reports all goals in progress. A restarted server may have lost them.
         let pending: BTreeSet<GoalId> = self.pending.iter().map(GoalRequest::goal).collect();
-        let known = |id: &GoalId| reported.contains(id) || pending.contains(id);
-        for (id, status) in self.goals.iter_mut().filter(|(id, status)| !status.is_final() && !known(id)) {
+        let is_lost = |(id, status): &(&GoalId, &GoalStatus)| {
+            !status.is_final() && !reported.contains(*id) && !pending.contains(*id)
+        };
+        let lost: Vec<GoalId> = self.goals.iter().filter(is_lost).map(|(id, _)| *id).collect();
+        for id in lost {
+            if has_restarted && !self.canceled.contains(&id) && self.resume(id) {
+                must_send = true;
+                continue;
+            }
             let message = format!("the driver server has lost goal {}", id.0);
-            *status = GoalStatus::Aborted(ActionError::new(ErrorCode::Unknown, message));
+            self.goals.insert(id, GoalStatus::Aborted(ActionError::new(ErrorCode::Unknown, message)));
         }
+        self.contents.retain(|id, _| self.goals.get(id).is_some_and(|status| !status.is_final()));
         self.changed.send_modify(|count| *count += 1);
-        has_unknown
+        must_send
     }
 }
 

@@ -225,3 +225,33 @@ fn a_restarted_server_loses_started_goals_but_not_pending_requests() {
     assert!(matches!(&tracker.goals[&GoalId(100)], GoalStatus::Aborted(error) if error.code == ErrorCode::Unknown));
     assert_eq!(tracker.goals[&GoalId(101)], GoalStatus::Sent);
 }
+
+#[test]
+fn a_goal_continues_with_its_id_after_a_restart_of_the_server() {
+    let restarted = |boot: u64| DriverState { stamp: StateStamp { boot, sequence: 1 }, ..state(1, &[]) };
+    let wait = Goal::from(Wait { time: Seconds::ZERO });
+    for (goal, since) in [(wait, None), (pick_up("birch"), Some(GoalId(100)))] {
+        let mut tracker = GoalTracker::new(100);
+        let id = tracker.start_goal(goal.clone());
+        tracker.pending.clear();
+        tracker.apply_state(state(1, &[(100, executing())]), at(0));
+        for boot in 4..7 {
+            assert!(tracker.apply_state(restarted(boot), at(boot)), "the request is due");
+            let again = GoalRequest::Start { id, goal: Goal { since, ..goal.clone() } };
+            assert_eq!(tracker.pending, [again]);
+            assert_eq!(tracker.goals[&id], GoalStatus::Sent);
+            tracker.pending.clear();
+        }
+        tracker.apply_state(restarted(7), at(7));
+        assert!(matches!(tracker.goals[&id], GoalStatus::Aborted(_)), "it may be the cause of the restarts");
+        assert!(tracker.contents.is_empty());
+    }
+    // A canceled goal is not started again.
+    let mut tracker = GoalTracker::new(100);
+    let id = tracker.start_goal(pick_up("birch"));
+    tracker.apply_state(state(1, &[(100, executing())]), at(0));
+    tracker.cancel(id);
+    tracker.pending.clear();
+    tracker.apply_state(restarted(4), at(1));
+    assert!(tracker.goals[&id].is_final() && tracker.pending.is_empty());
+}
