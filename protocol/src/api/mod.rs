@@ -52,6 +52,7 @@ mod help;
 mod parse;
 mod reply;
 mod request;
+mod robot_selection;
 
 pub use help::{CallHelp, HelpReply, example, payload_schema};
 pub use parse::{RequestError, parse_read_options, parse_request};
@@ -67,3 +68,4 @@ pub use request::{
     PriorityRequest, ReadOptions, ReassignRequest, ReleaseRequest, RobotSelection, RobotZone, SPEED_LIMIT_MIN_MPS,
     ScheduleAction, ScheduleRequest, SelectionCondition, StartTime, SubmitRequest, UpgradeRequest,
 };
+pub use robot_selection::SelectionError;

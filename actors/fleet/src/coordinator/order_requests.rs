@@ -11,7 +11,7 @@ use consort_protocol::ids::{NodeId, PlaceId, RequestId, RobotId, ZoneId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::knowledge::{KnownRecord, RobotKnowledge};
 use consort_protocol::ledger::{Command, CommandOutcome, Ledger, OrderChange, OrderRequest};
-use consort_text::{AllowedNames, shorten};
+use consort_text::shorten;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum size of the list of robots in an error, in bytes.
@@ -149,6 +149,17 @@ fn select(
     ensembles: &Ensembles,
     zones: &BTreeMap<ZoneId, BTreeSet<PlaceId>>,
 ) -> Result<BTreeSet<RobotId>, ApiError> {
+    if let RobotSelection::Where(SelectionCondition { condition }) = selection
+        && let Ok(compiled) = Eligibility::compile(condition)
+        && let Some((ensemble, attribute)) = ensembles.private_attribute_of(&compiled)
+    {
+        return Err(format!(
+            "where: `attributes.{attribute}` in the `exchange` of ensemble {ensemble} is private to its members; \
+             use other attributes, each as `robot.attributes.NAME`, or name the robots"
+        )
+        .into());
+    }
+    let robots = selection.among(known, zones).map_err(|problem| problem.to_string())?;
     let all = || -> BTreeSet<RobotId> { known.keys().cloned().chain(ordered.iter().cloned()).collect() };
     match selection {
         RobotSelection::All(_) if all().is_empty() => Err("the coordinator knows no robots".to_owned().into()),
@@ -161,31 +172,13 @@ fn select(
                 Err(format!("there is no robot {unknown}; there are {}", shorten(&known, NAMES_BYTES_MAX)).into())
             }
         },
-        RobotSelection::Where(SelectionCondition { condition }) => {
-            let compiled = Eligibility::compile(condition).map_err(|problem| format!("where: {problem}"))?;
-            if let Some((ensemble, attribute)) = ensembles.private_attribute_of(&compiled) {
-                return Err(format!(
-                    "where: `attributes.{attribute}` in the `exchange` of ensemble {ensemble} is private to its members; \
-                     use other attributes, each as `robot.attributes.NAME`, or name the robots"
-                )
-                .into());
-            }
-            let meets = |(name, robot): &(&RobotId, &RobotKnowledge)| compiled.check(name, robot).is_ok();
-            let robots: BTreeSet<RobotId> = known.iter().filter(meets).map(|(name, _)| name.clone()).collect();
-            match robots.is_empty() {
-                true => Err(format!("no robot meets `{condition}`").into()),
-                false => Ok(robots),
-            }
+        RobotSelection::Where(SelectionCondition { condition }) if robots.is_empty() => {
+            Err(format!("no robot meets `{condition}`").into())
         }
-        RobotSelection::Zone(RobotZone { zone }) => {
-            let Some(places) = zones.get(zone) else {
-                let allowed = AllowedNames::suggest_for(zone.as_str(), zones.keys());
-                return Err(format!("there is no zone {zone} in the fleet file; {allowed}").into());
-            };
-            let inside = known.iter().filter(|(_, robot)| places.contains(&robot.place));
-            let robots: BTreeSet<RobotId> = inside.map(|(name, _)| name.clone()).collect();
-            if robots.is_empty() { Err(format!("no robot is in zone {zone}").into()) } else { Ok(robots) }
+        RobotSelection::Zone(RobotZone { zone }) if robots.is_empty() => {
+            Err(format!("no robot is in zone {zone}").into())
         }
+        RobotSelection::Where(_) | RobotSelection::Zone(_) => Ok(robots),
     }
 }
 

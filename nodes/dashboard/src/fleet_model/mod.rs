@@ -33,7 +33,9 @@ pub use state::{
     ReachabilityState, RobotModel, Takeover,
 };
 
-use consort_protocol::ids::PlaceId;
+use consort_protocol::api::{RobotSelection, SelectionError};
+use consort_protocol::ids::{PlaceId, RobotId, ZoneId};
+use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::ledger::{Alarm, AlarmPlan, Closure, SpeedLimit};
 use consort_protocol::view::{ChargingView, HealthFinding};
 use serde::Serialize;
@@ -90,6 +92,8 @@ pub struct FleetModel {
     takeovers: Vec<Takeover>,
     nodes: TrackedMap<String, NodeModel>,
     robots: TrackedMap<String, RobotModel>,
+    /// Records of the robots, by which orders select them.
+    records: BTreeMap<RobotId, RobotKnowledge>,
     people: TrackedMap<String, PersonModel>,
     doors: TrackedMap<String, String>,
     /// A node with a ledger has stated the closures, speed limits and alarms.
@@ -103,7 +107,7 @@ pub struct FleetModel {
     /// Plans of the alarms that people may raise.
     declared_alarms: TrackedMap<String, AlarmPlan>,
     /// Zones of the fleet file, with their places.
-    zones: TrackedMap<String, BTreeSet<PlaceId>>,
+    zones: TrackedMap<ZoneId, BTreeSet<PlaceId>>,
     /// Hash of these declarations.
     declared_hash: Option<String>,
     /// Number of consecutive views with other declarations.
@@ -280,8 +284,16 @@ impl FleetModel {
     }
 
     /// Returns the zones of the fleet file, by name.
-    pub fn zones(&self) -> &BTreeMap<String, BTreeSet<PlaceId>> {
+    pub fn zones(&self) -> &BTreeMap<ZoneId, BTreeSet<PlaceId>> {
         &self.zones
+    }
+
+    /// Returns the robots that an order to this selection would affect now. The coordinator selects them again.
+    ///
+    /// # Errors
+    /// As [`RobotSelection::among`].
+    pub fn selected(&self, selection: &RobotSelection) -> Result<BTreeSet<RobotId>, SelectionError> {
+        selection.among(&self.records, &self.zones)
     }
 
     /// Returns the people, by name.

@@ -6,7 +6,7 @@ use super::state::{
 };
 use super::{FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, bounds};
 use crate::loaded_map::LoadedMap;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::ledger::RobotOrders;
@@ -170,7 +170,7 @@ impl FleetModel {
         // A node without a ledger, such as a node that restarts, does not know what it states. That stays as it was.
         let has_ledger = view.closures.is_some();
         self.knows_orders |= has_ledger;
-        let mut present = vec![];
+        let (mut present, mut records) = (vec![], BTreeMap::new());
         for NodeView { node: name, contact, record, traits, orders, promised, .. } in
             view.nodes.into_iter().take(bounds::NODES)
         {
@@ -185,6 +185,7 @@ impl FleetModel {
                 robot: record.robot.is_some(),
             };
             if let Some(robot) = record.robot {
+                records.insert(RobotId::from(name.clone()), robot.clone());
                 let by_ledger = has_ledger.then(|| (orders, self.next_roles(promised)));
                 self.take_robot(name.as_str(), robot, by_ledger, &node);
             }
@@ -194,6 +195,7 @@ impl FleetModel {
         if !present.is_empty() {
             self.nodes.retain(|name, _| present.contains(name));
             self.robots.retain(|name, _| present.contains(name));
+            self.records = records;
         }
         self.ensembles.replace(view.ensembles.into_iter().map(ensemble_model).collect());
         self.charging = view.charging;
@@ -226,7 +228,7 @@ impl FleetModel {
         let declared = alarms.into_iter().take(bounds::ALARMS);
         self.declared_alarms.replace(declared.map(|(name, plan)| (name.to_string(), plan)).collect());
         let zones = zones.into_iter().take(bounds::ZONES);
-        self.zones.replace(zones.map(|(name, places)| (name.to_string(), places)).collect());
+        self.zones.replace(zones.collect());
     }
 
     /// Applies the record of a robot, and, if the ledger is known, the orders of people to it and the roles that it gets

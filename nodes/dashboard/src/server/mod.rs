@@ -29,7 +29,6 @@ mod json;
 mod mission_file;
 mod origin_check;
 mod replay_server;
-mod robot_selection;
 mod routes;
 mod session;
 mod state;

@@ -5,7 +5,7 @@ use super::frame_publisher::FramePublisher;
 use super::json::{JSON_HEADERS, Rejection, error_reply, json_reply, parse_body, rejection};
 use super::state::DashboardState;
 use super::websocket::{CLIENTS_MAX, open_websocket};
-use super::{DashboardSource, assets, audit, csv, mission_file, origin_check, robot_selection, session};
+use super::{DashboardSource, assets, audit, csv, mission_file, origin_check, session};
 use crate::admission::{Admission, AuthenticatedClient, admit};
 use crate::fleet_model::{LogEntry, Reachability};
 use crate::recording::PlayerCommand;
@@ -19,13 +19,14 @@ use consort_protocol::access::required_scope;
 use consort_protocol::api::RobotSelection;
 use consort_protocol::ids::{MissionId, RobotId, TaskId};
 use consort_protocol::keys::{ApiCall, Key};
+use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::mission::FILE_BYTES_MAX;
 use consort_protocol::trust::AccessScope;
-use consort_protocol::view::FleetView;
+use consort_protocol::view::{FleetView, NodeView};
 use consort_skills::missions::{NamedMissions, OfferedMission};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::sync::Semaphore;
@@ -257,10 +258,13 @@ async fn select_robots(
         Ok(view) => FleetView::deserialize(view),
         Err(problem) => return Ok(reply_of(Err(problem))),
     };
-    let view = view.map_err(|problem| {
+    let FleetView { nodes, declared, .. } = view.map_err(|problem| {
         rejection(StatusCode::SERVICE_UNAVAILABLE, &format!("the view of the fleet cannot be read: {problem}"))
     })?;
-    let robots = robot_selection::select(&robots, view)
+    let record_of = |NodeView { node, record, .. }: NodeView| Some((RobotId::from(node), record.robot?));
+    let known: BTreeMap<RobotId, RobotKnowledge> = nodes.into_iter().filter_map(record_of).collect();
+    let robots = robots
+        .among(&known, &declared.zones)
         .map_err(|problem| rejection(StatusCode::BAD_REQUEST, &problem.to_string()))?;
     Ok(json_reply(StatusCode::OK, &SelectedRobots { robots }))
 }

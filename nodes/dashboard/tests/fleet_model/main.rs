@@ -461,7 +461,7 @@ fn declarations_do_not_alternate_while_nodes_with_different_files_reply() {
         let mut view = fleet(json!([]));
         view["declared"] = json!({ "alarms": {}, "zones": { zone: ["IC Room 5"] }, "hash": hash });
         model.apply_view(&Key::ViewFleet, &view, NOW);
-        model.zones().keys().cloned().collect::<Vec<_>>()
+        model.zones().keys().map(|zone| zone.to_string()).collect::<Vec<_>>()
     };
     for _ in 0..10 {
         assert_eq!(zones_after("1", "icu"), ["icu"]);

@@ -4,7 +4,7 @@ use crate::tui::listed;
 use crate::tui::order::{NamedPart, Order};
 use consort_dashboard::fleet_model::{FleetModel, RobotModel};
 use consort_protocol::api::{HOLD_S, RobotSelection, ScheduleAction};
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, RobotId, RoleId, ZoneId};
 use consort_protocol::ledger::RolePhase;
 use consort_text::count;
 
@@ -106,23 +106,12 @@ fn roles_of<'a>(robots: impl IntoIterator<Item = &'a RobotId>, model: &FleetMode
     listed(robots.into_iter().map(|robot| role_of(model, robot.as_str())))
 }
 
-/// Lists the robots of a selection that meet a condition, with the number of their roles. The coordinator evaluates
-/// conditions, and the result of the order names the robots.
+/// Lists the robots of a selection that meet a condition, with the number of their roles.
 fn members_text(selection: &RobotSelection, model: &FleetModel, is_meant: impl Fn(&RobotModel) -> bool) -> String {
-    let is_member = |name: &str, robot: &RobotModel| match selection {
-        RobotSelection::All(_) => true,
-        RobotSelection::Named(names) => names.iter().any(|named| named.as_str() == name),
-        RobotSelection::Zone(selection) => {
-            let zone = model.zones().get(selection.zone.as_str());
-            zone.is_some_and(|places| places.iter().any(|place| place.as_str() == robot.place))
-        }
-        RobotSelection::Where(_) => false,
-    };
-    if matches!(selection, RobotSelection::Where(_)) {
-        return "those that the result names".to_owned();
-    }
-    let robots = model.robots().iter().filter(|(name, robot)| is_member(name, robot) && is_meant(robot));
-    let (names, robots): (Vec<&String>, Vec<&RobotModel>) = robots.unzip();
+    // The coordinator rejects an unknown zone.
+    let selected = model.selected(selection).unwrap_or_default();
+    let robots = selected.iter().filter_map(|name| Some((name, model.robots().get(name.as_str())?)));
+    let (names, robots): (Vec<&RobotId>, Vec<&RobotModel>) = robots.filter(|(_, robot)| is_meant(robot)).unzip();
     let held = robots.into_iter().filter(|robot| robot.mission.is_some()).count();
     match names.as_slice() {
         [] => "no robot now".to_owned(),
@@ -165,7 +154,7 @@ fn robots_at(model: &FleetModel, part: &NamedPart) -> String {
     let is_affected = |robot: &RobotModel| {
         let ahead: Vec<&str> = std::iter::once(&robot.place).chain(&robot.route).map(String::as_str).collect();
         match part {
-            NamedPart::PlaceOrZone(name) => match model.zones().get(name.as_str()) {
+            NamedPart::PlaceOrZone(name) => match model.zones().get(&ZoneId::from(name.clone())) {
                 Some(zone) => zone.iter().any(|within| ahead.contains(&within.as_str())),
                 None => ahead.contains(&name.as_str()),
             },

@@ -227,7 +227,8 @@ impl Dialog {
     /// Returns the robots of an order to several: all, those in a zone, or those that meet a condition.
     fn group(&self, model: &FleetModel) -> Result<RobotSelection, Problem> {
         let text = self.text_of(Field::Group);
-        let zone = text.strip_prefix("zone ").or_else(|| model.zones().contains_key(text).then_some(text));
+        let is_zone = || model.zones().keys().any(|zone| zone.as_str() == text);
+        let zone = text.strip_prefix("zone ").or_else(|| is_zone().then_some(text));
         match zone {
             _ if text == ALL => Ok(RobotSelection::All(AllRobots::All)),
             Some(zone) => Ok(RobotSelection::Zone(RobotZone { zone: ZoneId::new(zone.trim())? })),

@@ -229,7 +229,7 @@ fn a_hold_of_several_robots_states_who_is_affected() {
         ("all", "all robots", "ada, with 1 role", all),
         ("icu", "the robots in zone icu", "ada, with 1 role", icu()),
         ("zone icu", "the robots in zone icu", "ada, with 1 role", icu()),
-        (condition, "the robots with `robot.battery < 0.5`", "those that the result names", met),
+        (condition, "the robots with `robot.battery < 0.5`", "ada, with 1 role", met),
     ] {
         let mut dialog = open('H', Panel::Log, &model).unwrap();
         assert!(dialog.text(&model).starts_with(" Robots to hold: all, a zone (icu), or a condition: "));
