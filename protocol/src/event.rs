@@ -345,14 +345,17 @@ pub enum EventKind {
         /// Signal.
         signal: Signal,
     },
-    /// A robot stopped safely because its lease ran out.
+    /// A robot stopped safely because its lease was not renewed.
     Suspended {
         /// The mission.
         mission: MissionId,
         /// Role of the robot.
         role: RoleId,
+        /// Time until the lease ends, in milliseconds: above 0 if the robot stops early, since its goal may stop slowly.
+        #[serde(default)]
+        lease_left_ms: u64,
     },
-    /// A robot resumed its plan after its lease had run out.
+    /// A robot resumed its plan after its lease was renewed.
     Resumed {
         /// The mission.
         mission: MissionId,

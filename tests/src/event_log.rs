@@ -249,7 +249,7 @@ impl EventLog {
                         let (mission, role) = of(mission, role);
                         intervals.push(RoleInterval { robot: node.clone().into(), mission, role, from: *at, to: None });
                     }
-                    EventKind::Suspended { mission, role } | EventKind::Halted { mission, role, .. } => {
+                    EventKind::Suspended { mission, role, .. } | EventKind::Halted { mission, role, .. } => {
                         let ends = |interval: &&mut RoleInterval| {
                             interval.to.is_none()
                                 && interval.robot.as_str() == node.as_str()

@@ -148,8 +148,13 @@ pub fn describe_event(event: &Event) -> EventText {
         }
         EventKind::Sent { signal, .. } => normal("sync", signal_text(signal)),
         EventKind::Received { signal, .. } => normal("sync", format!("{} (received)", signal_text(signal))),
-        EventKind::Suspended { mission, role } => {
+        EventKind::Suspended { mission, role, lease_left_ms: 0 } => {
             alarm("suspends", format!("{node} as {role} of {mission}: its lease expired"))
+        }
+        EventKind::Suspended { mission, role, lease_left_ms } => {
+            let left_s = *lease_left_ms as f64 / 1e3;
+            let why = format!("its lease ends in {left_s:.1} s, and its goal may stop slowly");
+            alarm("suspends", format!("{node} as {role} of {mission}: {why}"))
         }
         EventKind::Resumed { mission, role } => normal("resumes", format!("{node} as {role} of {mission}")),
         EventKind::Halted { mission, role, reason } => {
@@ -242,6 +247,15 @@ mod tests {
             json!({ "event": "escalated", "mission": "m-1", "role": "clerk", "task": "sign", "to": "head" });
         let expected = "sign of m-1: no answer as clerk; head is asked, too".to_owned();
         assert_eq!(text_of(escalated), ("escalated", expected, true));
+    }
+
+    #[test]
+    fn a_suspension_states_whether_the_lease_has_expired() {
+        let expired = json!({ "event": "suspended", "mission": "m-1", "role": "r1" });
+        assert_eq!(text_of(expired), ("suspends", "ada as r1 of m-1: its lease expired".to_owned(), true));
+        let early = json!({ "event": "suspended", "mission": "m-1", "role": "r1", "lease_left_ms": 1490 });
+        let expected = "ada as r1 of m-1: its lease ends in 1.5 s, and its goal may stop slowly".to_owned();
+        assert_eq!(text_of(early), ("suspends", expected, true));
     }
 
     #[test]

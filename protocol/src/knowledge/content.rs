@@ -176,7 +176,7 @@ pub enum Availability {
         mission: MissionId,
         /// Role that it holds.
         role: RoleId,
-        /// True if the robot is suspended since its lease ran out.
+        /// True if the robot is suspended since its lease was not renewed.
         suspended: bool,
     },
     /// The robot cannot execute a role.

@@ -68,7 +68,10 @@ pub enum Action {
     /// Start the plan; the given steps have ended already.
     Start(Box<Award>, BTreeSet<StepIndex>),
     /// Stop safely and keep the progress in the plan: the lease has run out by the time of the [tick](Event::Tick).
-    Suspend,
+    Suspend {
+        /// End of the lease.
+        until: NodeTime,
+    },
     /// Continue the plan.
     Resume,
     /// Stop safely and drop the plan.
@@ -258,7 +261,7 @@ impl RoleLease {
             }
             Phase::Active => {
                 held.phase = Phase::Suspended;
-                vec![Action::Suspend]
+                vec![Action::Suspend { until: held.until }]
             }
             Phase::Suspended | Phase::Restored => vec![],
         }

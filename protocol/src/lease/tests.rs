@@ -51,9 +51,21 @@ fn the_lease_counts_from_when_the_report_was_sent() {
     ada.handle(renewed(5, 10), at(3000));
     assert!(ada.may_act(at(4009)));
     assert!(!ada.may_act(at(4010)));
-    assert_eq!(ada.handle(Event::Tick, at(4010)), [Action::Suspend]);
+    assert_eq!(ada.handle(Event::Tick, at(4010)), [Action::Suspend { until: at(4010) }]);
     assert_eq!(ada.handle(Event::Tick, at(5000)), []);
     assert_eq!(ada.handle(renewed(5, 4900), at(5000)), [Action::Resume]);
+}
+
+/// A goal in progress stops slowly, so the robot passes a later time.
+#[test]
+fn a_plan_suspended_before_its_lease_ends_resumes_with_the_renewal() {
+    let mut ada = new_lease();
+    ada.handle(Event::AwardReceived(Box::new(award(5))), at(0));
+    ada.handle(renewed(5, 10), at(20));
+    let lead = stop_lead(Duration::from_secs(2));
+    assert_eq!(ada.handle(Event::Tick, at(2509) + lead), []);
+    assert_eq!(ada.handle(Event::Tick, at(2510) + lead), [Action::Suspend { until: at(4010) }]);
+    assert_eq!(ada.handle(renewed(5, 2500), at(2600)), [Action::Resume]);
 }
 
 #[test]
@@ -84,7 +96,7 @@ fn events_with_an_older_epoch_change_nothing() {
     };
     let suspended = || {
         let mut ada = acting();
-        assert_eq!(ada.handle(Event::Tick, at(4000)), [Action::Suspend]);
+        assert_eq!(ada.handle(Event::Tick, at(4000)), [Action::Suspend { until: at(4000) }]);
         ada
     };
     let restored = || RoleLease::restore(RobotId::new("ada").unwrap(), LeaseTerms::default(), award(5));

@@ -130,7 +130,7 @@ impl Node {
         for action in &actions {
             match action {
                 LeaseAction::Start(award, _) => self.checkpoint = Some(Arc::new((**award).clone())),
-                LeaseAction::Suspend | LeaseAction::Halt(_) => self.goal = None,
+                LeaseAction::Suspend { .. } | LeaseAction::Halt(_) => self.goal = None,
                 LeaseAction::Report | LeaseAction::Resume => {}
             }
         }

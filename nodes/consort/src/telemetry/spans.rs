@@ -168,7 +168,7 @@ fn role_event(kind: &EventKind) -> Option<(&MissionId, String)> {
     Some(match kind {
         EventKind::Sent { mission, signal } => (mission, format!("sent {signal}")),
         EventKind::Received { mission, signal } => (mission, format!("received {signal}")),
-        EventKind::Suspended { mission, .. } => (mission, "suspended: its lease has expired".to_owned()),
+        EventKind::Suspended { mission, .. } => (mission, "suspended: its lease was not renewed".to_owned()),
         EventKind::Resumed { mission, .. } => (mission, "resumed".to_owned()),
         EventKind::TaskRetried { mission, task, attempt, cause, .. } => {
             (mission, format!("{task} failed at attempt {attempt} and is retried: {cause}"))
@@ -264,12 +264,12 @@ mod tests {
         let mut robot = publisher("ada");
         robot.publish(started());
         robot.publish(began("go"));
-        let signal = EventKind::Suspended { mission: mission(), role: role() };
+        let signal = EventKind::Suspended { mission: mission(), role: role(), lease_left_ms: 0 };
         assert_eq!(robot.publish(signal), []);
         let spans = robot.publish(halted(EndReason::Canceled));
         let expected = [("task go", 3_000, 5_000, Some("aborted: canceled")), ("role carrier", 2_000, 5_000, None)];
         assert_eq!(summary(&spans), expected);
-        assert_eq!(spans[1].events, [(4_000, "suspended: its lease has expired".to_owned())]);
+        assert_eq!(spans[1].events, [(4_000, "suspended: its lease was not renewed".to_owned())]);
         assert_eq!(robot.publish(halted(EndReason::Canceled)), [], "a repeated event has no effect");
 
         robot.publish(started());

@@ -74,7 +74,9 @@ impl FleetModel {
                 self.set_task(node, None);
             }
             EventKind::Started { mission, role, .. } => self.mission(mission).start_assignment(role.as_str(), node, at),
-            EventKind::Suspended { mission, role } => self.mission(mission).set_suspended(role.as_str(), node, true),
+            EventKind::Suspended { mission, role, .. } => {
+                self.mission(mission).set_suspended(role.as_str(), node, true);
+            }
             EventKind::Resumed { mission, role } => self.mission(mission).set_suspended(role.as_str(), node, false),
             EventKind::Released { mission, role, .. } => {
                 self.mission(mission).end_assignment(role.as_str(), at, assignments::RELEASED);

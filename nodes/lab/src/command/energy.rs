@@ -264,7 +264,8 @@ mod tests {
         let began = EventKind::TaskBegan { mission: mission.clone(), role: role.clone(), task: task.clone() };
         let mut inputs = vec![report(time_s, charges[0]), event(began)];
         if disturbed {
-            inputs.push(event(EventKind::Suspended { mission: mission.clone(), role: role.clone() }));
+            let (mission, role) = (mission.clone(), role.clone());
+            inputs.push(event(EventKind::Suspended { mission, role, lease_left_ms: 0 }));
         }
         inputs.extend([report(time_s + 10.0, charges[1]), event(EventKind::TaskEnded { mission, role, task })]);
         inputs

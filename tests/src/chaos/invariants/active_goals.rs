@@ -44,7 +44,7 @@ impl ActiveGoals {
                 self.roles.insert((node.clone(), mission.clone(), role.clone()));
             }
             Some(
-                EventKind::Suspended { mission, role }
+                EventKind::Suspended { mission, role, .. }
                 | EventKind::GaveUp { mission, role, .. }
                 | EventKind::TaskFailed { mission, role, .. },
             ) => {

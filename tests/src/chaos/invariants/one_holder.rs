@@ -60,7 +60,7 @@ impl Invariant for OneHolder {
             }
             Some(EventKind::Resumed { mission, role }) => self.begins(node, mission, role),
             Some(
-                EventKind::Suspended { mission, role }
+                EventKind::Suspended { mission, role, .. }
                 | EventKind::GaveUp { mission, role, .. }
                 | EventKind::TaskFailed { mission, role, .. }
                 | EventKind::Halted { mission, role, .. },

@@ -146,7 +146,7 @@ impl Invariant for UnderLease {
                 self.begins(node, (mission.clone(), role.clone()))
             }
             Some(
-                EventKind::Suspended { mission, role }
+                EventKind::Suspended { mission, role, .. }
                 | EventKind::GaveUp { mission, role, .. }
                 | EventKind::TaskFailed { mission, role, .. },
             ) => {

@@ -184,7 +184,7 @@ impl RobotState {
             match action {
                 Action::Report => self.report(),
                 Action::Start(award, ended) => self.start(*award, &ended),
-                Action::Suspend => self.suspend(),
+                Action::Suspend { until } => self.suspend(until),
                 Action::Resume => self.resume(),
                 Action::Halt(reason) => self.halt(reason),
             }
@@ -224,12 +224,15 @@ impl RobotState {
         self.query_signals();
     }
 
-    fn suspend(&mut self) {
+    /// Suspends the plan, whose lease ends at this time.
+    fn suspend(&mut self, until: NodeTime) {
+        let lease_left_ms = u64::try_from(until.since(self.now()).as_millis()).unwrap_or(u64::MAX);
         let Some(active) = self.execution.plan.as_mut() else { return };
         active.suspend();
-        warn!(robot = %self.settings.robot, mission = %active.award.mission, "lease not renewed in time: suspended");
+        let mission = &active.award.mission;
+        warn!(robot = %self.settings.robot, %mission, lease_left_ms, "lease not renewed in time: suspended");
         let (mission, role) = active.mission_and_role();
-        self.emit_event(EventKind::Suspended { mission, role });
+        self.emit_event(EventKind::Suspended { mission, role, lease_left_ms });
     }
 
     fn resume(&mut self) {

@@ -176,7 +176,7 @@ pub(super) fn health(inputs: &HealthInputs) -> HealthView {
         add(HealthLevel::Warning, "robot", Some(robot.as_str()), format!("{robot} is {order}"));
     }
     for (robot, role) in &inputs.suspended {
-        let text = format!("{robot} is suspended as {role}: its lease expired");
+        let text = format!("{robot} is suspended as {role}: its lease was not renewed");
         add(HealthLevel::Warning, "robot", Some(robot.as_str()), text);
     }
     for (domain, contents) in inputs.domains.iter().filter(|(_, contents)| contents.len() > 1) {

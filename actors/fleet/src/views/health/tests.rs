@@ -171,7 +171,7 @@ fn the_most_severe_finding_comes_first() {
             "d is down; last contact 9.0 s ago",
             "e is out of service: its battery is empty",
             "g is held by Nia: a spill",
-            "f is suspended as r1 of m-1: its lease expired",
+            "f is suspended as r1 of m-1: its lease was not renewed",
         ]
     );
 }
