@@ -48,6 +48,17 @@ fn door() -> Device {
     }
 }
 
+/// Returns a lift with the room as one of its stops.
+fn lift() -> Device {
+    Device {
+        kind: DeviceKind::Lift,
+        lanes: BTreeSet::new(),
+        places: [place(GATE), place(ROOM)].into(),
+        in_alarm: AlarmPosition::OutOfUse,
+        ..door()
+    }
+}
+
 /// Returns the driver of the device, which opens in this time.
 fn driver(opening_s: f64, switch: &DeviceSwitch) -> DevicePart {
     let opening = Seconds::new(opening_s).expect("a duration");
@@ -86,6 +97,15 @@ fn state_by(fleet: &Fleet, host: &str, node: &str) -> Option<DeviceState> {
 
 fn is_inside(fleet: &Fleet, robot: &str) -> bool {
     fleet.position(robot).1 > INSIDE_Y_M
+}
+
+/// Checks whether the robot claims the device, as known to the coordinator.
+fn is_claimed(fleet: &Fleet, robot: &str) -> bool {
+    fleet.knowledge("aster").read(|base| {
+        let (robot, device): (NodeId, DeviceId) = (slug(robot), slug(DEVICE));
+        let claims = base.get(&robot).and_then(|known| known.record.knowledge.devices.claims.as_ref());
+        claims.is_some_and(|claims| claims.contains_key(&device))
+    })
 }
 
 fn leased(what: &EventKind) -> bool {
@@ -127,14 +147,7 @@ fn a_robot_waits_at_a_door_until_it_confirms() {
 #[test]
 fn two_robots_use_a_lift_one_after_the_other() {
     for_each_seed([1711, 1712], async |seed| {
-        let lift = Device {
-            kind: DeviceKind::Lift,
-            lanes: BTreeSet::new(),
-            places: [place(GATE), place(ROOM)].into(),
-            in_alarm: AlarmPosition::OutOfUse,
-            ..door()
-        };
-        let mut fleet = fleet(seed, lift, &DeviceSwitch::default()).await;
+        let mut fleet = fleet(seed, lift(), &DeviceSwitch::default()).await;
         let missions: [MissionId; 2] =
             [visit(&fleet, &[ROOM, "IC Corridor 1"]).await, visit(&fleet, &[ROOM, "IC Corridor 2"]).await];
         let mut met = false;
@@ -220,6 +233,33 @@ fn a_door_closes_during_an_alarm_and_opens_for_the_robot_afterwards() {
         fleet.assert_never("an entry", longer_than_a_lease(), enters).await;
         request(&fleet, ApiCall::Alarm, &json!({ "action": "clear", "by": "Abe" })).await;
         assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
+    });
+}
+
+/// The alarm is raised when the lift comes for the carrier, which drives to an assembly place instead.
+#[test]
+fn a_lift_is_out_of_use_during_an_alarm_and_serves_robots_afterwards() {
+    for_each_seed([1771, 1772], async |seed| {
+        let mut fleet = fleet(seed, lift(), &DeviceSwitch::default()).await;
+        let (mission, carrier) = drive_to_room(&mut fleet, ROOM).await;
+        fleet.wait_until("the lease of the lift", DRIVE, |fleet| fleet.has_event(leased)).await;
+        request(&fleet, ApiCall::Alarm, &json!({ "action": "raise", "alarm": "fire", "by": "Nia" })).await;
+        let mut entered = false;
+        let is_out_of_use = |fleet: &Fleet| {
+            entered |= is_inside(fleet, &carrier);
+            state(fleet, "aster") == Some(DeviceState::Alarm)
+        };
+        fleet.wait_until("the lift out of use", DRIVE, is_out_of_use).await;
+        assert!(!entered, "seed {seed}: the carrier enters\n{}", fleet.event_log_text());
+        wait_until_free(&mut fleet).await;
+        let is_used = |fleet: &Fleet| {
+            let is_leased = fleet.ledger(|ledger| ledger.device_leases().is_empty()) == Some(false);
+            is_leased || is_claimed(fleet, &carrier) || is_inside(fleet, &carrier)
+        };
+        fleet.assert_never("a use of the lift", longer_than_a_lease(), is_used).await;
+        request(&fleet, ApiCall::Alarm, &json!({ "action": "clear", "by": "Abe" })).await;
+        assert_completes_by(&mut fleet, &mission, ROOM, &carrier).await;
+        wait_until_free(&mut fleet).await;
     });
 }
 
