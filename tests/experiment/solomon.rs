@@ -6,11 +6,15 @@ use consort_tests::allocation::{AllocationRun, allocate_on_bus};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Bound of the distance with 25 jobs, as a multiple of the best known distance.
-const SMALL_MAX: f64 = 1.05;
+/// Bounds of the distance by the number of jobs, as multiples of the best known distance. The longest routes have 1.000,
+/// 1.005 and 1.027 times that distance.
+const DISTANCE_MAX: [(usize, f64); 3] = [(25, 1.002), (50, 1.01), (100, 1.03)];
 
-/// Every job is done in time by as many robots as the best known routes have. With 25 jobs the distance is within 5 % of
-/// the best known, and in the mean of each class it is less than that of TeSSI.
+/// Bound of the mean distance of a class, as a multiple of that of TeSSI. The mean is at most 0.944 times that of TeSSI.
+const OF_TESSI_MAX: f64 = 0.95;
+
+/// Every job is done in time by as many robots as the best known routes have, and the distance is near the best known. In
+/// the mean of each class it is less than that of TeSSI. A seed determines the routes on any machine.
 #[test]
 fn distances_are_near_the_best_known_and_below_tessi() {
     let folder = std::env::var_os("CONSORT_REFERENCE")
@@ -36,8 +40,8 @@ fn distances_are_near_the_best_known_and_below_tessi() {
         let ours = of(AllocationPolicy::Consort, robots.parse().unwrap());
         assert_eq!((ours.late, ours.unassigned), (0, 0), "{name}.{jobs}");
         assert!(ours.distance >= known - 0.05, "{name}.{jobs}: {} is below {known}", ours.distance);
-        let is_near = jobs > 25 || ours.distance <= known * SMALL_MAX;
-        assert!(is_near, "{name}.{jobs}: {}, best known {known}", ours.distance);
+        let (_, most) = DISTANCE_MAX.into_iter().find(|(size, _)| *size == jobs).expect("there are three sizes");
+        assert!(ours.distance <= known * most, "{name}.{jobs}: {}, best known {known}", ours.distance);
         // With so many robots TeSSI does all jobs, too.
         let [ours, tessi] = [AllocationPolicy::Consort, AllocationPolicy::Tessi].map(|policy| of(policy, 25));
         assert_eq!((tessi.unassigned, ours.unassigned), (0, 0), "{name}.{jobs}");
@@ -50,6 +54,6 @@ fn distances_are_near_the_best_known_and_below_tessi() {
     assert_eq!(classes.len(), 18);
     for (class, [ours, tessi]) in classes {
         let mean = |distances: &[f64]| distances.iter().sum::<f64>() / distances.len() as f64;
-        assert!(mean(&ours) < mean(&tessi), "{class:?}: {ours:?}, TeSSI {tessi:?}");
+        assert!(mean(&ours) <= mean(&tessi) * OF_TESSI_MAX, "{class:?}: {ours:?}, TeSSI {tessi:?}");
     }
 }
