@@ -86,6 +86,19 @@ fn an_award_with_an_older_epoch_is_declined() {
 }
 
 #[test]
+fn a_robot_with_a_role_declines_an_award_of_another() {
+    let mut ada = new_lease();
+    let busy = || Err(DeclineReason::Busy { mission: award(5).mission, role: award(5).role });
+    for event in [Event::AwardReceived(Box::new(award(5))), renewed(5, 10)] {
+        ada.handle(event, at(20));
+        let other = Award { role: RoleId::new("r2").unwrap(), ..award(6) };
+        assert_eq!(ada.check_award(&other), busy());
+        assert_eq!(ada.handle(Event::AwardReceived(Box::new(other)), at(30)), []);
+        assert_eq!(ada.award(), Some(&award(5)));
+    }
+}
+
+#[test]
 fn events_with_an_older_epoch_change_nothing() {
     let old = Epoch { term: 1, index: 4 };
     let acting = || {

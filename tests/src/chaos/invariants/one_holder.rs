@@ -75,3 +75,24 @@ impl Invariant for OneHolder {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slug;
+
+    #[test]
+    fn a_second_holder_and_a_second_role_of_a_robot_are_found() {
+        let (garnet, hazel): (NodeId, NodeId) = (slug("garnet"), slug("hazel"));
+        let missions: [MissionId; 2] = ["rest-1", "rest-2"].map(slug);
+        let role: RoleId = slug("r1");
+        let mut state = OneHolder::default();
+        assert_eq!(state.begins(&garnet, &missions[0], &role), Ok(()));
+        assert_eq!(state.begins(&garnet, &missions[0], &role), Ok(()), "it resumes the role");
+        let violation = state.begins(&hazel, &missions[0], &role).unwrap_err().0;
+        assert_eq!(violation, "hazel acts as r1 of rest-1 while garnet still does");
+        let violation = state.begins(&garnet, &missions[1], &role).unwrap_err().0;
+        assert_eq!(violation, "garnet acts as r1 of rest-2 while it acts as r1 of rest-1");
+        assert_eq!(state.begins(&hazel, &missions[1], &role), Ok(()));
+    }
+}
