@@ -25,8 +25,8 @@ pub enum SelectionError {
 }
 
 impl RobotSelection {
-    /// Returns the robots of the selection among those with a known record. `zones` are those of the fleet file. A condition
-    /// on a private attribute of an ensemble does not hold, since records lack it.
+    /// Returns the robots of the selection among those with a known record. `zones` are those of the fleet file. Records lack
+    /// the private attributes of ensembles, so a condition on them says nothing.
     ///
     /// # Errors
     /// [`SelectionError`] for an invalid condition, and for an unknown zone.
