@@ -34,9 +34,6 @@ pub(super) const ABSENT: &str = "visitor";
 /// Missions of the clients: without and with a recovery branch for the loss of the sample.
 pub(crate) const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
 
-/// Date at the start of every run, in milliseconds since 1970.
-pub(crate) const DATE_MS: u64 = 1_790_000_000_000;
-
 const STATIONS: [&str; 6] = ["aster", "basil", "clove", "dill", "elder", "flax"];
 const CARRIERS: [(&str, &str); 6] = [
     ("garnet", "Dock"),

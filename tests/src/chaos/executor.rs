@@ -1,8 +1,9 @@
 //! Executes the actions of a schedule on a fleet.
 
 use super::alarms;
-use super::chaos_fleet::{ChaosFleet, DATE_MS, WORLD};
+use super::chaos_fleet::{ChaosFleet, WORLD};
 use super::closures;
+use super::dates::date_ms;
 use super::fault_injector::FaultInjector;
 use super::hostile::{HOSTILE, HostileNode};
 use super::mission_changes;
@@ -11,7 +12,6 @@ use super::recurring;
 use super::request_ids::dated_id;
 use super::revocation::{revoke, role_of};
 use super::rolling_upgrade::{self, RollingUpgrade};
-use super::run_counters::millis;
 use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash};
 use super::speed_limits;
 use crate::disk::{DiskFault, LogWrites};
@@ -282,7 +282,7 @@ impl ActionExecutor {
             ChaosAction::Hostile { role, revoked, for_ms } => {
                 let halfway = fleet.elapsed() + Duration::from_millis(for_ms / 2);
                 self.revocation = revoked.then_some(halfway);
-                let (seed, date_ms) = (fleet.seed ^ number as u64, DATE_MS + millis(fleet.elapsed()));
+                let (seed, date_ms) = (fleet.seed ^ number as u64, date_ms(fleet.elapsed()));
                 let attack = HostileNode::start(fleet, *role, seed, date_ms).await;
                 attack.map(|attack| self.hostile.insert(number, attack));
             }

@@ -1,6 +1,7 @@
 //! Fault injection before nodes start: disks that lose writes, clocks that drift, skills that fail.
 
-use super::chaos_fleet::{ChaosFleet, DATE_MS};
+use super::chaos_fleet::ChaosFleet;
+use super::dates::date_ms;
 use super::generate::{is_large, lease_terms};
 use super::mutants::Mutant;
 use super::schedule::{ChaosAction, Schedule, ScheduledAction, SkillFault};
@@ -139,7 +140,7 @@ impl FaultInjector {
         let Limits { snapshot_every, log_entries_kept, ended_missions_max, outcome_bytes_max, active_missions_max } =
             parts.limits;
         (settings.fleet.snapshot_every, settings.fleet.log_entries_kept) = (snapshot_every, log_entries_kept);
-        let date = DATE_MS + u64::try_from(parts.started.elapsed().as_millis()).unwrap_or(u64::MAX);
+        let date = date_ms(parts.started.elapsed());
         settings.fleet.history_limits.missions_max = ended_missions_max;
         settings.fleet.history_limits.outcome_bytes_max = outcome_bytes_max;
         settings.fleet.request_limits.missions_max = active_missions_max;

@@ -16,6 +16,7 @@ mod chargers;
 mod closures;
 mod control_flow;
 mod coverage;
+mod dates;
 mod executor;
 mod fault_injector;
 mod fault_kind;

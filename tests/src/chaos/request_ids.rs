@@ -1,15 +1,14 @@
 //! Ids of requests that state the time at which they were created. The fleet recognises a repetition by this time after it has
 //! forgotten the outcome, and refuses it.
 
-use super::chaos_fleet::DATE_MS;
-use super::run_counters::millis;
+use super::dates::date_ms;
 use consort_protocol::ids::RequestId;
 use std::hash::{DefaultHasher, Hasher};
 use std::time::Duration;
 
 /// Returns an id for the request of this name in the schedule, which is first sent at this time since the start of the run.
 pub(super) fn dated_id(name: &str, elapsed: Duration) -> RequestId {
-    id_at(name, DATE_MS + millis(elapsed))
+    id_at(name, date_ms(elapsed))
 }
 
 /// Checks whether an id is that of the request of this name in the schedule.
@@ -27,6 +26,7 @@ fn id_at(name: &str, created_ms: u64) -> RequestId {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chaos::dates::DATE_MS;
     use crate::slug;
 
     #[test]

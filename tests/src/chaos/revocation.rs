@@ -1,9 +1,8 @@
 //! Revocation of the certificate of a robot at work. Its node runs on without a valid certificate for a while, and is then
 //! gone for good.
 
-use super::chaos_fleet::DATE_MS;
+use super::dates::date_ms;
 use super::fault_kind::{FEW_KINDS, FaultKind};
-use super::run_counters::millis;
 use super::schedule::{CARRIER_OF, ChaosAction, ScheduledAction};
 use super::small_limits::FIRST_SEED_WITH_SMALL_LIMITS;
 use crate::{Fleet, Observation, slug};
@@ -66,7 +65,7 @@ pub(super) fn role_of(fleet: &Fleet, node: &str) -> Option<(MissionId, RoleId)> 
 pub(super) fn revoke(fleet: &Fleet, node: &str, role: Option<(MissionId, RoleId)>, is_read: bool) {
     let Some(credentials) = &fleet.credentials else { return };
     if is_read {
-        credentials.revoke(node, Duration::from_millis(DATE_MS + millis(fleet.elapsed())));
+        credentials.revoke(node, Duration::from_millis(date_ms(fleet.elapsed())));
     }
     fleet.event_log.add(Observation::CertificateRevoked { node: slug(node), role });
 }

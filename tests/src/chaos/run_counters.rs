@@ -1,6 +1,7 @@
 //! Counters of a run, for the scoreboard.
 
 use super::coverage::Coverage;
+use super::dates::millis;
 use crate::{Fleet, Observation, slug};
 use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
@@ -100,8 +101,4 @@ impl RunCounters {
             }
         }
     }
-}
-
-pub(super) fn millis(time: Duration) -> u64 {
-    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }

@@ -1,9 +1,9 @@
 //! Faults that meet a request at a moment at which they matter: drawn by themselves, not in place of others.
 
 use super::chaos_fleet::{ARM, MISSIONS, ROOMS, ROOMS_WITHOUT_NURSE, WORLD};
+use super::dates::millis;
 use super::fault_kind::FaultKind;
 use super::generate::{AWAY_MS, Draw, FIRST_MS};
-use super::run_counters::millis;
 use super::schedule::{CARRIER_OF, ChaosAction, DiskAfterCrash, ScheduledAction, WAITING};
 use consort_protocol::lease::LeaseTerms;
 use rand::RngExt;

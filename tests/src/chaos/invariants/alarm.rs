@@ -96,7 +96,7 @@ impl Obeyed for UnderAlarm {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chaos::chaos_fleet::DATE_MS;
+    use crate::chaos::dates::DATE_MS;
     use crate::slug;
     use consort_protocol::lease::Epoch;
     use consort_protocol::ledger::{AlarmChange, AlarmPlan, Command, OrderRequest};

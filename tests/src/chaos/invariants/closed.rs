@@ -137,7 +137,7 @@ impl Obeyed for Closed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chaos::chaos_fleet::DATE_MS;
+    use crate::chaos::dates::DATE_MS;
     use crate::slug;
     use consort_protocol::cause::CauseClass;
     use consort_protocol::lease::Epoch;

@@ -2,7 +2,7 @@
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
-use crate::chaos::chaos_fleet::DATE_MS;
+use crate::chaos::dates::DATE_MS;
 use crate::{Fleet, Observation};
 use consort_protocol::ledger::Command;
 use std::time::Duration;

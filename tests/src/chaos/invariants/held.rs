@@ -10,7 +10,7 @@ use super::informed::{Informed, stated_problem};
 use super::obeyed::Obeyed;
 use super::reference_ledger::ReferenceLedger;
 use crate::Fleet;
-use crate::chaos::chaos_fleet::DATE_MS;
+use crate::chaos::dates::DATE_MS;
 use crate::order_bounds::stops_within;
 use consort_protocol::ids::RobotId;
 use consort_protocol::ledger::RobotOrder;

@@ -133,7 +133,7 @@ impl Obeyed for Limited {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chaos::chaos_fleet::DATE_MS;
+    use crate::chaos::dates::DATE_MS;
     use crate::slug;
     use consort_protocol::lease::Epoch;
     use consort_protocol::ledger::{Command, OrderRequest, SpeedLimitChange};

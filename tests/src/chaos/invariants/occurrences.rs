@@ -5,7 +5,7 @@
 
 use super::reference_ledger::ReferenceLedger;
 use super::{Invariant, InvariantViolation};
-use crate::chaos::chaos_fleet::DATE_MS;
+use crate::chaos::dates::DATE_MS;
 use crate::chaos::recurring::{INTERVAL_MS, SCHEDULE};
 use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::MissionId;

@@ -9,9 +9,10 @@ mod shift;
 
 pub use shift::{FaultyShift, run_shift};
 
-use super::chaos_fleet::{ChaosFleet, DATE_MS};
+use super::chaos_fleet::ChaosFleet;
 use super::chargers;
 use super::coverage::CoverageObserver;
+use super::dates::{DATE_MS, millis};
 use super::executor::ActionExecutor;
 use super::fault_injector::FaultInjector;
 use super::generate::{LIFTED, is_large, lease_terms};
@@ -20,7 +21,7 @@ use super::mutants::{Mutant, MutantInjection};
 use super::people::person;
 use super::poison::{MISSION_SHARE, PoisonBound};
 use super::requested_missions::workload_with;
-use super::run_counters::{RunCounters, millis};
+use super::run_counters::RunCounters;
 use super::schedule::{ChaosAction, DiskAfterCrash, Schedule};
 use crate::credentials::Signatures;
 use crate::fleet::NodeOptions;

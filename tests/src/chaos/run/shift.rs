@@ -8,7 +8,8 @@
 //! a list with all missions.
 
 use super::{CONVERGENCE_LIMIT, Checker, MISSION_LIMIT, Run, Violation, has_converged, panic_text};
-use crate::chaos::chaos_fleet::{ChaosFleet, DATE_MS, MISSIONS, ROOMS};
+use crate::chaos::chaos_fleet::{ChaosFleet, MISSIONS, ROOMS};
+use crate::chaos::dates::DATE_MS;
 use crate::chaos::executor::{ActionExecutor, replace_empty_batteries};
 use crate::chaos::fault_injector::FaultInjector;
 use crate::chaos::fault_kind::FaultKind;
