@@ -97,7 +97,7 @@ mod tests {
     use super::super::generate::{assert_valid, drawn, generate};
     use super::*;
 
-    /// Of a mission without a cause whose id has 13 characters, by a request whose id has 20.
+    /// Size of the smallest outcome: it has no cause, the id of its mission has 13 characters, and that of its request 20.
     const SMALLEST_OUTCOME_BYTES: u64 = 2 * 20 + 3 * 13 + 32;
 
     fn requests(seed: u64, kinds: &[FaultKind]) -> Vec<String> {

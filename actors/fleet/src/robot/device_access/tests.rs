@@ -266,7 +266,7 @@ fn a_robot_claims_no_door_before_a_silent_lift() {
     assert_eq!(access.claims(), Some(&DeviceClaims::new()));
 }
 
-/// Decides for a robot whose stated place is A, and whose pose is not there.
+/// Decides about the claims of a robot at rest. It states the place A, but its pose is elsewhere.
 fn rest(access: &mut DeviceAccess, x: f64, ahead: &[&PlaceId], reports: &DeviceReports, seconds: u64) {
     access.decide(&AccessSituation {
         place: &place("A"),

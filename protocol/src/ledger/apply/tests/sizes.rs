@@ -4,7 +4,7 @@ use super::{Log, epoch, record, robot, role};
 use crate::auction::{AuctionEntry, AuctionRecord, BidVerdict, RefusalReason};
 use crate::cause::CauseClass;
 use crate::codec;
-use crate::ids::{MissionId, TaskId};
+use crate::ids::{MissionId, RobotId, RoleId, TaskId};
 use crate::ledger::branch::Branch;
 use crate::ledger::command::{Command, CommandOutcome};
 use crate::ledger::entry::{MissionEntry, MissionState, RELEASES_KEPT};
@@ -15,6 +15,28 @@ use crate::scalar::Scalar;
 use std::collections::{BTreeMap, BTreeSet};
 
 impl Log {
+    /// Awards these roles of a mission, and releases `r1`.
+    fn award_and_release(
+        &mut self,
+        mission: &MissionId,
+        holders: BTreeMap<RoleId, RobotId>,
+        auction: AuctionRecord,
+        cause: String,
+    ) {
+        let award = Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction };
+        let CommandOutcome::Awarded { epoch } = self.apply(award) else { panic!("not awarded") };
+        self.apply(Command::Release {
+            mission: mission.clone(),
+            role: role("r1"),
+            epoch,
+            cause,
+            class: Some(CauseClass::Robot),
+            moved_nothing: false,
+            place: None,
+            gave_way: false,
+        });
+    }
+
     /// Awards the roles of a mission, and releases `r1` more often than the ledger keeps releases, each time with a long
     /// cause. The last award follows many long refusals.
     fn release_at_length(&mut self, mission: &MissionId, number: usize) {
@@ -26,21 +48,8 @@ impl Log {
         for round in 0..=RELEASES_KEPT {
             let refusals = if round == RELEASES_KEPT { 100 } else { 0 };
             let auction = AuctionRecord { entries: vec![refusal.clone(); refusals], ..record() };
-            let (mission, branch) = (mission.clone(), Branch::Main);
-            let award = Command::Award { mission: mission.clone(), branch, holders, auction };
-            let CommandOutcome::Awarded { epoch } = self.apply(award) else { panic!("not awarded") };
-            let (role, cause) = (role("r1"), "no route; ".repeat(2_000));
-            self.apply(Command::Release {
-                mission,
-                role: role.clone(),
-                epoch,
-                cause,
-                class: Some(CauseClass::Robot),
-                moved_nothing: false,
-                place: None,
-                gave_way: false,
-            });
-            holders = BTreeMap::from([(role, cart.clone())]);
+            self.award_and_release(mission, holders, auction, "no route; ".repeat(2_000));
+            holders = BTreeMap::from([(role("r1"), cart.clone())]);
         }
     }
 }
@@ -70,21 +79,8 @@ fn long_texts_do_not_exceed_the_limit_of_a_mission() {
     let auction = AuctionRecord { entries: vec![entry; 300], failure: Some(long.clone()), ..record() };
     for _ in 0..20 {
         let holders = BTreeMap::from([(role("lab_arm"), robot("arm")), (role("r1"), robot("ada"))]);
-        let (branch, auction) = (Branch::Main, auction.clone());
         let holders = if log.1 == 3 { holders } else { BTreeMap::from([(role("r1"), robot("ada"))]) };
-        let award = Command::Award { mission: mission.clone(), branch, holders, auction };
-        let CommandOutcome::Awarded { epoch } = log.apply(award) else { panic!("not awarded") };
-        let (mission, role, cause) = (mission.clone(), role("r1"), long.clone());
-        log.apply(Command::Release {
-            mission,
-            role,
-            epoch,
-            cause,
-            class: Some(CauseClass::Robot),
-            moved_nothing: false,
-            place: None,
-            gave_way: false,
-        });
+        log.award_and_release(&mission, holders, auction.clone(), long.clone());
     }
     let (places, cause, class) = (BTreeMap::new(), long.clone(), CauseClass::Task);
     log.apply(Command::Fail { mission: mission.clone(), cause, branch: None, places, class });
