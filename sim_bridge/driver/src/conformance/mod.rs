@@ -25,7 +25,12 @@ pub struct Trial {
     pub contract: Contract,
     /// The goal of the cases, instead of the example of an offered action.
     pub goal: Option<SampleGoal>,
+    /// The ids of the goals are greater than this number. A robot may remember the goals of an earlier check.
+    pub goals_after: u64,
 }
+
+/// Number of goal ids for each case.
+const GOALS_PER_CASE: u64 = 16;
 
 /// Goal with which a driver is tried. It takes about 2 s.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -63,12 +68,13 @@ pub struct CaseFailure(pub(crate) String);
 /// Runs cases, at most `jobs` at the same time, and passes each report on in the order of the
 /// cases.
 pub async fn run(trial: &Trial, cases: &[&Case], jobs: usize, mut report: impl FnMut(CaseReport)) {
-    let runs = cases.iter().map(|case| async {
+    let runs = cases.iter().zip(0u64..).map(|(case, number)| async move {
         let started = Instant::now();
         if case.needs_process() && matches!(trial.endpoint, DriverEndpoint::Socket(_)) {
             return CaseReport { case: case.name, ok: true, skipped: true, problem: None, took_ms: 0 };
         }
-        let problem = (case.run)(trial).await.err().map(|failure| failure.to_string());
+        let trial = Trial { goals_after: trial.goals_after + number * GOALS_PER_CASE, ..trial.clone() };
+        let problem = (case.run)(&trial).await.err().map(|failure| failure.to_string());
         let took_ms = u64::try_from(started.elapsed().as_millis()).unwrap_or(u64::MAX);
         CaseReport { case: case.name, ok: problem.is_none(), skipped: false, problem, took_ms }
     });

@@ -60,6 +60,8 @@ pub(super) struct Probe {
     /// Results received, in order.
     pub(super) results: Vec<(GoalId, ResultStatus, JsonObject)>,
     sequence: u64,
+    /// The cases number their goals from 1; the ids that the driver gets are greater by this number.
+    goals_after: u64,
 }
 
 pub(super) fn failed<T>(what: impl Into<String>) -> Result<T, CaseFailure> {
@@ -112,6 +114,7 @@ impl Probe {
             first_wrong_line: None,
             results: vec![],
             sequence: 0,
+            goals_after: trial.goals_after,
         };
         let robot = RobotId::new("check").expect("a name");
         let place = PlaceId::new("Dock").expect("a name");
@@ -161,6 +164,10 @@ impl Probe {
         self.write(message.to_line().as_bytes()).await
     }
 
+    fn goal_id(&self, number: u64) -> GoalId {
+        GoalId(self.goals_after + number)
+    }
+
     pub(super) async fn send_goal(
         &mut self,
         id: u64,
@@ -169,7 +176,8 @@ impl Probe {
         resumed: bool,
     ) -> Result<(), CaseFailure> {
         let SampleGoal { action, parameters } = goal.clone();
-        self.send(&NodeMessage::Goal { id: GoalId(id), action, parameters, keep_for_ms, resumed, since: None }).await
+        let id = self.goal_id(id);
+        self.send(&NodeMessage::Goal { id, action, parameters, keep_for_ms, resumed, since: None }).await
     }
 
     /// Starts the sample goal with a permission that [`follow`](Probe::follow) renews.
@@ -178,11 +186,11 @@ impl Probe {
     }
 
     pub(super) async fn cancel(&mut self, id: u64) -> Result<(), CaseFailure> {
-        self.send(&NodeMessage::Cancel { id: GoalId(id) }).await
+        self.send(&NodeMessage::Cancel { id: self.goal_id(id) }).await
     }
 
     pub(super) async fn keep(&mut self, id: u64, keep_for_ms: u64) -> Result<(), CaseFailure> {
-        self.send(&NodeMessage::Keep { id: GoalId(id), keep_for_ms }).await
+        self.send(&NodeMessage::Keep { id: self.goal_id(id), keep_for_ms }).await
     }
 
     /// Closes the input of the driver.
@@ -226,7 +234,10 @@ impl Probe {
             };
             self.line_count += 1;
             match DriverMessage::parse(&line) {
-                Ok(message) => {
+                Ok(mut message) => {
+                    if let DriverMessage::Feedback { id, .. } | DriverMessage::Result { id, .. } = &mut message {
+                        *id = GoalId(id.0.wrapping_sub(self.goals_after));
+                    }
                     if let DriverMessage::Result { id, status, results, .. } = &message {
                         self.results.push((*id, *status, results.clone()));
                     }
