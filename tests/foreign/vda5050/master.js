@@ -1,5 +1,5 @@
 // Fleet control of vda-5050-lib 1.4.0: node master.js KIT BROKER_URL SERIAL. It orders a vehicle from Dock to Ward with a
-// pick on the way, and then to Shelf, and prints how the orders end.
+// pick on the way, to Shelf, and to Dock; it cancels the last drive. It prints how the orders end.
 const [kit, brokerUrl, serialNumber] = process.argv.slice(2);
 const { MasterController, BlockingType } = require(`${kit}/node_modules/vda-5050-lib`);
 
@@ -23,9 +23,10 @@ async function main() {
           topicObjectValidation: { inbound: true, outbound: true } }, {});
     await master.start();
     console.log("started");
-    const assign = (...parts) => new Promise(resolve => {
-        const assigned = order(...parts);
+    const assign = (names, actions, onDrive) => new Promise(resolve => {
+        const assigned = order(names, actions);
         master.assignOrder(vehicle, assigned, {
+            onEdgeTraversing: onDrive,
             onOrderProcessed: (withError, byCancelation) => {
                 console.log(`ended ${assigned.orderId} ${withError ? "error" : byCancelation ? "cancelled" : "done"}`);
                 resolve();
@@ -35,5 +36,15 @@ async function main() {
     const pick = { actionId: "pick-1", actionType: "pick", blockingType: BlockingType.Hard };
     await assign(["Dock", "Shelf", "Ward"], { Shelf: [pick] });
     await assign(["Ward", "Shelf"], {});
+    const cancel = { actionId: "cancel-1", actionType: "cancelOrder", blockingType: BlockingType.Hard };
+    const handler = {
+        onActionStateChanged: state => console.log(`${state.actionType} ${state.actionStatus}`),
+        onActionError: error => console.log(`cancelOrder ${error.errorDescription}`),
+    };
+    let isCancelled = false;
+    await assign(["Shelf", "Dock"], {}, () => {
+        if (!isCancelled) master.initiateInstantActions(vehicle, { instantActions: [cancel] }, handler);
+        isCancelled = true;
+    });
 }
 main().catch(problem => { console.error(problem); process.exit(1); });

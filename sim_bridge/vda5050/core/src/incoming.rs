@@ -3,6 +3,7 @@
 use crate::cause::{ErrorLevel, VehicleError};
 use crate::identity::{Topic, Vehicle, Version};
 use crate::order_id::OrderId;
+use crate::outgoing::INSTANT_ACTIONS_2_0;
 use crate::schema::{Violation, check, schema};
 use serde_json::Value;
 
@@ -196,7 +197,14 @@ pub struct Factsheet {
 }
 
 pub(crate) fn read(vehicle: &Vehicle, topic: Topic, bytes: &[u8]) -> Result<Value, Malformed> {
-    let message: Value = serde_json::from_slice(bytes).map_err(|problem| Malformed::Json(problem.to_string()))?;
+    let mut message: Value = serde_json::from_slice(bytes).map_err(|problem| Malformed::Json(problem.to_string()))?;
+    if topic == Topic::InstantActions
+        && vehicle.version() == Version::V2_0
+        && let Some(actions) = message.as_object_mut().and_then(|message| message.remove(INSTANT_ACTIONS_2_0))
+        && message["actions"].is_null()
+    {
+        message["actions"] = actions;
+    }
     check(&schema(topic, vehicle.version()), &message)?;
     vehicle.foreign_field(&message).map_or(Ok(message), |field| Err(Malformed::Foreign(field)))
 }

@@ -57,6 +57,10 @@ impl VehicleAction {
     }
 }
 
+/// Second name of the list of instant actions in version 2.0. Some vehicles and fleet controls of 2.0 know only this name, others
+/// only `actions`, so a message has both lists, and either is accepted.
+pub(crate) const INSTANT_ACTIONS_2_0: &str = "instantActions";
+
 /// Returns the body of a message with instant actions.
 pub fn instant_actions(actions: &[VehicleAction], version: Version) -> Map<String, Value> {
     let json = |action: &VehicleAction| match version {
@@ -68,7 +72,12 @@ pub fn instant_actions(actions: &[VehicleAction], version: Version) -> Map<Strin
         }
         _ => action.to_json(action.blocking),
     };
-    Map::from_iter([("actions".to_owned(), Value::Array(actions.iter().map(json).collect()))])
+    let list = Value::Array(actions.iter().map(json).collect());
+    let mut body = Map::from_iter([("actions".to_owned(), list.clone())]);
+    if version == Version::V2_0 {
+        body.insert(INSTANT_ACTIONS_2_0.to_owned(), list);
+    }
+    body
 }
 
 /// A node of an order.
@@ -171,6 +180,13 @@ mod tests {
         assert_eq!(sent(Version::V2_1), old);
         assert_eq!(sent(Version::V3_0)["blockingType"], "NONE");
         assert_eq!(sent(Version::V3_0)["actionParameters"], json!([{ "key": "orderId", "value": "o" }]));
+    }
+
+    #[test]
+    fn instant_actions_of_2_0_have_both_names() {
+        let names = |version| instant_actions(&[], version).into_iter().map(|(name, _)| name).collect::<Vec<_>>();
+        assert_eq!(names(Version::V2_0), ["actions", "instantActions"]);
+        assert_eq!(names(Version::V2_1), ["actions"]);
     }
 
     #[test]

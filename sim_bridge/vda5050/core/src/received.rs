@@ -144,6 +144,22 @@ mod tests {
     use serde_json::json;
     use std::collections::BTreeMap;
 
+    #[test]
+    fn either_name_of_instant_actions_is_read_in_2_0_only() {
+        let vehicle = |version| Vehicle::new("uagv", version, "ACME", "7").unwrap();
+        let cancel = json!([{ "actionId": "i", "actionType": "cancelOrder", "blockingType": "HARD" }]);
+        let read = |version, name: &str| {
+            let body = serde_json::Map::from_iter([(name.to_owned(), cancel.clone())]);
+            let message = vehicle(version).message(0, "2026-01-01T00:00:00.00Z", body);
+            read_instant_actions(&vehicle(version), message.to_string().as_bytes()).map(|actions| actions.len())
+        };
+        assert_eq!(read(Version::V2_0, "actions"), Ok(1));
+        assert_eq!(read(Version::V2_0, "instantActions"), Ok(1));
+        assert_eq!(read(Version::V2_1, "actions"), Ok(1));
+        let refused = read(Version::V2_1, "instantActions").unwrap_err().to_string();
+        assert_eq!(refused, "/: `actions` is missing (schema: /required)");
+    }
+
     fn order() -> Order {
         let parameters = BTreeMap::from([("loadId".to_owned(), json!("L-7"))]);
         let (id, kind, blocking) = ("x".to_owned(), "pick".to_owned(), BlockingType::Soft);

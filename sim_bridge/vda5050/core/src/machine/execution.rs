@@ -1,6 +1,7 @@
 //! An order or an instant action that was sent, compared with the states of the vehicle.
 
 use crate::cause::{Cause, CauseTable, VehicleError};
+use crate::identity::Topic;
 use crate::incoming::{ActionStatus, VehicleState};
 use crate::layout::{Layout, LayoutNode};
 use crate::order_id::OrderId;
@@ -271,7 +272,8 @@ impl OrderRun {
         let id = self.id.to_string();
         let is_new = |error: &&VehicleError| !self.known_errors.contains(error);
         if state.order != id {
-            let rejects = |error: &&VehicleError| error.refers_to(&id) || is_of_orders(error);
+            let rejects =
+                |error: &&VehicleError| error.refers_to(&id) || is_of_orders(error) && !names_other_order(error, &id);
             return match state.errors.iter().filter(is_new).find(rejects) {
                 Some(error) if !self.is_known => Verdict::Ended(causes.cause(error)),
                 _ => Verdict::Absent,
@@ -331,10 +333,18 @@ const REJECTIONS: [&str; 9] = [
     "robotnotavailable",
 ];
 
-/// Checks whether the type of an error is about orders.
+/// Checks whether an error is about orders, by its type and the topic that it names. A vehicle may reject a request for its
+/// state as invalid.
 fn is_of_orders(error: &VehicleError) -> bool {
     let kind = error.kind_letters();
-    kind != "noordertocancel" && REJECTIONS.iter().any(|word| kind.contains(word))
+    let of_other_topic = error.references.iter().any(|(key, value)| key == "topic" && value != Topic::Order.level());
+    kind != "noordertocancel" && !of_other_topic && REJECTIONS.iter().any(|word| kind.contains(word))
+}
+
+/// Checks whether an error names other orders only: a vehicle rejects a late order of another goal, too.
+fn names_other_order(error: &VehicleError, id: &str) -> bool {
+    let mut named = error.references.iter().filter(|(key, _)| key == "orderId").peekable();
+    named.peek().is_some() && named.all(|(_, value)| value != id)
 }
 
 /// Returns the errors of a state that refer to none of some ids: those that an adopted order or action

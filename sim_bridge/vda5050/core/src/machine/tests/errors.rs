@@ -51,6 +51,14 @@ fn errors_count_for_the_order_that_they_concern() {
     let sent = machine.step(goal(7, drive("d")), seconds(2));
     vehicle.errors = error("NO_ORDER_TO_CANCEL", ErrorLevel::Warning, vec![]);
     assert_eq!(result(&exchange(&mut machine, &mut vehicle, 3)), None);
+    // Nor is the refusal of a message with instant actions.
+    vehicle.errors =
+        error("validationError", ErrorLevel::Warning, vec![("topic".to_owned(), "instantActions".to_owned())]);
+    assert_eq!(result(&exchange(&mut machine, &mut vehicle, 4)), None);
+    // Nor is the rejection of a late order.
+    let earlier = vec![("orderId".to_owned(), "consort-1-cd741fe9-0".to_owned())];
+    vehicle.errors = error("orderUpdateError", ErrorLevel::Warning, earlier);
+    assert_eq!(result(&exchange(&mut machine, &mut vehicle, 5)), None);
     // A new process finds the order, and the error that the order has caused.
     vehicle.receive(&sent[0]);
     vehicle.errors = error("obstacle", ErrorLevel::Fatal, vec![("orderId".to_owned(), vehicle.order.clone())]);
