@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Debug};
 use std::io;
 use std::pin::pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -152,7 +152,7 @@ impl VirtualDisk {
             state.life += 1;
             (state.life, state.owner.clone(), StoreIdentity::from_seed(state.chance.random()))
         };
-        let file = |index| File { disk: self.clone(), index, life };
+        let file = |index| File { disk: Arc::downgrade(&self.0), index, life };
         let store = match DurableStore::open_on(file(0), file(1), &owner, identity) {
             Err(OpenError::Damaged { .. }) => {
                 {
@@ -299,9 +299,9 @@ impl State {
     }
 }
 
-/// File of a disk, opened by an incarnation.
+/// File of a disk, opened by an incarnation. The disk contains the store, which contains its files.
 struct File {
-    disk: VirtualDisk,
+    disk: Weak<Mutex<State>>,
     index: usize,
     life: u64,
 }
@@ -313,41 +313,46 @@ impl Debug for File {
 }
 
 impl File {
-    fn state(&self) -> io::Result<MutexGuard<'_, State>> {
-        let state = self.disk.lock();
-        if state.life == self.life { Ok(state) } else { Err(io::Error::other("the node has crashed")) }
+    /// Runs an operation on the state of the disk, unless the node has crashed.
+    fn with<T>(&self, operation: impl FnOnce(&mut State) -> io::Result<T>) -> io::Result<T> {
+        let disk = self.disk.upgrade().ok_or_else(|| io::Error::other("the disk is gone"))?;
+        let mut state = disk.lock().unwrap_or_else(PoisonError::into_inner);
+        if state.life == self.life { operation(&mut state) } else { Err(io::Error::other("the node has crashed")) }
     }
 }
 
 impl StorageBackend for File {
     fn len(&self) -> io::Result<u64> {
-        Ok(self.state()?.files[self.index].content().len() as u64)
+        self.with(|state| Ok(state.files[self.index].content().len() as u64))
     }
 
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
-        self.state()?.files[self.index].read(offset, out)
+        self.with(|state| state.files[self.index].read(offset, out))
     }
 
     fn set_len(&self, length: u64) -> io::Result<()> {
-        let mut state = self.state()?;
-        state.call()?;
-        state.files[self.index].set_len(length)
+        self.with(|state| {
+            state.call()?;
+            state.files[self.index].set_len(length)
+        })
     }
 
     fn sync_data(&self) -> io::Result<()> {
-        let mut state = self.state()?;
-        state.call()?;
-        let lies = self.index == LEDGER && *state.fault.borrow() == Some(DiskFault::Lies);
-        if !lies {
-            state.files[self.index].sync();
-        }
-        Ok(())
+        self.with(|state| {
+            state.call()?;
+            let lies = self.index == LEDGER && *state.fault.borrow() == Some(DiskFault::Lies);
+            if !lies {
+                state.files[self.index].sync();
+            }
+            Ok(())
+        })
     }
 
     fn write(&self, offset: u64, data: &[u8]) -> io::Result<()> {
-        let mut state = self.state()?;
-        state.call()?;
-        state.files[self.index].write(offset, data)
+        self.with(|state| {
+            state.call()?;
+            state.files[self.index].write(offset, data)
+        })
     }
 }
 
@@ -497,6 +502,15 @@ mod tests {
         assert_eq!(writes, LogWrites { snapshots: 1, purges: 1, installations: 0 });
         writes.add(LogWrites { installations: 2, ..writes });
         assert_eq!(writes, LogWrites { snapshots: 2, purges: 2, installations: 2 });
+    }
+
+    #[tokio::test(flavor = "current_thread", start_paused = true)]
+    async fn a_disk_is_freed_with_its_last_user() {
+        let disk = VirtualDisk::new(1);
+        let (freed, store) = (Arc::downgrade(&disk.0), disk.store());
+        store.log_store.append(entry(1)).await.expect("a healthy disk");
+        drop((disk, store));
+        assert!(freed.upgrade().is_none(), "thousands of runs would not fit into memory");
     }
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
