@@ -18,17 +18,21 @@ from processes import free_port, is_listening, wait_for
 
 
 class Process:
-    """A child process that ends with its case."""
+    """A child process that ends with its case, and so do its own children."""
 
     def __init__(self, command, log, **options):
         self.log = open(log, "ab")
-        self.child = subprocess.Popen([str(word) for word in command], stderr=self.log, **options)
+        self.child = subprocess.Popen([str(word) for word in command], stderr=self.log, start_new_session=True, **options)
 
     def kill(self, number=signal.SIGKILL):
         if self.child.poll() is None:
             self.child.send_signal(signal.SIGCONT)
             self.child.send_signal(number)
         self.child.wait(10)
+        try:
+            os.killpg(self.child.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            pass  # it has left no process
         self.log.close()
 
 
